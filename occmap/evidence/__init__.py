@@ -95,12 +95,16 @@ def read_model(evidence: Described) -> SensorModel:
 
 
 def to_grid(evidence: Evidence) -> TileGrid:
-    """Make a grid of evidence."""
-    manifest = evidence.manifest
-    unit = find_unit(manifest.update)
-    grid = TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind), unit)
+    """Make a grid of evidence, which more may be added to."""
+    grid = make_empty(evidence.manifest)
     add_stack(grid, evidence.tiles, evidence.cells)
     return grid
+
+
+def make_empty(manifest: Manifest) -> TileGrid:
+    """Make a grid for such evidence, with no observations yet."""
+    unit = find_unit(manifest.update)
+    return TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind), unit)
 
 
 def refuse_other_profile(evidence: Described, model: SensorModel) -> None:

@@ -158,8 +158,8 @@ class RangeCensus:
         """Suggest whether beams without return are to clear space.
 
         They are if the log states the limit up to which, if their value is not an error code of the
-        SICK LMS, of which not all mean that space is open, and
-        if hardly one of them leads through a wall or, as through glass, out of all that was hit.
+        SICK LMS, of which not all mean that space is open, and if hardly one of them leads through
+        a wall or, as through glass, out of all that was hit.
         """
         low, high = SICK_CODES
         is_code = any(low <= item.value <= high for item in repeated)

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from occmap.arrays import Bool, Int64
 from occmap.cells import Evidence, OccupancyMap, Slices
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.evidence import make_empty
+from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
-from occmap.grid.spec import find_unit
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 
 MOST_CELLS = 4100 * 4100
@@ -168,13 +168,10 @@ def classify(grid: OccupancyMap) -> NDArray[np.uint8]:
 
 def see(evidence: Evidence) -> Seen:
     """Make evidence ready to be read, without a copy of its tiles."""
-    manifest = evidence.manifest
-    kind, unit = EvidenceKind(manifest.kind), find_unit(manifest.update)
-    grid = TileGrid(Lattice(manifest.resolution), kind, unit)
-    grid.tiles.update(view_tiles(evidence.tiles, evidence.cells))
+    grid = make_empty(evidence.manifest).like(view_tiles(evidence.tiles, evidence.cells))
     slices = unite(evidence.slices)
     first = int(slices.numbers.min()) if slices.numbers.size else 0
-    return Seen(grid, slices, first, manifest.pass_gap_s)
+    return Seen(grid, slices, first, evidence.manifest.pass_gap_s)
 
 
 def read_seen(seen: Seen, box: CellBox) -> Layers:

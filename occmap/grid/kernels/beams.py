@@ -13,9 +13,8 @@ from occmap.grid.kernels.drawing import Path, draw_path, place_beam
 from occmap.grid.kernels.lines import note_line
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sums import Changes
-from occmap.grid.kernels.units import COUNT_BITS, PAD, SKIP, Tables
+from occmap.grid.kernels.units import COUNT_BITS, MANY, PAD, SKIP, Tables
 from occmap.grid.kernels.visits import (
-    MANY,
     Canvas,
     Tiles,
     add_notes,

@@ -33,15 +33,13 @@ from occmap.grid.kernels.units import (
     FIRST_HIT,
     HALF_CELL,
     HIT,
+    MANY,
     NOTHING,
     PAD,
     TABLE_STEPS,
     Tables,
 )
 from occmap.jit import kernel
-
-MANY = 4096
-"""Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
 
 
 class View(NamedTuple):

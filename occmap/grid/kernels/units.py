@@ -39,6 +39,8 @@ BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
 """The most that a beam weighs: its own 2, and 3 for each of two neighbours on its surface. The
 module `projection` says how."""
 
+MANY = 4096
+"""Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
 COUNT_BITS = 31
 """A window is emptied before a cell of it counts 2^31 hits or misses."""
 

@@ -20,6 +20,7 @@ from occmap.grid.kernels.units import (
     CELL_SHIFT,
     FIRST_HIT,
     HALF_CELL,
+    MANY,
     NO_LENGTH,
     NOTHING,
     TABLE_STEPS,
@@ -30,8 +31,6 @@ from occmap.grid.kernels.units import (
 )
 from occmap.jit import kernel, step
 
-MANY = 4096
-"""Notes are added when so many are listed: loops are long, and the list fits the cache."""
 ENTRY_BITS = 13
 """Bits of the place of an entry in both tables of a model together."""
 WEIGHT_BITS = BEAM_WEIGHT.bit_length()

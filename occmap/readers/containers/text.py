@@ -182,7 +182,7 @@ def _read_lines(path: Path, span: Span) -> Iterator[bytes | memoryview]:
     """Yield the content of a file as `_read_pieces` does, with the line ends of today."""
     has_mac_ends = False
     for number, piece in enumerate(_read_pieces(path, span)):
-        if number == span.start == 0:
+        if number == 0 and span.start == 0:
             has_mac_ends = _has_mac_ends(bytes(piece))
         yield bytes(piece).replace(b"\r", b"\n") if has_mac_ends else piece
 
