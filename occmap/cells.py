@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Bool, Float32, Int64, UInt8
+from occmap.types import Bool, Float32, Int64, UInt8
 
 MOST_OBSERVED = 1 << 53
 """No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand

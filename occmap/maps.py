@@ -7,13 +7,13 @@ from html import escape
 from pathlib import Path
 from typing import Any, Self
 
-from occmap.arrays import Float64
 from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.keywords import read_option
 from occmap.report import Build, Report
+from occmap.types import Float64
 from occmap.writers import Product, WriteOptions
 from occmap.writers.outputs import check_outputs, write_outputs
 

@@ -6,13 +6,12 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.grid.tiles import TileGrid
 from occmap.plain import Count, Printed, Share
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.tally import ScanCounts
-from occmap.types import Update
+from occmap.types import Int64, Update
 from occmap.writers import WriteOptions
 
 

@@ -14,11 +14,20 @@ from enum import IntEnum, StrEnum
 from typing import Annotated, NamedTuple, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from occmap.arrays import Bool, Float32, Float64, Int64, UInt8
 from occmap.errors import DamageError
 from occmap.values import as_number, as_ranges, as_stamp, as_text, shorten
+
+Float32: TypeAlias = NDArray[np.float32]
+Float64: TypeAlias = NDArray[np.float64]
+Int16: TypeAlias = NDArray[np.int16]
+Int32: TypeAlias = NDArray[np.int32]
+Int64: TypeAlias = NDArray[np.int64]
+UInt8: TypeAlias = NDArray[np.uint8]
+UInt64: TypeAlias = NDArray[np.uint64]
+Bool: TypeAlias = NDArray[np.bool_]
+"""Arrays, by the type of their numbers"""
 
 Metres: TypeAlias = Annotated[float, "M"]
 Seconds: TypeAlias = Annotated[float, "S"]

@@ -6,13 +6,12 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from occmap.arrays import Float32
 from occmap.errors import DamageError
 
 
-def as_float32(values: ArrayLike) -> Float32:
+def as_float32(values: ArrayLike) -> NDArray[np.float32]:
     """Convert to float32, as ranges are kept; too large a number becomes infinite."""
     with np.errstate(over="ignore"):
         return np.asarray(values).astype(np.float32)
@@ -72,7 +71,7 @@ def as_text(value: Any) -> str:
     return value
 
 
-def as_ranges(values: ArrayLike) -> Float32:
+def as_ranges(values: ArrayLike) -> NDArray[np.float32]:
     """Copy one row of numbers as float32, (B,); raises DamageError."""
     try:
         array = np.asarray(values)

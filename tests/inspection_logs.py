@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from occmap.arrays import Float32, Float64
+from occmap.types import Float32, Float64
 from tests.readers.ros import ROS1, SCAN, SECOND, Written, header, write_bag1
 
 BEAMS = 90

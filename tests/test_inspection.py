@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.arrays import Float32, Float64
 from occmap.command import compose_build
 from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
@@ -28,7 +27,7 @@ from occmap.remarks import LEAST_AGREEMENT
 from occmap.selection import Selection
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.steps.mounts import SUSPECT, correct_mount
-from occmap.types import Pose, PoseSample, Scan, ScanBatch
+from occmap.types import Float32, Float64, Pose, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser

@@ -21,7 +21,7 @@ PACKAGE = Path(__file__).parent.parent / "occmap"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
-SHARED = {"arrays", "cells", "errors", "jit", "plugins", "types", "values", "wording"}
+SHARED = {"cells", "errors", "jit", "plugins", "types", "values", "wording"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.arrays import Bool
 from occmap.cells import Decision, OccupancyMap
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.steps import batching, engines, observing
-from occmap.types import Update
+from occmap.types import Bool, Update
 from tests.map_loaders import load_nav2
 from tests.samples import DRIVES, SAMPLE_LOGS
 

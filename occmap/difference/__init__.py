@@ -5,7 +5,6 @@ from itertools import permutations
 
 import numpy as np
 
-from occmap.arrays import UInt8
 from occmap.cells import Box, CellClass
 from occmap.difference.blobs import find_largest_blob
 from occmap.difference.maps import ClassMap, Place
@@ -13,6 +12,7 @@ from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
+from occmap.types import UInt8
 
 LATTICE_TOLERANCE = 0.05
 """In cells: other tools round the origin to millimetres."""

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Int64
 from occmap.grid.lattice import CellBox
+from occmap.types import Bool, Int64
 
 
 class Blob(NamedTuple):

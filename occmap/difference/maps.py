@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from occmap.arrays import UInt8
 from occmap.cells import Box, CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
@@ -23,6 +22,7 @@ from occmap.grid.tiles import MAX_CELLS
 from occmap.store.layout import digest_evidence
 from occmap.store.reading import Store, as_blocks, open_saved
 from occmap.store.rendering import classify_blocks, open_map
+from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions
 
 if TYPE_CHECKING:  # it brings pillow

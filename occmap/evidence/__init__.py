@@ -7,7 +7,6 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.cells import Evidence, Manifest, OccupancyMap, to_log_odds
 from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
@@ -17,6 +16,7 @@ from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, add_stack, refuse_large
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel, find_decision, parse_model
+from occmap.types import Float64
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""

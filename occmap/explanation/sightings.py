@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.options import BuildOptions
@@ -20,7 +19,7 @@ from occmap.steps.observing import Progress
 from occmap.steps.opening import count_scans
 from occmap.steps.tally import Tally
 from occmap.steps.tracing import open_drive, pose_scans
-from occmap.types import PosedScans
+from occmap.types import Int64, PosedScans
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from itertools import accumulate, islice
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.fleet.cluster import Cluster
 from occmap.fleet.runs import Setting
 from occmap.fleet.tasks import LogSurvey, Traced, TraceJob, count_in_window, trace_part
@@ -15,6 +14,7 @@ from occmap.posing.leaps import MOST_PATHS, Ends, Laser
 from occmap.selection import FROM_THE_START, Seam
 from occmap.sensor.no_return import RangeLimits
 from occmap.steps.observing import Progress
+from occmap.types import Float64
 
 
 @dataclass

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.cells import Manifest
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.fleet import Fleet, Work, list_reductions, list_surveys
@@ -27,6 +26,7 @@ from occmap.steps.observing import Keep, Progress
 from occmap.steps.tally import refuse_unseen, refuse_unused
 from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store, paint_block, write_block
+from occmap.types import Int64
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from occmap.arrays import Float64
 from occmap.errors import LogError, MapError, name_log
 from occmap.evidence.manifest import describe_files, list_files
 from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
@@ -22,7 +21,7 @@ from occmap.steps.opening import count_scans
 from occmap.steps.tally import Tally
 from occmap.steps.tracing import Drive, open_drive, trace
 from occmap.store.blocks import Block, split_blocks
-from occmap.types import Rays
+from occmap.types import Float64, Rays
 
 
 class LogSurvey(NamedTuple):

@@ -11,10 +11,10 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int64
 from occmap.cells import Box, OccupancyMap
 from occmap.errors import MapError, require
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
+from occmap.types import Bool, Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""

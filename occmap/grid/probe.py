@@ -4,13 +4,12 @@ import math
 
 import numpy as np
 
-from occmap.arrays import Bool, Int64
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import CellBox
 from occmap.grid.projection import prepare, project
 from occmap.grid.spec import GridSpec
 from occmap.grid.windows import choose_windows
-from occmap.types import Rays
+from occmap.types import Bool, Int64, Rays
 
 
 def look_at_cell(rays: Rays, spec: GridSpec, row: int, col: int) -> Int64:

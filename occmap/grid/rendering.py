@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from occmap.arrays import Bool, Float32, Float64
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, TileGrid
+from occmap.types import Bool, Float32, Float64
 
 
 class SpreadHits(TileGrid):

@@ -10,9 +10,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from occmap.arrays import Int64, UInt8
 from occmap.cells import Slices
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, stack_tiles
+from occmap.types import Int64, UInt8
 
 BITS = (2, TILE, TILE // 8)
 """Bytes of hit and seen cells of a tile, row by row, in the order of `np.packbits`"""

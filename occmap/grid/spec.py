@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, TABLE_STEPS, Tables
 from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.types import Update
+from occmap.types import Float64, Update
 
 WINDOW_CELLS = 1 << 24
 """The largest window; scans that need more are traced part by part."""

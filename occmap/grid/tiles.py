@@ -12,11 +12,11 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from occmap.arrays import Bool, Float64, Int32, Int64
 from occmap.cells import MOST_OBSERVED
 from occmap.errors import MapError
 from occmap.grid.kernels import units
 from occmap.grid.lattice import CellBox, Lattice
+from occmap.types import Bool, Float64, Int32, Int64
 from occmap.wording import write_metres
 
 TILE = units.TILE

@@ -8,7 +8,6 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.grid.kernels.beams import trace_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams
@@ -19,7 +18,7 @@ from occmap.grid.kernels.visits import Canvas, Tiles
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import Key, Tile, view_tiles
-from occmap.types import Kind, Rays, Update
+from occmap.types import Int64, Kind, Rays, Update
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.inspection.findings import Shape, TimeFindings
 from occmap.inspection.ranges import RangeCensus
@@ -23,7 +22,7 @@ from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret, read_limits
 from occmap.steps.batching import stack
 from occmap.steps.sampling import Sample, expect_scans
-from occmap.types import Kind, Rays, Scan, ScanBatch, ScanRun
+from occmap.types import Float64, Kind, Rays, Scan, ScanBatch, ScanRun
 
 MAX_SHAPES = 1000
 """How many shapes are counted: each scan of a log may have its own, and memory is bounded."""

@@ -9,8 +9,7 @@ from bokeh.palettes import Plasma256
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 
-from occmap.arrays import Float64
-from occmap.types import Trajectory
+from occmap.types import Float64, Trajectory
 
 UNKNOWN_COLOUR = "#d5d9de"
 WAY_COLOURS = Plasma256[20:165]

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.arrays import Bool, Int64
 from occmap.cells import Evidence, OccupancyMap, Slices
 from occmap.evidence import make_empty
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import count_visits, split_tiles, take, unite, unpack
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
+from occmap.types import Bool, Int64
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""

@@ -11,7 +11,6 @@ from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.errors import PoseError
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, list_tilts
@@ -22,7 +21,16 @@ from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.types import IDENTITY, Attached, Pose, PoseBatch, PosedScans, PoseSample, ScanBatch
+from occmap.types import (
+    IDENTITY,
+    Attached,
+    Float64,
+    Pose,
+    PoseBatch,
+    PosedScans,
+    PoseSample,
+    ScanBatch,
+)
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "

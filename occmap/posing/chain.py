@@ -14,11 +14,10 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int64, UInt8
 from occmap.posing.frames import Edge, find_moving, last_part
 from occmap.posing.rotations import rotate_by, slerp, to_quaternions
 from occmap.posing.tracks import Track, find_usable
-from occmap.types import IDENTITY, Pose
+from occmap.types import IDENTITY, Bool, Float64, Int64, Pose, UInt8
 
 DRIFT_M, DRIFT_RAD = 0.1, 0.05
 """A correction of odometry that moves or turns by no more never counts as a jump."""

@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, make_chain
 from occmap.posing.frames import Edge, Source
 from occmap.posing.jumps import Jump, find_jumps
 from occmap.posing.options import Concern, Stamps
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import TrackBuilder
-from occmap.types import PoseBatch, PosedScans
+from occmap.types import Float64, Int64, PoseBatch, PosedScans
 
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at 3 degrees and 30 cm above it, within 6 m."""

@@ -5,10 +5,9 @@ A scan that is not de-skewed has one pose, at its stamp.
 
 import numpy as np
 
-from occmap.arrays import Bool, Int64
 from occmap.posing.chain import Chain, Transforms
 from occmap.posing.options import Deskew
-from occmap.types import PosedScans, ScanBatch
+from occmap.types import Bool, Int64, PosedScans, ScanBatch
 
 MAX_TURN_S = 60.0
 """A scan that is said to take longer has a wrong time_increment."""

@@ -11,12 +11,12 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
 from occmap.posing.chain import Chain, Moving, Status
 from occmap.posing.frames import Edge
 from occmap.posing.options import Concern
 from occmap.posing.rotations import measure_turn
 from occmap.posing.tracks import Track
+from occmap.types import Float64, Int64
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""

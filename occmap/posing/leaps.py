@@ -24,9 +24,8 @@ from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int64
 from occmap.posing.options import DropReason
-from occmap.types import Attached, PosedScans
+from occmap.types import Attached, Bool, Float64, Int64, PosedScans
 from occmap.wording import count
 
 SLACK_M = 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from occmap.arrays import Float64
+from occmap.types import Float64
 
 STRAIGHT_RAD = 1e-6
 """Below this angle a great arc and its chord differ by less than 1e-12: no sine is divided by."""

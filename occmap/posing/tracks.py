@@ -7,10 +7,9 @@ from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int64
 from occmap.posing.options import Stamps
 from occmap.posing.rotations import angle_between
-from occmap.types import Pose, PoseBatch, PoseSample
+from occmap.types import Bool, Float64, Int64, Pose, PoseBatch, PoseSample
 
 FIXED_M = 1e-4
 FIXED_RAD = 1e-4

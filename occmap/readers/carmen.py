@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.readers import Role, Stream
 from occmap.readers.containers.text import Block, Line, read_blocks
 from occmap.readers.conversion.carmen_lines import (
@@ -22,7 +21,7 @@ from occmap.readers.conversion.carmen_lines import (
 )
 from occmap.readers.probing import Probe
 from occmap.readers.text_log import LineTally, TextLog
-from occmap.types import PoseSample, Scan, ScanRun
+from occmap.types import Int64, PoseSample, Scan, ScanRun
 from occmap.values import shorten
 from occmap.wording import count
 

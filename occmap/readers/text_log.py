@@ -21,12 +21,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, Self, TypeVar
 
-from occmap.arrays import Int64
 from occmap.errors import LogError
 from occmap.readers import NoteList, make_part
 from occmap.readers.containers.text import ALL, Block, Line, split_lines
 from occmap.readers.decoding.tables import Pattern, Table, parse_table
-from occmap.types import Scan, ScanRun
+from occmap.types import Int64, Scan, ScanRun
 
 Parsed = TypeVar("Parsed")
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import UInt8
 from occmap.cells import OccupancyMap, keep_largest
 from occmap.grid.lattice import CellBox
 from occmap.scoring.trials import ScoredVariant
+from occmap.types import UInt8
 from occmap.writers.images import Panel, write_panels
 
 LARGEST_PX, SMALLEST_PX = 1000, 360

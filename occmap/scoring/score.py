@@ -7,10 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
 from occmap.plain import Count, Finite, Share
-from occmap.types import Rays
+from occmap.types import Float64, Rays
 from occmap.workers import Workers
 
 NOISE = 2.0

@@ -7,7 +7,6 @@ from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
 from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
@@ -16,7 +15,7 @@ from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scoring.score import Gain, Score, score_map
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.steps.engines import make_engine
-from occmap.types import Kind, Rays, Update
+from occmap.types import Float64, Kind, Rays, Update
 from occmap.workers import Workers
 
 EVERY = 5

@@ -12,11 +12,11 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.cells import EVEN_ODDS, Decision, to_log_odds
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.sensor.rules import occupancy, probability, visibility
+from occmap.types import Float64
 
 
 class Model(Protocol):

@@ -12,9 +12,8 @@ from typing import Self
 
 import numpy as np
 
-from occmap.arrays import Float32, Int64
 from occmap.sensor.returns import ReturnOptions, read_limits
-from occmap.types import Scan, ScanBatch, ScanRun
+from occmap.types import Float32, Int64, Scan, ScanBatch, ScanRun
 from occmap.values import as_float32
 
 BAND = 0.025

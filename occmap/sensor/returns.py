@@ -16,10 +16,20 @@ from typing import Annotated, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Bool, Float32, Float64, UInt8
 from occmap.cells import Box
 from occmap.errors import require
-from occmap.types import Kind, Metres, PosedScans, Rays, Scan, ScanBatch
+from occmap.types import (
+    Bool,
+    Float32,
+    Float64,
+    Kind,
+    Metres,
+    PosedScans,
+    Rays,
+    Scan,
+    ScanBatch,
+    UInt8,
+)
 from occmap.values import as_float32
 
 Sector: TypeAlias = tuple[float, float]

@@ -7,7 +7,7 @@ both are 0 a beam says nothing. `QuadraticModel` tabulates these functions for t
 
 import numpy as np
 
-from occmap.arrays import Float64
+from occmap.types import Float64
 
 
 def visibility(d: Float64, r: float, epsilon: float) -> Float64:

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.sensor.returns import interpret
 from occmap.steps.sampling import sample_scans
 from occmap.steps.tracing import open_drive
-from occmap.types import Kind, Rays
+from occmap.types import Float64, Kind, Rays
 
 GAPS = (2, 4, 8, 16, 32)
 """A chord of a wall joins the ends of two beams that are this many beams apart."""

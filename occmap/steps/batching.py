@@ -7,12 +7,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.posing.options import Stamps
 from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Scan, ScanBatch, ScanRun
+from occmap.types import Int64, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads

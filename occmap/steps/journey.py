@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.posing.rotations import to_quaternions
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Attached, Journey, Kind, PosedScans, ScanHits, Trajectory
+from occmap.types import Attached, Float64, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.command import format_mount, format_static
 from occmap.errors import MountError, PoseError
 from occmap.options import BuildOptions
@@ -22,7 +21,7 @@ from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.steps.opening import choose_topics, make_poser
 from occmap.steps.sampling import encode_cells, estimate_agreement, sample_scans
 from occmap.steps.tally import Tally
-from occmap.types import IDENTITY, Kind, Pose, PosedScans
+from occmap.types import IDENTITY, Float64, Kind, Pose, PosedScans
 
 MOUNT_CELL_M = 0.1
 """Side of the cells in which the hits of a sample are counted (m)"""

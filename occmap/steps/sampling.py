@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from occmap.arrays import Float64, Int64
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.options import BuildOptions
@@ -20,7 +19,7 @@ from occmap.sensor.returns import interpret
 from occmap.steps.batching import batch_scans
 from occmap.steps.engines import make_engine
 from occmap.steps.opening import count_messages
-from occmap.types import PosedScans
+from occmap.types import Float64, Int64, PosedScans
 
 SAMPLE_SCANS = 300
 """About so many scans of each topic are kept, spread evenly over the log."""

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.evidence.manifest import list_inputs
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take, unite
 from occmap.grid.tiles import TILE, Key, Tile, stack_tiles, view_tiles
+from occmap.types import Int64
 
 BLOCK = 1024
 """Cells along the side of a block"""

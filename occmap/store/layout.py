@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import UInt8
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING
@@ -27,6 +26,7 @@ from occmap.store.blocks import (
     split_evidence,
     spread_cells,
 )
+from occmap.types import UInt8
 from occmap.writers.npz import compute_checksum, pack_slices, unpack_slices
 from occmap.writers.soundness import refuse_other_version
 

@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
@@ -24,6 +23,7 @@ from occmap.store.blocks import (
     list_blocks,
     split_evidence,
 )
+from occmap.types import Int64
 from occmap.writers.npz import read_evidence
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 

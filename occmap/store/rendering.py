@@ -6,7 +6,6 @@ from functools import lru_cache, reduce
 
 import numpy as np
 
-from occmap.arrays import Int64, UInt8
 from occmap.cells import Box, CellClass, Decision, OccupancyMap, to_log_odds
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, paint_box, to_grid
@@ -19,6 +18,7 @@ from occmap.report import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block, list_blocks
 from occmap.store.reading import Blocks, Store, read_part
+from occmap.types import Int64, UInt8
 from occmap.writers import WriteOptions
 from occmap.writers.soundness import refuse_damage
 

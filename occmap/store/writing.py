@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.cells import Evidence, Manifest, OccupancyMap, keep_largest
 from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
@@ -17,6 +16,7 @@ from occmap.grid.tiles import TILE, TileGrid
 from occmap.sensor.models import parse_model
 from occmap.store import layout
 from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
+from occmap.types import Int64
 from occmap.writers.atomic import refuse_unwritable
 from occmap.writers.npz import compute_checksum
 

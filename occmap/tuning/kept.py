@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.errors import PoseError
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
@@ -19,7 +18,7 @@ from occmap.steps.batching import list_oddities, stack
 from occmap.steps.observing import Remarks
 from occmap.steps.tally import Tally, refuse_unused
 from occmap.steps.tracing import open_drive, pose_scans
-from occmap.types import IDENTITY, Pose, PosedScans, ScanBatch
+from occmap.types import IDENTITY, Float64, Pose, PosedScans, ScanBatch
 
 MOST_SCANS = 1000
 """Scans of all logs together: more tell little more, and each is traced over thirty times."""

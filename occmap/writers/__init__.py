@@ -13,10 +13,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Protocol, TypeAlias, runtime_checkable
 
-from occmap.arrays import Int64
 from occmap.cells import Decision, Evidence, OccupancyMap
 from occmap.errors import UsageError
-from occmap.types import Journey
+from occmap.types import Int64, Journey
 
 BAND_CELLS = 1 << 18
 """Cells that are turned into pixels at once: what is worked out for them fits a core's cache, and a

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 
-from occmap.arrays import Bool, UInt8
 from occmap.errors import MapError
+from occmap.types import Bool, UInt8
 from occmap.writers.atomic import open_atomic
 
 FORMATS = ("PPM", "PNG", "BMP")

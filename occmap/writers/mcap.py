@@ -21,8 +21,8 @@ from rosbags import interfaces
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
-from occmap.arrays import Float64
 from occmap.cells import CellClass, OccupancyMap
+from occmap.types import Float64
 from occmap.writers import MapMode, OneFile, Product, WriteOptions
 from occmap.writers.atomic import open_atomic
 

@@ -46,9 +46,9 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Bool, Int64, UInt8
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
+from occmap.types import Bool, Int64, UInt8
 from occmap.writers import OneFile
 from occmap.writers.atomic import open_atomic
 from occmap.writers.soundness import (

@@ -13,8 +13,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from occmap.arrays import UInt8
 from occmap.cells import Decision, OccupancyMap
+from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 

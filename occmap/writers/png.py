@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import UInt8
 from occmap.cells import Decision, OccupancyMap
+from occmap.types import UInt8
 from occmap.writers import OneFile, Shade, WriteOptions, bands_from_top
 from occmap.writers.atomic import open_atomic
 

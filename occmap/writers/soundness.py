@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Bool, Int64
 from occmap.cells import MOST_OBSERVED, Evidence, Manifest
 from occmap.errors import MapError
-from occmap.types import Update
+from occmap.types import Bool, Int64, Update
 
 DAMAGE = (
     *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),

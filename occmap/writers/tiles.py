@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from occmap.arrays import UInt8
 from occmap.cells import CellClass, keep_largest
+from occmap.types import UInt8
 from occmap.writers import OneFile, Windows, WriteOptions
 from occmap.writers.atomic import make_folder
 from occmap.writers.pgm import GREYS, describe_map, write_yaml

@@ -7,7 +7,6 @@ from time import process_time
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.grid.lattice import CellBox
 from occmap.grid.rendering import paint
 from occmap.grid.tiles import EvidenceKind, TileGrid
@@ -15,7 +14,7 @@ from occmap.options import BuildOptions
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
 from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.steps.engines import make_engine
-from occmap.types import PosedScans, Update
+from occmap.types import Int64, PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.arrays import Float64
+from occmap.types import Float64
 from tests.bench.measuring import time_once
 from tests.bench.processes import time_process
 from tests.bench.workloads import Workload

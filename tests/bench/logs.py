@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from occmap.arrays import Float32
+from occmap.types import Float32
 from tests.bench.workloads import Workload
 
 Planar: TypeAlias = tuple[float, float, float]

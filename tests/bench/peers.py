@@ -10,14 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from occmap.cells import Decision, OccupancyMap, to_log_odds
 from occmap.grid.kernels.units import FREE, HIT, SKIP
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
 from occmap.grid.tiles import TileGrid
 from occmap.jit import kernel
-from occmap.types import Rays
+from occmap.types import Bool, Float32, Float64, Int32, Int64, Rays, UInt8
 
 
 class Verdict(NamedTuple):

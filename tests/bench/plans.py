@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from occmap.arrays import Float64
+from occmap.types import Float64
 
 Box = tuple[float, float, float, float]
 """x0, y0, x1, y1 (m) of something solid."""

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64
 from occmap.cells import OccupancyMap
 from occmap.errors import OccmapError
 from occmap.evidence import render
@@ -34,7 +33,7 @@ from occmap.scoring.score import Score, estimate_error, score_map
 from occmap.scoring.trials import HoldOut, SharedEvidence
 from occmap.steps.tally import Tally
 from occmap.steps.tracing import trace_logs
-from occmap.types import Rays
+from occmap.types import Bool, Float64, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
 from tests.bench.tables import draw

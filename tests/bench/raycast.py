@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from occmap.arrays import Float64
 from occmap.jit import kernel
+from occmap.types import Float64
 
 
 @kernel

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from occmap.arrays import Bool
 from occmap.difference.blobs import Blob, find_largest_blob
 from occmap.grid.lattice import CellBox
+from occmap.types import Bool
 
 
 def mask_of(art: str) -> Bool:

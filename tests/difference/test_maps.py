@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.arrays import UInt8
 from occmap.cells import CellClass, Decision
 from occmap.difference.maps import Place, load_map
 from occmap.errors import MapError, UsageError
+from occmap.types import UInt8
 from occmap.writers import MapMode, Shade, WriteOptions, Writer
 from occmap.writers.pgm import PgmWriter
 from occmap.writers.png import PngWriter

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64
+from occmap.types import Float64
 
 BEAMS, FIRST, STEP = 80, -19.75, 0.5
 """Degrees: a narrow view ahead."""

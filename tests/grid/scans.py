@@ -9,11 +9,10 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
-from occmap.arrays import Float64, UInt8
 from occmap.grid.engine import GridEngine
 from occmap.grid.spec import WINDOW_CELLS, GridSpec
 from occmap.grid.tiles import INT32_LIMIT, TILE, TileGrid
-from occmap.types import Kind, Rays
+from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
 
 MIXED = [(0.1, 0.1, 0.8), (0.3, 0.3, 0.4), (0.02, 0.08, 0.9)]

@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.arrays import Bool, Float32, Float64
 from occmap.grid.kernels.cast import BINS, CERTAIN, FOLLOWED, UNIFORM, Chart, cast_beam, cast_beams
-from occmap.types import Kind, Rays
+from occmap.types import Bool, Float32, Float64, Kind, Rays
 from tests.grid.scans import FEW
 
 UNKNOWN_COST = math.log(2)

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
 from occmap.errors import MapError
 from occmap.evidence import render
@@ -22,7 +21,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.spec import GridSpec, find_unit
 from occmap.grid.tiles import PART, TILE, EvidenceKind, TileGrid
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
-from occmap.types import Kind, Rays, Update
+from occmap.types import Float64, Kind, Rays, Update
 from tests.grid.scans import FEW, MANY, Drive, add_cell, aim, drives
 
 Cell = tuple[int, int]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from occmap.arrays import Float64
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid.framing import Reach
@@ -19,7 +18,7 @@ from occmap.grid.tiles import (
     refuse_large,
 )
 from occmap.sensor.models import CountingModel
-from occmap.types import Kind, Rays
+from occmap.types import Float64, Kind, Rays
 from tests.grid.scans import add_cell, read_cells
 
 HITS, MISSES = 2, 1

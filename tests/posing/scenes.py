@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from occmap.arrays import Float64
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
-from occmap.types import Pose, PosedScans, PoseSample, ScanBatch
+from occmap.types import Float64, Pose, PosedScans, PoseSample, ScanBatch
 
 SECOND = 10**9
 

@@ -4,12 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from occmap.arrays import Float64
 from occmap.inspection.poses import list_coverage
 from occmap.posing.attach import Poser
 from occmap.posing.frames import Source
 from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
-from occmap.types import Pose, PoseSample, ScanBatch
+from occmap.types import Float64, Pose, PoseSample, ScanBatch
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned, yaw_of
 
 MOUNT = bolted("base_link", "laser", Pose.planar(0.5, 0, 0))

@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.arrays import Float64
 from occmap.posing.chain import Chain, Status, make_chain
 from occmap.posing.frames import Edge, Source
 from occmap.posing.jumps import find_breaks
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import TrackBuilder
-from occmap.types import Pose
+from occmap.types import Float64, Pose
 from tests.posing.scenes import SECOND, at, turned, yaw_of
 
 Keyed = Sequence[tuple[float, Pose]]

@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.arrays import Float64
 from occmap.posing.rotations import angle_between, rotate_by, slerp, to_quaternions
-from occmap.types import Pose
+from occmap.types import Float64, Pose
 
 ANGLES = st.floats(-math.pi, math.pi)
 

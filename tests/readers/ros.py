@@ -13,9 +13,9 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from occmap.arrays import Float32
 from occmap.readers import NoteList
 from occmap.readers.containers.source import Channel, RawMessage
+from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
 ROS2: Typestore = get_typestore(Stores.ROS2_HUMBLE)

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
 from occmap.errors import UsageError
 from occmap.sensor.models import (
@@ -18,6 +17,7 @@ from occmap.sensor.models import (
     make_model,
     parse_model,
 )
+from occmap.types import Float64
 
 LN2, LN3, LN9 = math.log(2), math.log(3), math.log(9)
 

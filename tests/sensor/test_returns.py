@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.arrays import Float64
 from occmap.errors import UsageError
 from occmap.sensor.returns import (
     NoReturn,
@@ -19,7 +18,7 @@ from occmap.sensor.returns import (
     interpret,
     read_limits,
 )
-from occmap.types import Kind, Pose, PosedScans, Scan, ScanBatch
+from occmap.types import Float64, Kind, Pose, PosedScans, Scan, ScanBatch
 
 INF, NAN = math.inf, math.nan
 HIT, FREE, SKIP = Kind.HIT, Kind.FREE, Kind.SKIP

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.arrays import Float64
 from occmap.cells import OccupancyMap
 from occmap.errors import MapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.steps.alignment import COMMON_SHARE, find_turn
+from occmap.types import Float64
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
 from tests.inspection_logs import HALF_HEIGHT, HALF_WIDTH, Drive

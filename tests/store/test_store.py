@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import zarr
 
-from occmap.arrays import UInt8
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError, OutputError
 from occmap.grid.slices import pack
@@ -29,7 +28,7 @@ from occmap.store.writing import (
     paint_block,
     write_block,
 )
-from occmap.types import Update
+from occmap.types import UInt8, Update
 from occmap.writers.npz import compute_checksum
 from tests.evidence.saving import choose, each_combination, save, write_bytes
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.arrays import Float64
 from occmap.command import to_rpy
 from occmap.errors import LogError, PoseError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -21,7 +20,7 @@ from occmap.steps.tally import Tally
 from occmap.tuning import tune
 from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
 from occmap.tuning.search import TIME, YAW, Correction, Verdict, X
-from occmap.types import Pose, ScanBatch
+from occmap.types import Float64, Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 from tests.tuning.simulated import read_drive, write_drive
 

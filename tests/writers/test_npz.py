@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.arrays import Int64
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.grid.slices import pack
 from occmap.grid.tiles import TILE
+from occmap.types import Int64
 from occmap.writers.npz import (
     SIDE,
     SLICES,

@@ -8,7 +8,6 @@ a model that counts does so up to the end: these cells are plain.
 
 import numpy as np
 
-from occmap.arrays import Int32, Int64
 from occmap.grid.kernels.drawing import Path, draw_path, place_beam
 from occmap.grid.kernels.lines import note_line
 from occmap.grid.kernels.projection import Beams
@@ -23,6 +22,7 @@ from occmap.grid.kernels.visits import (
     visit_path,
 )
 from occmap.jit import kernel, step
+from occmap.types import Int32, Int64
 
 
 @kernel

@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Float32, Float64, UInt8
 from occmap.grid.kernels.units import HIT, SKIP
 from occmap.jit import kernel
-from occmap.types import Rays
+from occmap.types import Bool, Float32, Float64, Rays, UInt8
 
 NEAR = 2.0
 """What lies within this many cells of the measured range is what the beam met."""

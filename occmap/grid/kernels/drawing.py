@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Int64
 from occmap.grid.kernels.lines import Line, clip_line, draw_line, lies_inside
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import BETWEEN, CELL_SHIFT, HIT, UNITS_PER_CELL, Tables
 from occmap.jit import step
+from occmap.types import Int64
 
 FARTHEST_CENTRE = 1.25
 """Cells by which a cell's centre may be farther from the sensor than its place on the line: half a

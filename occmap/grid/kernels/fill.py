@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Int32, Int64
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL
 from occmap.jit import kernel, step
+from occmap.types import Bool, Int32, Int64
 
 
 class Outline(NamedTuple):

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Int32
 from occmap.jit import kernel, step
+from occmap.types import Int32
 
 FRACTION_BITS = 36
 """Bits of the fraction of a step's place; the bits above are an index into a window."""

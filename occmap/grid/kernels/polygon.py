@@ -16,11 +16,11 @@ a span of its own scan, and that is taken off in the end.
 
 import numpy as np
 
-from occmap.arrays import Int32, Int64, UInt8
 from occmap.grid.kernels.fill import Outline, Spans, fill_outline, make_outline, make_spans
 from occmap.grid.kernels.projection import Beams, round_to_units
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel
+from occmap.types import Int32, Int64, UInt8
 
 BORDER_BITS = 22
 """A border cell packs, from the lowest bit: minus the number of its hits that lay inside their own

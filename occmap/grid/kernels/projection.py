@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64, Int16, Int32, Int64, UInt8
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
 from occmap.grid.lattice import CellBox
 from occmap.jit import kernel
-from occmap.types import Rays
+from occmap.types import Float64, Int16, Int32, Int64, Rays, UInt8
 
 WIDEST_GAP = 12
 """Nothing is known of a surface between ends that lie more cells apart."""

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64, Int32, Int64
 from occmap.grid.kernels.fill import Spans, fill_outline, find_rows, make_outline, make_spans
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.sectors import (
@@ -40,6 +39,7 @@ from occmap.grid.kernels.units import (
     Tables,
 )
 from occmap.jit import kernel
+from occmap.types import Float64, Int32, Int64
 
 
 class View(NamedTuple):

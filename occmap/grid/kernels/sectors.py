@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Float64, Int32, UInt8
 from occmap.grid.kernels.fill import Outline
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import HIT, NO_LENGTH, SKIP
 from occmap.jit import kernel
+from occmap.types import Bool, Float64, Int32, UInt8
 
 BEARINGS = 1 << 14
 """Steps of a full turn to which the bearing of a cell is known."""

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Int32, Int64
 from occmap.grid.kernels.units import PAD, TILE
 from occmap.jit import kernel
+from occmap.types import Int32, Int64
 
 
 class Changes(NamedTuple):

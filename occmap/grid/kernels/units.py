@@ -6,7 +6,7 @@ folder: numba builds their values in. This module does not load numba.
 
 from typing import NamedTuple
 
-from occmap.arrays import Int64
+from occmap.types import Int64
 
 SKIP, FREE, HIT = 0, 1, 2
 """`occmap.types.Kind` as plain integers."""

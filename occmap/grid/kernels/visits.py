@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float64, Int32, Int64
 from occmap.grid.kernels.drawing import Beam, Path
 from occmap.grid.kernels.lines import find_step, steps_after
 from occmap.grid.kernels.sums import Changes
@@ -30,6 +29,7 @@ from occmap.grid.kernels.units import (
     Tables,
 )
 from occmap.jit import kernel, step
+from occmap.types import Float64, Int32, Int64
 
 ENTRY_BITS = 13
 """Bits of the place of an entry in both tables of a model together."""

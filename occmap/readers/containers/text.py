@@ -10,11 +10,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.arrays import Int64, UInt64
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList, Span
 from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.readers.kernels import PADDING
+from occmap.types import Int64, UInt64
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is not of a text log."""

@@ -16,13 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.arrays import Float32, Float64
 from occmap.errors import LogError
 from occmap.readers.containers.text import Line
 from occmap.readers.conversion.planar import make_planar, stack_planar
 from occmap.readers.decoding.tables import Pattern, Table
 from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, RANGE, SAME, SECONDS
-from occmap.types import Scan, ScanRun
+from occmap.types import Float32, Float64, Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
 TOPIC = "scan"

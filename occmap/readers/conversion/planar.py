@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from occmap.arrays import Float64
-from occmap.types import UNKNOWN_POSE, Pose
+from occmap.types import UNKNOWN_POSE, Float64, Pose
 
 
 def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from occmap.arrays import Float32, Float64
 from occmap.errors import DamageError
 from occmap.readers import Role
 from occmap.readers.containers.source import Channel
@@ -21,7 +20,7 @@ from occmap.readers.conversion import MessageType, foxglove, read_frame, read_st
 from occmap.readers.decoding import shapes
 from occmap.readers.decoding.shapes import Shape
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.types import Pose, PoseSample, Scan
+from occmap.types import Float32, Float64, Pose, PoseSample, Scan
 from occmap.values import as_float32, as_number, as_stamp, as_text
 
 BEARINGS = 720

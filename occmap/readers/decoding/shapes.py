@@ -11,8 +11,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from occmap.arrays import Float64, UInt8
 from occmap.errors import DamageError
+from occmap.types import Float64, UInt8
 from occmap.values import as_number, as_stamp, as_text, shorten
 
 Shape: TypeAlias = "Mapping[str, Shape] | list[Shape] | Callable[[Any], Any]"

@@ -13,9 +13,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.arrays import Bool, Int64, UInt8
 from occmap.readers.decoding.messages import FromBytes
-from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import Bool, Int64, PoseBatch, PoseSample, Scan, ScanRun, UInt8
 
 Stacked: TypeAlias = tuple[bytes, int]
 """A message of one channel and length, and its record time (ns)."""

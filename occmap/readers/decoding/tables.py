@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Float32, Float64, Int64, UInt8
 from occmap.readers.containers.text import Block
 from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
+from occmap.types import Float32, Float64, Int64, UInt8
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
 if TYPE_CHECKING:

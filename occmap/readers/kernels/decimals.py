@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.arrays import Bool, Float32, Float64, Int64, UInt8, UInt64
 from occmap.jit import kernel, step
 from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
+from occmap.types import Bool, Float32, Float64, Int64, UInt8, UInt64
 
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""

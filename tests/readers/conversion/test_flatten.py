@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from rosbags.typesys.store import Typestore
 
-from occmap.arrays import Float32
 from occmap.errors import LogError, UsageError
 from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
 from occmap.readers.conversion.ros import BEARINGS, convert_cloud, convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.steps.opening import choose_topics
+from occmap.types import Float32
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 
 ECHO = "sensor_msgs/msg/MultiEchoLaserScan"

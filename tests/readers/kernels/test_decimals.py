@@ -9,10 +9,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from occmap.arrays import Float64
 from occmap.readers.containers.text import Block
 from occmap.readers.decoding.tables import Pattern, Table, parse_table
 from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, PADDING, RANGE, SAME, SECONDS
+from occmap.types import Float64
 from occmap.values import as_float32, parse_seconds
 
 WHOLE = st.text("0123456789", max_size=9)
