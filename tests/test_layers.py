@@ -95,14 +95,12 @@ def test_what_all_share_knows_only_what_all_share(name: str) -> None:
     assert all(find_met(path) <= SHARED for path in paths)
 
 
-@pytest.mark.parametrize("tier", range(3))
-def test_a_tier_of_the_readers_knows_none_above_it(tier: int) -> None:
-    tiers, readers = ("containers", "decoding", "conversion"), PACKAGE / "readers"
-    logs = {path.stem for path in readers.glob("*.py")} - {"__init__", "options", "probing"}
-    names = {name for path in (readers / tiers[tier]).glob("*.py") for name in list_imports(path)}
+def test_containers_know_nothing_of_what_messages_mean() -> None:
+    files = (PACKAGE / "readers" / "containers").glob("*.py")
+    names = {name for path in files for name in list_imports(path)}
     met = {name.split(".")[2] for name in names if name.startswith("occmap.readers.")}
-    assert met
-    assert met.isdisjoint({*logs, *tiers[tier + 1 :]})
+    assert "containers" in met
+    assert met <= {"containers", "probing", "NoteList", "Span", "make_part"}
 
 
 def test_no_two_parts_know_each_other_in_a_circle() -> None:
