@@ -15,7 +15,7 @@ from occmap.grid.kernels.sums import read_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
-from occmap.readers.kernels.decimals import parse_rows
+from occmap.readers.decimals import parse_rows
 from occmap.scoring.compare import compare
 from occmap.scoring.variants import combine
 from occmap.sensor.models import parse_model

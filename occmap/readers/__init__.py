@@ -1,10 +1,9 @@
 """Readers: one file for each log format, found through entry points and chosen by content.
 
 A reader is a class with a `name`, a one-line `description`, a `recognises(probe)` and an
-`open(path)` that returns a `Log`. What it does is in three tiers: `containers` take a file apart,
-`decoding` turns messages and lines into values, and `conversion` makes scans and poses of these.
-`text_log` and `ros_log` list the way of a line and of a message through all three. Nothing
-here imports rosbags or mcap: a reader is loaded on use.
+`open(path)` that returns a `Log`. `text_log` lists the way of a line and `ros_log` that of a
+message, from the file to a scan or a pose. Nothing here imports rosbags or mcap: a reader is loaded
+on use.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence

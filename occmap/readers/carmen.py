@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.readers import Role, Stream
-from occmap.readers.containers.text import Block, Line, read_blocks
-from occmap.readers.conversion.carmen_lines import (
+from occmap.readers.carmen_lines import (
     POSED,
     SCAN_LINES,
     USUAL_BEAMS,
@@ -20,6 +19,7 @@ from occmap.readers.conversion.carmen_lines import (
     parse_odometry,
 )
 from occmap.readers.probing import Probe
+from occmap.readers.text import Block, Line, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import Int64, PoseSample, Scan, ScanRun
 from occmap.values import shorten

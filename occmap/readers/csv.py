@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Role, Stream
-from occmap.readers.containers.text import Block, Line, is_heading, read_blocks
-from occmap.readers.conversion import csv_rows
+from occmap.readers import Role, Stream, csv_rows
 from occmap.readers.probing import Probe
+from occmap.readers.text import Block, Line, is_heading, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import Int64, PoseSample, Scan, ScanRun
 

@@ -3,10 +3,10 @@
 The way of a message:
 
 1. A source (`containers`) gives its channel, record time and bytes.
-2. The channel's `_ChannelReader` decodes the bytes (`decoding.messages`) and converts what comes
-   out (`conversion`).
+2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
+   (`message_types`).
 3. Scans of one laser, and transforms, are laid out alike. So most are not read one by one, but
-   gathered by channel and length (`_stack`) and read many at once (`decoding.stacks`).
+   gathered by channel and length (`_stack`) and read many at once (`stacks`).
 """
 
 from collections import Counter
@@ -21,12 +21,10 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Role, Stream
 from occmap.readers.containers.inflate import Buffer
 from occmap.readers.containers.source import Channel, RawMessage, Source
-from occmap.readers.conversion import ToScan
-from occmap.readers.conversion.ros import find_oddity, find_type
-from occmap.readers.decoding.messages import make_reader
-from occmap.readers.decoding.shapes import Shape
-from occmap.readers.decoding.stacks import Stacked, read_scan_run, read_transforms
+from occmap.readers.message_types import TYPES, ToScan, find_type
+from occmap.readers.messages import make_reader
 from occmap.readers.options import ReaderOptions
+from occmap.readers.stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
@@ -70,9 +68,9 @@ class RosLog:
         self._source = source
         self._types = {channel: find_type(channel) for channel in source.channels}
         for channel, kind in self._types.items():
-            if channel.count and kind is None and (oddity := find_oddity(channel)):
-                found = f"{channel.count} messages on {channel.topic} are of {channel.type!r}"
-                self.notes.add_damage(f"{found}, {oddity}: they are not used")
+            if channel.count and kind is None and channel.kind in TYPES:
+                found = f"{channel.count} messages on {channel.topic} are {channel.type}"
+                self.notes.add_damage(f"{found} in {channel.encoding!r}: they are not used")
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -100,7 +98,7 @@ class RosLog:
 
     def _make_pose_readers(self) -> "_Readers[PoseSample]":
         return self._make_readers(
-            (channel, kind.shape, kind.to_poses)
+            (channel, kind.to_poses)
             for channel, kind in self._types.items()
             if kind and kind.to_poses
         )
@@ -110,17 +108,17 @@ class RosLog:
             return lambda *message: [to_scan(self._options, *message)]
 
         return self._make_readers(
-            (channel, kind.shape, make_convert(kind.to_scan))
+            (channel, make_convert(kind.to_scan))
             for channel, kind in self._types.items()
             if kind and kind.to_scan and channel.topic in topics
         )
 
-    def _make_readers(self, wanted: Iterable[tuple[Channel, Shape, Convert[T]]]) -> "_Readers[T]":
+    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T]]]) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
-        for channel, shape, convert in wanted:
+        for channel, convert in wanted:
             try:
-                readers[channel] = _ChannelReader(channel, shape, convert)
+                readers[channel] = _ChannelReader(channel, convert)
             except LogError as error:
                 found = error.placed(channel.topic)
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
@@ -193,14 +191,14 @@ class _ChannelReader(Generic[T]):
     decides between the two.
     """
 
-    def __init__(self, channel: Channel, shape: Shape, convert: Convert[T]) -> None:
+    def __init__(self, channel: Channel, convert: Convert[T]) -> None:
         self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
         self._is_settled = not channel.definition
-        self._make_standard = partial(make_reader, replace(channel, definition=""), shape, convert)
+        self._make_standard = partial(make_reader, replace(channel, definition=""), convert)
         try:
-            self.decode, self.is_plain = make_reader(channel, shape, convert)
+            self.decode, self.is_plain = make_reader(channel, convert)
         except LogError:
             if self._is_settled:
                 raise

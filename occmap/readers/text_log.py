@@ -2,11 +2,11 @@
 
 The way of a line from the file to a `Scan`:
 
-1. `containers.text.read_blocks` reads the file in blocks of lines.
+1. `text.read_blocks` reads the file in blocks of lines.
 2. `_read` of the format says which lines of a block are scans, and of which kind.
 3. `_parse_together` lets the format's `parse` make a `Scan` of the first sound line of each kind.
    From that line, `find_pattern` says what each word of lines like it is.
-4. `decoding.tables.parse_table` has all lines of that pattern parsed by a kernel, and `make_run`
+4. `tables.parse_table` has all lines of that pattern parsed by a kernel, and `make_run`
    makes a `ScanRun` of the table.
 5. `_parse_block` gives every line that does not fit the pattern to `parse`, one by one.
 
@@ -15,17 +15,20 @@ another kind (`LineTally.judge`). A CARMEN log is judged when it is opened, as i
 CSV is judged when the first malformed row turns up: then all its rows are parsed once more.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+import numpy as np
+
 from occmap.errors import LogError
 from occmap.readers import NoteList
-from occmap.readers.containers.text import Block, Line
-from occmap.readers.decoding.tables import Pattern, Table, parse_table
-from occmap.types import Int64, Scan, ScanRun
+from occmap.readers.tables import Pattern, Table, parse_table
+from occmap.readers.text import Block, Line
+from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun
 
 Parsed = TypeVar("Parsed")
 
@@ -185,3 +188,22 @@ class TextLog(ABC):
         """Say that the last line is not whole and was not used."""
         text = f"the file ends in the middle of line {line.number}; this line is lost"
         self.notes.add_damage(text)
+
+
+def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
+    """Build poses (S, 7) from places and headings (S,), as `Pose.planar` does.
+
+    A pose of which one of the three is not finite is unknown.
+    """
+    poses = np.zeros((len(x), 7))
+    is_known = np.isfinite(x + y + yaw)
+    half = (np.where(is_known, yaw, 0.0) / 2).tolist()
+    poses[:, 0], poses[:, 1] = x, y
+    poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
+    poses[~is_known] = UNKNOWN_POSE
+    return poses
+
+
+def make_planar(x: float, y: float, yaw: float) -> Pose:
+    """Build one pose likewise."""
+    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE

@@ -9,7 +9,7 @@ from occmap.fleet.tasks import Job, Setting, add_up, trace_log
 from occmap.grid.tiles import stack_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers.containers import text
+from occmap.readers import text
 from occmap.steps.observing import Keep
 from tests.samples import write_late
 

@@ -35,9 +35,9 @@ from occmap.pipeline import build
 from occmap.readers import Role, open_log
 from occmap.types import Scan
 from tests.readers import foxglove_logs as foxglove
-from tests.readers.conversion.test_flatten import CLOUD, ECHO, cloud, echoes
 from tests.readers.ros import ROS1, ROS2, SCAN, SECOND, TF, header, pose, scan, transforms
 from tests.readers.runs import list_fields
+from tests.readers.test_flatten import CLOUD, ECHO, cloud, echoes
 
 MESSAGES = 5
 SPOILT = 2

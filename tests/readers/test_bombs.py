@@ -14,8 +14,7 @@ import zstandard
 from occmap.errors import LogError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import Log, open_log
-from occmap.readers.containers import text
+from occmap.readers import Log, open_log, text
 from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
 from tests.samples import SAMPLE_LOGS
 

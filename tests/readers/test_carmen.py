@@ -215,7 +215,7 @@ def test_how_many_lines_are_parsed_together_makes_no_difference(
     expected = summarise(log)
     assert [note.damage for note in log.notes].count(True) == 2
     for size in (1, 700, 1500):
-        monkeypatch.setattr("occmap.readers.containers.text.BLOCK_BYTES", size)
+        monkeypatch.setattr("occmap.readers.text.BLOCK_BYTES", size)
         np.testing.assert_equal(summarise(CarmenReader().open(path)), expected)
 
 

@@ -9,17 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.readers import open_log
+from occmap.readers import message_types, open_log
 from occmap.readers.containers.source import Channel
-from occmap.readers.conversion import ros
-from occmap.readers.conversion.ros import convert_cloud
-from occmap.readers.decoding.shapes import as_row
+from occmap.readers.message_types import convert_cloud, get_row
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
-from tests.readers.conversion.test_flatten import cloud
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
 from tests.readers.ros import scan as ros_scan
+from tests.readers.test_flatten import cloud
 
 SCANS = [scan(index) for index in range(3)]
 
@@ -138,7 +136,7 @@ def test_a_nan_that_a_flipped_bit_makes_of_infinity_is_read_without_a_warning() 
     x = signalling.view(np.uint8)
     message.data = np.concatenate([message.data[:2], x, message.data[6:]])
 
-    assert np.isnan(as_row(signalling)).all()
+    assert np.isnan(get_row({"x": signalling}, "x")).all()
     assert np.isinf(convert_cloud(ReaderOptions(), message, "/p", 7).ranges).all()
 
 
@@ -157,8 +155,8 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     def convert(*given: Any) -> Any:
         return given[-3].anlge_min  # before it the options, behind it topic and record time
 
-    faulty = ros.TYPES[kind]._replace(to_scan=convert, to_poses=convert)
-    monkeypatch.setitem(ros.TYPES, kind, faulty)
+    faulty = message_types.TYPES[kind]._replace(to_scan=convert, to_poses=convert)
+    monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
     log = RosLog(Memory([(channel, 7, bytes(ROS2.serialize_cdr(message, kind)))]))
@@ -175,7 +173,9 @@ def test_a_fault_of_a_foxglove_converter_is_no_damage_of_the_log(
         return message.anlge_min
 
     kind = "foxglove.LaserScan"
-    monkeypatch.setitem(ros.TYPES, kind, ros.TYPES[kind]._replace(to_scan=convert))
+    monkeypatch.setitem(
+        message_types.TYPES, kind, message_types.TYPES[kind]._replace(to_scan=convert)
+    )
     log = open_log(write_json(tmp_path / "log.mcap", SCANS))
 
     with pytest.raises(AttributeError, match="anlge_min"):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels.drawing import Beam, Path
-from occmap.grid.kernels.lines import find_step, steps_after
+from occmap.grid.kernels.lines import Line, find_step, steps_after
 from occmap.grid.kernels.sums import Changes
 from occmap.grid.kernels.units import (
     AT_A_TIME,
@@ -90,34 +90,39 @@ def list_slope(path: Path, beam: Beam, stride: int, notes: Float64, fill: int) -
     How many notes there are now.
     """
     line, r, depth = path.line, path.range, beam.depth
-    # Places in the table: of free cells by (d / (r - depth))^2, and of the hit by |d - r| / depth.
-    before = max(r - depth, 0.0)
-    until = before * before
-    free_scale, hit_scale = TABLE_STEPS / max(until, 1.0), TABLE_STEPS / max(depth, NO_LENGTH)
+    free_range = max(r - depth, 0.0)
+    free_scale = TABLE_STEPS / max(free_range * free_range, 1.0)
+    hit_scale = TABLE_STEPS / max(depth, NO_LENGTH)
     reach = depth if beam.is_hit else -1.0
-    # The sensor and the cells along the axes of the line.
-    sensor_x, sensor_y = beam.at_x, beam.at_y
-    row, col, sensor_u, sensor_v = line.v, line.u, sensor_x, sensor_y
-    along, across = line.u_sign, line.v_sign * stride
-    if line.steep:
-        row, col, sensor_u, sensor_v = line.u, line.v, sensor_y, sensor_x
-        along, across = line.u_sign * stride, line.v_sign
-    from_u = float((line.u << CELL_SHIFT) + HALF_CELL - sensor_u)
-    from_v = float((line.v << CELL_SHIFT) + HALF_CELL - sensor_v)
+    at_u, at_v = turn_axes(line, beam.at_x, beam.at_y)
+    from_u = float((line.u << CELL_SHIFT) + HALF_CELL - at_u)
+    from_v = float((line.v << CELL_SHIFT) + HALF_CELL - at_v)
     step_u, step_v = float(line.u_sign * UNITS_PER_CELL), float(line.v_sign * UNITS_PER_CELL)
-    note = float((((row * stride + col) << WEIGHT_BITS) + path.weight) << ENTRY_BITS)
-    note_along, note_across = float(along << NOTE_BITS), float(across << NOTE_BITS)
+    # A cell's note is the first cell's, and for each step along u or v as much more.
+    per_u, per_v = turn_axes(line, 1, stride)
+    place = line.u * per_u + line.v * per_v
+    note = float(((place << WEIGHT_BITS) + path.weight) << ENTRY_BITS)
+    note_u, note_v = (
+        float(line.u_sign * per_u << NOTE_BITS),
+        float(line.v_sign * per_v << NOTE_BITS),
+    )
     for j in range((path.end - path.plain + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
         i = float(np.int32(path.plain + j))
         made = steps_after(line, i)
         u, v = from_u + step_u * i, from_v + step_v * made
         squared = u * u + v * v
         off = abs(np.sqrt(squared) - r)
-        about = float(FIRST_HIT) + np.floor(off * hit_scale)
-        about = about if off <= reach else float(NOTHING)
-        entry = np.floor(squared * free_scale) if squared < until else about
-        notes[np.uint64(fill + j)] = note + note_along * i + note_across * made + entry
+        as_hit = float(FIRST_HIT) + np.floor(off * hit_scale) if off <= reach else float(NOTHING)
+        is_free = squared < free_range * free_range
+        entry = np.floor(squared * free_scale) if is_free else as_hit
+        notes[np.uint64(fill + j)] = note + note_u * i + note_v * made + entry
     return fill + path.end - path.plain
+
+
+@step
+def turn_axes(line: Line, x: int, y: int) -> tuple[int, int]:
+    """Take what belongs to x and y, columns and rows, to a line's own axes u and v."""
+    return (y, x) if line.steep else (x, y)
 
 
 @kernel

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.readers.decoding.messages import FromBytes
+from occmap.readers.messages import FromBytes
 from occmap.types import Bool, Int64, PoseBatch, PoseSample, Scan, ScanRun, UInt8
 
 Stacked: TypeAlias = tuple[bytes, int]

@@ -9,9 +9,18 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.containers.text import Block
-from occmap.readers.decoding.tables import Pattern, Table, parse_table
-from occmap.readers.kernels import ANY, NANOSECONDS, NUMBER, PADDING, RANGE, SAME, SECONDS
+from occmap.readers.tables import (
+    ANY,
+    NANOSECONDS,
+    NUMBER,
+    RANGE,
+    SAME,
+    SECONDS,
+    Pattern,
+    Table,
+    parse_table,
+)
+from occmap.readers.text import PADDING, Block
 from occmap.types import Float64
 from occmap.values import as_float32, parse_seconds
 

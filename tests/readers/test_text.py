@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList
-from occmap.readers.containers import text
-from occmap.readers.containers.text import Block, Line, read_blocks
+from occmap.readers import Note, NoteList, text
+from occmap.readers.text import Block, Line, read_blocks
 
 
 def list_lines(block: Block) -> list[Line]:

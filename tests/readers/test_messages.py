@@ -15,9 +15,9 @@ from google.protobuf.descriptor_pb2 import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from occmap.readers import messages
 from occmap.readers.containers.source import Channel
-from occmap.readers.decoding import messages
-from occmap.readers.decoding.messages import make_reader
+from occmap.readers.messages import make_reader
 from occmap.readers.ros_log import RosLog
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
@@ -33,7 +33,7 @@ MEMORY = 64_000_000
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    make_reader(Channel("/warm", SCAN, "cdr"), {}, lambda *_: None)  # loads rosbags' own types
+    make_reader(Channel("/warm", SCAN, "cdr"), lambda *_: None)  # loads rosbags' own types
     tracemalloc.start()
     try:
         with alarm(5):

@@ -13,7 +13,7 @@ from occmap.errors import LogError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import Log, Role, open_log
-from occmap.readers.conversion.foxglove import TYPES
+from occmap.readers.message_types import TYPES
 from occmap.types import Pose, PoseSample
 from tests.readers.foxglove_logs import (
     SECOND,

@@ -6,10 +6,11 @@ from rosbags.typesys.store import Typestore
 
 from occmap.readers import Role
 from occmap.readers.containers.source import Channel, normalise_type
-from occmap.readers.conversion.ros import TYPES, convert_laser_scan, find_type
+from occmap.readers.message_types import TYPES, convert_laser_scan, find_type
 from occmap.readers.options import ReaderOptions
+from occmap.readers.ros_log import RosLog
 from occmap.types import Pose, PoseSample
-from tests.readers.ros import RANGES, ROS1, ROS2, header, pose, scan, transforms
+from tests.readers.ros import RANGES, ROS1, ROS2, SCAN, Memory, header, pose, scan, transforms
 
 STAMP = 1_600_000_000_123_456_789
 HALF_TURN = Pose(1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0)
@@ -147,3 +148,15 @@ def test_a_type_counts_only_as_it_is_written() -> None:
     assert find_role("sensor_msgs/LaserScan", "json") is Role.OTHER
     assert find_role("foxglove.LaserScan", "json") is Role.SCAN
     assert find_role("foxglove.LaserScan", "cdr") is Role.OTHER
+
+
+def test_scans_that_are_written_in_an_unknown_way_are_told_of() -> None:
+    channels = [
+        Channel("/scan", SCAN, "xcdr2", count=5),
+        Channel("/other", "sensor_msgs/msg/NavSatFix", "cdr", count=5),
+    ]
+    log = RosLog(Memory([(channel, 1, b"") for channel in channels]))
+
+    assert [note.text for note in log.notes] == [
+        "5 messages on /scan are sensor_msgs/msg/LaserScan in 'xcdr2': they are not used"
+    ]

@@ -11,7 +11,7 @@ from rosbags.typesys.store import Typestore
 from occmap.errors import LogError, UsageError
 from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
-from occmap.readers.conversion.ros import BEARINGS, convert_cloud, convert_multi_echo
+from occmap.readers.message_types import BEARINGS, convert_cloud, convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.steps.opening import choose_topics
 from occmap.types import Float32

@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from occmap.readers.containers.text import Block
-from occmap.readers.kernels import NUMBER, PADDING, RANGE, SAME, SECONDS
+from occmap.readers.text import PADDING, Block
 from occmap.types import Float32, Float64, Int64, UInt8
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
 if TYPE_CHECKING:
-    from occmap.readers.kernels.decimals import Filled
+    from occmap.readers.decimals import Filled
 
+ANY, SAME, SECONDS, NANOSECONDS, NUMBER, RANGE = range(6)
+"""What a word of a line is: nothing that is asked for, the same in every line, a time in either
+unit, a number, or the range of a beam."""
 NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
 """What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
 
@@ -26,7 +28,7 @@ class Pattern(NamedTuple):
     separator: bytes
     """What stands between two words: one comma, or any number of blanks"""
     kinds: UInt8
-    """(N,) what each word is, as `occmap.readers.kernels` lists them"""
+    """(N,) what each word is, ANY, SAME or another"""
 
 
 class Table(NamedTuple):
@@ -44,7 +46,7 @@ class Table(NamedTuple):
 
 def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
     """Parse those of some lines, by their indices (S,), that are of a pattern."""
-    from occmap.readers.kernels import decimals  # noqa: PLC0415  late: it brings numba
+    from occmap.readers import decimals  # noqa: PLC0415  late: it brings numba
 
     words, separator, kinds = pattern
     same = b"".join(words[at] + separator for at in np.flatnonzero(kinds == SAME).tolist())

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.readers.kernels import ANY, NUMBER, RANGE, SAME, SECONDS
+from occmap.readers.tables import ANY, NUMBER, RANGE, SAME, SECONDS
 from occmap.types import Bool, Float32, Float64, Int64, UInt8, UInt64
 
 MOST_DIGITS = 15

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers import ros_log
+from occmap.readers import ros_log, stacks
 from occmap.readers.containers.source import Channel
-from occmap.readers.decoding import stacks
 from occmap.readers.ros_log import RosLog
 from occmap.types import Scan, ScanRun
 from tests.readers.ros import ROS1, ROS2, SCAN, Memory, scan

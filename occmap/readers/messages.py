@@ -19,7 +19,6 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
 from occmap.readers.containers.source import Channel, normalise_type
-from occmap.readers.decoding.shapes import Shape, take
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -67,16 +66,12 @@ types, which takes a build 5 to 8% of its time, that a log defines one as ROS do
 
 
 def make_reader(
-    channel: Channel, shape: Shape, convert: Callable[[Any, str, int], T]
+    channel: Channel, convert: Callable[[Any, str, int], T]
 ) -> tuple[FromBytes[T], bool]:
     """Build the function that reads a channel's messages: decodes and converts them.
 
-    Where the type is not as ROS defines it, what was decoded is brought into shape between the two.
-
     Parameters
     ----------
-    shape
-        The fields that `convert` reads.
     convert
         Takes a decoded message, its topic and its record time in ns.
 
@@ -94,16 +89,14 @@ def make_reader(
     topic, kind = channel.topic, channel.kind
     parse, errors, is_standard = _PARSERS[channel.encoding](channel)
 
-    def decode(data: memoryview) -> Any:
+    def read(data: memoryview, record_ns: int) -> T:
         try:
-            return parse(data)
+            message = parse(data)
         except errors as error:
             raise DamageError(f"is not a {kind} ({type(error).__name__})") from error
+        return convert(message, topic, record_ns)
 
-    if is_standard:
-        is_plain = kind in _PLAIN_TYPES
-        return lambda data, record_ns: convert(decode(data), topic, record_ns), is_plain
-    return lambda data, record_ns: convert(take(decode(data), shape), topic, record_ns), False
+    return read, is_standard and kind in _PLAIN_TYPES
 
 
 def _make_ros_parser(channel: Channel) -> _Parser:

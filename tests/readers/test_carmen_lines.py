@@ -8,15 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.containers.text import Block
-from occmap.readers.conversion.carmen_lines import (
+from occmap.readers.carmen_lines import (
     CarmenForm,
     imply_increment,
     parse_front_offset,
     parse_odometry,
 )
-from occmap.readers.decoding.tables import parse_table
-from occmap.readers.kernels import PADDING
+from occmap.readers.tables import parse_table
+from occmap.readers.text import PADDING, Block
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"

@@ -11,7 +11,6 @@ import numpy as np
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
 from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
-from occmap.readers.kernels import PADDING
 from occmap.types import Int64, UInt64
 
 MAX_LINE_BYTES = 1 << 24
@@ -26,6 +25,8 @@ FREE_LINES = 1_000_000
 BLOCK_BYTES = 1 << 20
 """How much of a file is read at a time, and its lines parsed together."""
 
+PADDING = b"\n" * 16
+"""What must follow the last line: words are looked at up to sixteen bytes at a time."""
 NO_LOG = "this is not a text log; check what the file is"
 
 
