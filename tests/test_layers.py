@@ -21,7 +21,7 @@ PACKAGE = Path(__file__).parent.parent / "occmap"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
-SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values", "wording"}
+SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values", "report.words"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},
@@ -69,8 +69,14 @@ def list_imports(path: Path) -> Iterator[str]:
 
 
 def find_layer(module: str) -> str:
-    """Name the part of occmap that a module is in; "" for anything else."""
+    """Name the part of occmap that a module is in; "" for anything else.
+
+    Each module of `report` is a part of its own: results know what made them, while all may use
+    the words.
+    """
     parts = module.split(".")
+    if parts[:2] == ["occmap", "report"]:
+        return ".".join(parts[1:3])
     return parts[1] if parts[0] == "occmap" and len(parts) > 1 else ""
 
 

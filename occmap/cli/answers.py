@@ -10,8 +10,8 @@ import click
 from occmap.cli.console import Console
 from occmap.cli.sections import Command, SectionCommand, as_command, option
 from occmap.errors import OccmapError
-from occmap.gates import Failed, Limit, Measures, judge, parse_limit
-from occmap.plain import Printed
+from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
+from occmap.report.printed import Printed
 
 LIMITS = "Limits"
 LIMIT_BROKEN = 3

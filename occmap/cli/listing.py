@@ -9,8 +9,8 @@ import click
 from occmap.cli import options
 from occmap.cli.answers import Answer, answering
 from occmap.cli.console import Console
-from occmap.plain import Printed
 from occmap.plugins import Broken, Group, load_plugins
+from occmap.report.printed import Printed
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from occmap.cli.options import Values, collect_model
 from occmap.cli.streams import hide_sent, place_outputs
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
+from occmap.report.results import tell_map, tell_scans
 from occmap.sensor.models import PARAMETERS, SensorModel
 from occmap.store.publishing import RenderOptions, publish
 from occmap.store.reading import Saved
-from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs
 
 

@@ -12,7 +12,7 @@ import click
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
-from occmap.plain import Printed
+from occmap.report.printed import Printed
 
 SHORT_EQUALS = re.compile("-[a-z]=")
 AnyCommand = TypeVar("AnyCommand", bound=click.Command)

@@ -38,8 +38,8 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.spec import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.pipeline import build, list_inputs, make_report
-from occmap.remarks import list_notes
-from occmap.report import MapFacts, Report
+from occmap.report.doubts import list_notes
+from occmap.report.results import MapFacts, Report
 from occmap.steps.alignment import settle_align
 from occmap.steps.observing import Keep, Observed, Progress, Remarks
 from occmap.steps.tally import Tally, refuse_unseen, refuse_unused

@@ -23,7 +23,7 @@ from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid, stack_tiles, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
-from occmap.report import count_cells
+from occmap.report.results import count_cells
 from occmap.steps.engines import make_engine, make_grid
 from occmap.steps.observing import Keep
 from occmap.steps.opening import count_scans

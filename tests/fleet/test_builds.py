@@ -11,7 +11,7 @@ from occmap.fleet import Fleet
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.report import Report
+from occmap.report.results import Report
 from occmap.selection import Selection
 from tests.samples import DRIVES
 

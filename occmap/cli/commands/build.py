@@ -17,11 +17,10 @@ from occmap.cli.progress import Bar, show_progress
 from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
-from occmap.gates import BUILD
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
-from occmap.report import Report
-from occmap.summary import tell_beams, tell_map, tell_scans
+from occmap.report.limits import BUILD
+from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.types import Update
 
 strict = option(

@@ -12,14 +12,14 @@ from occmap.cli.console import Console, align, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs
-from occmap.gates import COMPARE
 from occmap.options import BuildOptions
-from occmap.pictures import compare_logs
+from occmap.page.pictures import compare_logs
+from occmap.report.limits import COMPARE
+from occmap.report.words import count
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.scoring.variants import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
-from occmap.wording import count
 
 VARIANTS = "What to compare"
 

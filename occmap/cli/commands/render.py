@@ -10,8 +10,8 @@ from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console
 from occmap.cli.saved import put_out
 from occmap.cli.sections import join, option
-from occmap.gates import SAVED
-from occmap.report import Report
+from occmap.report.limits import SAVED
+from occmap.report.results import Report
 from occmap.store.reading import open_saved
 
 overview = option(

@@ -17,7 +17,7 @@ from occmap.cli import COMMANDS, cli, options
 from occmap.cli.answers import Limited
 from occmap.cli.console import RESULT_VERSION, PrintedError, put_line, spell_all
 from occmap.cli.sections import SectionCommand, as_command
-from occmap.plain import list_printed, read_texts
+from occmap.report.printed import list_printed, read_texts
 
 Schema = dict[str, Any]
 

@@ -14,11 +14,11 @@ from occmap.cli.console import Console, write_command
 from occmap.cli.progress import show_progress
 from occmap.cli.sections import join
 from occmap.cli.streams import gather_logs
-from occmap.gates import TUNE
 from occmap.options import BuildOptions
+from occmap.report.limits import TUNE
+from occmap.report.words import count
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.wording import count
 
 
 @answering("tune", Tuning)
