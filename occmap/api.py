@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, pictures, tuning
+from occmap.choices import describe_options, read_each, read_options
+from occmap.choices.values import read_value
 from occmap.errors import UsageError
 from occmap.inputs import find_inputs
-from occmap.keywords import read_each, read_option, read_options
 from occmap.maps import Map
 from occmap.options import BuildOptions
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
-from occmap.sensor.models import SensorModel
+from occmap.sensor.models import MODEL, SensorModel
 from occmap.store import merging, publishing
 from occmap.store.reading import read_all
 from occmap.types import Update
@@ -41,70 +42,9 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         Files to write at once; the suffix picks the format. Only a map that was built with an .npz
         among them can be saved as one later: it keeps when its cells were seen, which takes time.
     options
-        By name; None leaves an option at its default. The map:
+        By name; None leaves an option at its default:
 
-        resolution = 0.05 (m): side of a cell
-        update = "surface" ("beam", "polygon" or "surface"): how scans become observations of cells
-        model = None (text or model): how evidence is weighed, such as "simple:p_hit=0.8"; the
-            default is the counting model, as it suits the update
-        hit_offset = 0.5 (cells): a hit lies so far behind the measured point
-        jump = 0.1 (m): neighbouring beams see one surface where ranges differ by at most this
-        border_gap = 8 (cells): polygon: a surface is closed over so many cells
-        max_cells = 1_000_000_000 (cells): a larger map is refused
-        min_passes = None (visits): cells that were hit on fewer lose their hits
-        pass_gap_s = 10.0 (s): two visits lie at least so far apart
-        extent = None (m): (x_min, y_min, x_max, y_max) that the map covers, to whole cells; the
-            default is what was observed
-        margin = 0.0 (m): so much unknown space is added around what was observed
-        resume = None (path): an .npz; its observations are added to those of the logs
-        resume_if_there = None (path): the same, where there is such a file
-        jobs = None (threads): the default is one for each core
-
-        What a range means:
-
-        min_range = 0.0 (m): nearer ranges are ignored
-        max_range = inf (m): beams count up to here; a longer one is free up to here
-        range_max = None (m): the sensor's limit, where the log states a wrong one or none
-        no_return = "ignore" ("clear" or "ignore"): where nothing came back, space is free up to
-            the limit, or nothing is known
-        ignore_sectors = () (rad): [(from, to), ...]: bearings, counter-clockwise, as the sensor
-            sees them, that the robot blocks
-        footprint = None (m): (x_min, y_min, x_max, y_max) around the sensor: the robot itself
-
-        Which scans:
-
-        topics = () (names): one topic or several; the default is all
-        start_s = -inf (s): scans before this time after the first are left out
-        end_s = inf (s): scans from this time after the first on are left out
-        stride = 1 (scans): use every n-th
-        echo = "first" ("first" or "last"): which echo of a MultiEchoLaserScan counts
-        min_height = -0.2 (m): use points of a PointCloud2 from this height over the sensor on
-        max_height = 0.2 (m): use points of a PointCloud2 up to this height over the sensor
-
-        Where the scans were taken:
-
-        poses = None (path or topic): a trajectory file, or the topic to take the poses from
-        sensor_pose = None (m, rad): (x, y, yaw) or (x, y, yaw, roll, pitch) of the laser on the
-            robot
-        static_transforms = () (m, rad): [(parent, child, x, y, z, roll, pitch, yaw), ...] that the
-            log lacks
-        map_frame = None (name): the default is map, else odom, else the root of the laser's tree
-        transform = None (m, rad): (x, y, yaw) of the frame that the logs are mapped in, seen from
-            the frame of the map
-        align = 0.0 (degrees): the map is turned by this; None: so that walls run along the axes
-        base_frame = None (name): the moving body that sensor_pose is on
-        max_pose_gap_s = 2.0 (s): no pose is interpolated across a longer gap; None: across any
-        max_speed = 50.0 (m/s): scans that leap away and back faster are left out; inf: none
-        time_offset_s = 0.0 (s): added to the stamps of scans
-        stamps = "header" ("header" or "record"): the driver's time, or the recorder's
-        deskew = "off" ("auto", "on" or "off"): each beam gets a pose of its own
-
-        How the map is saved:
-
-        mode = "trinary" ("trinary", "scale" or "raw"): what the pixels of a PGM mean
-        occupied_thresh = None (probability): occupied above; the default is the model's cut
-        free_thresh = None (probability): free below; likewise
-        shade = "dark" ("dark" or "light"): which end of the greys of a PNG is occupied
+        OPTIONS
 
     Raises
     ------
@@ -119,6 +59,11 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))
     return Map.of(made._replace(report=report), chosen.writing, list_inputs(paths, chosen))
+
+
+if build_map.__doc__:  # Python leaves texts out where it is told to
+    _LINES = "\n        ".join(describe_options(BuildOptions))
+    build_map.__doc__ = build_map.__doc__.replace("OPTIONS", _LINES)
 
 
 def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
@@ -174,9 +119,9 @@ def compare(
     """
     paths, common = read_request(logs, options, "compare")
     variants = combine(
-        read_each("updates", Update, updates), read_each("models", SensorModel, models)
+        read_each("updates", Update, updates), read_each("models", SensorModel, models, MODEL)
     )
-    drawn = read_option("picture", Path | None, picture)
+    drawn = None if picture is None else read_value("picture", Path, picture)
     return pictures.compare_logs(paths, variants, common, drawn)
 
 
@@ -253,9 +198,9 @@ def diff(
     OccmapError
         A map cannot be read, they do not lie on one lattice, or the picture cannot be written.
     """
-    one, other = read_option("before", Path, before), read_option("after", Path, after)
+    one, other = read_value("before", Path, before), read_value("after", Path, after)
     chosen = read_options(WriteOptions, thresholds, "diff")
-    drawn = read_option("picture", Path | None, picture)
+    drawn = None if picture is None else read_value("picture", Path, picture)
     return pictures.compare_files(one, other, chosen, drawn)
 
 
@@ -267,7 +212,7 @@ def read_log(path: AnyPath) -> Log:
     LogError, UsageError
         The path cannot be read, or no reader knows what it is; or it is no path.
     """
-    return open_log(read_option("path", Path, path))
+    return open_log(read_value("path", Path, path))
 
 
 def read_request(

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Self
 
 from occmap.cells import Evidence, OccupancyMap
+from occmap.choices.values import read_value
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
-from occmap.keywords import read_option
 from occmap.report import Build, Report
 from occmap.types import Float64
 from occmap.writers import Product, WriteOptions
@@ -77,7 +77,7 @@ class Map(OccupancyMap):
             No writer has that suffix, the path is an input of the map, the evidence was not kept
             (.npz), or the file cannot be written.
         """
-        outputs = [read_option("path", Path, path)]
+        outputs = [read_value("path", Path, path)]
         check_outputs(outputs, self.inputs)
         product = Product(self, self._take_evidence, report=self.report)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))

@@ -1,10 +1,12 @@
-"""What a user may choose about a build, checked as a whole."""
+"""What a user may choose about a build, checked as a whole, and the line that types it."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
+from occmap.choices import list_options, list_values, option
+from occmap.choices.values import write_values
 from occmap.errors import require
 from occmap.evidence.persistence import check_passes
 from occmap.grid.framing import Framing
@@ -13,9 +15,9 @@ from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
 from occmap.selection import Selection
-from occmap.sensor.models import CountingModel, SensorModel
+from occmap.sensor.models import MODEL, PARAMETERS, CountingModel, SensorModel
 from occmap.sensor.returns import ReturnOptions
-from occmap.types import Metres, Seconds, Update
+from occmap.types import Update
 from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
@@ -38,41 +40,60 @@ def choose_model(update: Update) -> SensorModel:
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """What a user may choose about a map, grouped by the stage that it concerns.
+    """What a user may choose about a map, grouped by the stage that it concerns."""
 
-    The text below a field is its help on the command line, where a second part of its type, as in
-    `Metres`, stands for the value.
-    """
-
-    resolution: Metres = 0.05
-    """Side of a cell."""
-    update: Update = DEFAULT_UPDATE
-    model: SensorModel = None  # type: ignore[assignment]  # the update chooses it, below
+    resolution: float = option(0.05, "Side of a cell.", unit="m")
+    update: Update = option(DEFAULT_UPDATE, "How a scan becomes observations of cells.")
+    # None: the update chooses it, below.
+    model: SensorModel = option(
+        None,
+        "How evidence is weighed: see `occmap models`.",
+        metavar="NAME[:KEY=NUMBER,...]",
+        form=MODEL,
+    )
     reading: ReaderOptions = field(default_factory=ReaderOptions)
     returns: ReturnOptions = field(default_factory=ReturnOptions)
     posing: PosingOptions = field(default_factory=PosingOptions)
     selection: Selection = field(default_factory=Selection)
     framing: Framing = field(default_factory=Framing)
     writing: WriteOptions = field(default_factory=WriteOptions)
-    jump: Metres = 0.1
-    """Two neighbouring beams meet one surface if their ranges differ by at most this."""
-    border_gap: Annotated[int, "CELLS"] = 8
-    """polygon: join end cells on one surface up to this far apart."""
-    hit_offset: Annotated[float, "CELLS"] = 0.5
-    """Move each hit this far behind the measured point, which is on a surface."""
-    max_cells: Annotated[int, "N"] = MAX_CELLS
-    """Refuse to make a larger map."""
-    min_passes: Annotated[int, "K"] | None = None
-    """Keep the hits of a cell only if they came on at least this many visits: drops people who
-    passed once."""
-    pass_gap_s: Seconds = 10.0
-    """Sightings of a cell at least this far apart are two visits."""
-    jobs: Annotated[int, "N"] = field(default_factory=count_cores)
-    """Threads."""
-    resume: Annotated[Path, "NPZ"] | None = None
-    """Add to the evidence in this file, which `outputs` may name again."""
-    resume_if_there: Annotated[Path, "NPZ"] | None = None
-    """As `resume` if the file exists; otherwise start a new map."""
+    jump: float = option(
+        0.1,
+        "Two neighbouring beams meet one surface if their ranges differ by at most this.",
+        unit="m",
+    )
+    border_gap: int = option(
+        8, "polygon: join end cells on one surface up to this far apart.", unit="cells"
+    )
+    hit_offset: float = option(
+        0.5,
+        "Move each hit this far behind the measured point, which is on a surface.",
+        unit="cells",
+    )
+    max_cells: int = option(MAX_CELLS, "Refuse to make a larger map.", unit="cells", metavar="N")
+    min_passes: int | None = option(
+        None,
+        "Keep the hits of a cell only if they came on at least this many visits: drops people who "
+        "passed once.",
+        unit="visits",
+        metavar="K",
+    )
+    pass_gap_s: float = option(
+        10.0, "Sightings of a cell at least this far apart are two visits.", unit="s"
+    )
+    jobs: int = option(count_cores, "Threads.", unit="threads", metavar="N")
+    resume: Path | None = option(
+        None,
+        "Add to the evidence in this file, which `outputs` may name again.",
+        unit="path",
+        metavar="NPZ",
+    )
+    resume_if_there: Path | None = option(
+        None,
+        "As `resume` if the file exists; otherwise start a new map.",
+        unit="path",
+        metavar="NPZ",
+    )
 
     def __post_init__(self) -> None:
         if self.model is None:
@@ -97,3 +118,86 @@ class BuildOptions:
             yield "`jump` does nothing under `occmap build beam`"
         if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:
             yield "`border_gap` does nothing: it is for `occmap build polygon`"
+
+
+OPTIONS = list_options(BuildOptions)
+"""All of them by name"""
+
+OTHER_FLAGS = {
+    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview", "slice")},
+    "limits": "--fail-if",
+    "logs": "--log",
+    "outputs": "-o",
+}
+"""How what is no option of a build is typed, where texts name it"""
+
+MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
+"""An option in a text, as libraries write it: `max_range`, `max_range=6`, `transform=(1,2,0)`"""
+
+NOT_WRITTEN = (
+    *("jobs", "update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *list_options(WriteOptions),
+)
+"""Options that do not change how logs are read, or that a caller names itself"""
+
+
+def spell_flag(name: str) -> str:
+    """Spell an option as it is typed: `max_pose_gap_s` as --max-pose-gap."""
+    return OTHER_FLAGS.get(name) or OPTIONS[name].flag
+
+
+def spell_flags(text: str) -> str:
+    """Spell the options that a text names, as in `max_range=6`, as they are typed."""
+
+    def spell(mark: re.Match[str]) -> str:
+        name, value = mark.groups()
+        if name not in OPTIONS and name not in OTHER_FLAGS:
+            return mark[0]
+        if value is not None and value.startswith("("):  # a tuple, as Python has it
+            value = value.strip("()")
+        return spell_flag(name) if value is None else f"{spell_flag(name)} {value}"
+
+    return MARK.sub(spell, text)
+
+
+def compose_build(
+    logs: Sequence[str], options: BuildOptions, changes: Mapping[str, str], update: str = ""
+) -> tuple[str, ...]:
+    """Compose the words of an `occmap build`.
+
+    Parameters
+    ----------
+    options
+        Those that differ from their defaults are written; not so update, model and outputs.
+    changes
+        Values of options by name, which go before those of `options`.
+    """
+    given = {
+        name: [OPTIONS[name].declared.none[0]] if value is None else write_values(value)
+        for name, value in list_values(options).items()
+        if value != OPTIONS[name].default and name not in NOT_WRITTEN
+    }
+    for name, text in changes.items():
+        kept = []
+        if name == "static_transforms":  # the transforms to other frames stay beside a new one
+            child = text.split(",")[1]
+            kept = [each for each in given.get(name, []) if each.split(",")[1] != child]
+        given[name] = [*kept, text]
+    words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
+    start = ("occmap", "build", update) if update else ("occmap", "build")
+    return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
+
+
+def chain_builds(lines: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """Let each of several `occmap build` lines add to what the lines before it observed."""
+    saved = Path(lines[0][-1]).with_suffix(".npz").name
+    kept: tuple[str, ...] = ()
+    for line in lines:
+        yield (*line[:-2], *kept, "-o", saved, *line[-2:])
+        kept = (spell_flag("resume"), saved)
+
+
+def name_map(path: str) -> str:
+    """Name a map after its log: the base name without what it is packed and written in."""
+    stem = Path(Path(path).resolve().name.removesuffix(".gz")).stem
+    return "stdin" if stem == "-" else stem or "map"

@@ -5,11 +5,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
+from occmap.choices import option
 from occmap.errors import require
 from occmap.posing.options import Stamps
-from occmap.types import Scan, ScanRun, Seconds
+from occmap.types import Scan, ScanRun
 
 
 class LeftOut(StrEnum):
@@ -40,14 +41,12 @@ class Selection:
         The values leave no scan to use.
     """
 
-    topics: Annotated[tuple[str, ...], "TOPIC"] = ()
-    """Use the scans of this topic; by default of all."""
-    start_s: Seconds = -math.inf
-    """Use scans from this time after the first on."""
-    end_s: Seconds = math.inf
-    """Use scans before this time after the first."""
-    stride: Annotated[int, "N"] = 1
-    """Use every N-th of these scans."""
+    topics: tuple[str, ...] = option(
+        (), "Use the scans of this topic; by default of all.", metavar="TOPIC", flag="scan-topic"
+    )
+    start_s: float = option(-math.inf, "Use scans from this time after the first on.", unit="s")
+    end_s: float = option(math.inf, "Use scans before this time after the first.", unit="s")
+    stride: int = option(1, "Use every N-th of these scans.", unit="scans", metavar="N")
 
     def __post_init__(self) -> None:
         require(self.stride >= 1, f"a stride of {self.stride} is not possible", "give 1 or more")

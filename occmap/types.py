@@ -11,7 +11,7 @@ left, z up, yaw counter-clockwise.
 import math
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
-from typing import Annotated, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,10 +28,6 @@ UInt8: TypeAlias = NDArray[np.uint8]
 UInt64: TypeAlias = NDArray[np.uint64]
 Bool: TypeAlias = NDArray[np.bool_]
 """Arrays, by the type of their numbers"""
-
-Metres: TypeAlias = Annotated[float, "M"]
-Seconds: TypeAlias = Annotated[float, "S"]
-"""Types of options; the second part stands for the value on the command line"""
 
 
 class Pose(NamedTuple):

@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.command import compose_build
 from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.poses import prepare
 from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_crossing, find_repeated
 from occmap.inspection.survey import StampLog
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, compose_build
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Note, Stream

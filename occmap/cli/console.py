@@ -193,7 +193,7 @@ def spell(text: str) -> str:
     text = name_stdin(text)
     if "`" not in text:
         return text
-    from occmap.command import spell_flags  # noqa: PLC0415  late: it brings NumPy
+    from occmap.options import spell_flags  # noqa: PLC0415  late: it brings NumPy
 
     return spell_flags(text)
 

@@ -1,115 +1,60 @@
 """The options that commands share, so that a flag means the same everywhere.
 
-Most set a field of `BuildOptions`: they are spelt like it, and take its type, its default and its
-text.
+What `occmap.options` declares is typed as it says there.
 """
 
 import math
-import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import fields as list_fields
-from dataclasses import is_dataclass
 from enum import StrEnum
-from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Any
 
 import click
 
+from occmap.choices import Option, list_options
+from occmap.choices.values import parse_number
 from occmap.cli.console import Console, Verbosity, spell
-from occmap.cli.sections import BareOption, ConfigOption, SectionOption, join, option
-from occmap.command import MODEL_PARAMETERS, spell_flag
+from occmap.cli.sections import BareOption, ConfigOption, join, option
 from occmap.errors import UsageError
-from occmap.keywords import NONE, drop_none, find_form, list_options, list_values
-from occmap.options import BuildOptions
-from occmap.plain import read_texts
-from occmap.sensor.models import SensorModel, describe_model, parse_model
-from occmap.wording import count
+from occmap.grid.framing import Framing
+from occmap.options import DEFAULT_UPDATE, OPTIONS, choose_model, spell_flag
+from occmap.posing.options import PosingOptions
+from occmap.readers.options import ReaderOptions
+from occmap.selection import Selection
+from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
+from occmap.sensor.returns import ReturnOptions
 from occmap.writers import Shade
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
-FROM_SCANS = NONE["align"][0]
-FORM = re.compile(r"\((.*?)\)")
-"""A tuple, as it is written in Python"""
+FROM_SCANS = OPTIONS["align"].declared.none[0]
+BY_THEMSELVES = ("align", "shade")
+"""Options that are typed in ways of their own"""
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
-HINTS, DEFAULTS = list_options(BuildOptions, include_extras=True), list_values(BuildOptions())
 TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
 """How click reads the values of a type; those of any other are several numbers, or an enum's"""
 MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
 SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
 
 
-def parse_numbers(name: str, text: str) -> Any:
-    """Read an option of several numbers with commas between.
-
-    Raises
-    ------
-    UsageError
-        There are too many or too few numbers, one is not a number, or an angle is in degrees.
-    """
-    read, form = find_form(name, get_args(drop_none(HINTS[name]))[0])
-    typed = FORM.sub(lambda found: found[1].replace(" ", ""), form)
-    where, fix = f"{spell_flag(name)} {text}", f"write {typed}"
-    values = [value.strip() for value in text.split(",")]
-    frames = 2 if name == "static_transforms" else 0
-    try:
-        numbers = [read_number(value, where, fix) for value in values[frames:]]
-        return read([*values[:frames], *numbers])
-    except UsageError as error:
-        raise UsageError(error.found, where=where, fix=error.fix or fix) from None
-    except ValueError:
-        belong = [str(each.count(",") + 1) for each in FORM.findall(form.partition(" in ")[0])]
-        found = f"{count(len(values), 'value')} where {' or '.join(belong)} belong"
-        raise UsageError(found, where=where, fix=fix) from None
-
-
-def read_number(word: str, where: str, form: str) -> float:
-    """Read a finite decimal number; raises UsageError, with the form that is expected."""
-    with suppress(ValueError):
-        if math.isfinite(number := float(word)):
-            return number
-    raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=form)
-
-
-@cache
-def read_help() -> dict[str, str]:
-    """Read what each field of BuildOptions is for, from the text below it."""
-    groups = [BuildOptions, *filter(is_dataclass, get_type_hints(BuildOptions).values())]
-    return {name: spell(text) for group in groups for name, text in read_texts(group).items()}
-
-
-class FieldOption(SectionOption):
-    """An option that sets a field of BuildOptions, whose text is read when it is asked for."""
-
-    @property
-    def help(self) -> str:
-        """What the option does."""
-        text = read_help()[str(self.name)]
-        return f"{text} May repeat." if self.multiple else text
-
-    @help.setter  # noqa: A003  the name is click's
-    def help(self, _text: str | None) -> None:
-        """Take no other text, as click would give it."""
-
-
 def field(section: str, name: str, *short: str, **more: Any) -> Any:
-    """Declare the option for a field of BuildOptions: its type, default and text are the field's.
+    """Declare an option of a build as it is declared there.
 
     It may have a `short` flag as well, and `more` settings, which replace these.
     """
-    hint, default = drop_none(HINTS[name]), DEFAULTS[name]
-    kind, metavar = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
-    settings = {"cls": FieldOption, "metavar": metavar, "multiple": default == ()}
-    settings |= describe_values(name, kind, default)
-    return option(section, *short, spell_flag(name), name, **settings | more)
+    known = OPTIONS[name]
+    is_many = known.default == ()
+    text = spell(known.declared.help) + " May repeat." * is_many
+    settings = {"metavar": known.metavar, "multiple": is_many, "help": text}
+    return option(section, *short, known.flag, name, **settings | describe_values(known) | more)
 
 
-def describe_values(name: str, kind: Any, default: Any) -> dict[str, Any]:
+def describe_values(known: Option) -> dict[str, Any]:
     """Say how click reads the values of an option, and which default --help shows."""
+    kind, default = known.kind, known.default
     if isinstance(default, StrEnum):
         return {
             "type": click.Choice([member.value for member in kind]),
@@ -117,12 +62,18 @@ def describe_values(name: str, kind: Any, default: Any) -> dict[str, Any]:
             "default": default.value,
             "show_default": True,
         }
-    if kind not in TYPES:
-        return {"type": lambda text: parse_numbers(name, text)}
+    if known.declared.form:
+        return {"type": known.parse}
     if isinstance(default, int | float):
         shown = math.isfinite(default)
         return {"type": TYPES[kind], "default": default, "show_default": shown}
     return {"type": TYPES[kind]}
+
+
+def group(section: str, *kinds: Any) -> Any:
+    """Declare all options of groups of them, in the order in which they stand there."""
+    names = [name for kind in kinds for name in list_options(kind) if name not in BY_THEMSELVES]
+    return join(*(field(section, name) for name in names))
 
 
 def fields(section: str, names: str) -> Any:
@@ -176,7 +127,7 @@ writing = join(
         "shade",
         flag_value=Shade.LIGHT_OCCUPIED.value,
         callback=lambda _ctx, _param, value: Shade(value or Shade.DARK_OCCUPIED),
-        help="PNG: light is occupied, as in Elfes' figures.",
+        help=OPTIONS["shade"].declared.help,
     ),
 )
 resume = fields(FILES, "resume resume_if_there")
@@ -195,7 +146,7 @@ def parse_align(text: str) -> float | None:
         It is neither.
     """
     form = f"write degrees such as 12.5, or {FROM_SCANS}"
-    return None if text == FROM_SCANS else read_number(text, f"--align {text}", form)
+    return None if text == FROM_SCANS else parse_number(text, f"--align {text}", form)
 
 
 align = option(
@@ -207,19 +158,14 @@ align = option(
     default="0",
     metavar="[DEG]",
     show_default="not turned",
-    help="Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
-    "angle that brings its walls along the axes.",
+    help=OPTIONS["align"].declared.help,
 )
-framing = fields(MAP, "extent margin")
+framing = group(MAP, Framing)
 min_passes, pass_gap = field(MAP, "min_passes"), field(MAP, "pass_gap_s")
 
-ranges = fields(RANGES, "min_range max_range range_max no_return ignore_sectors footprint")
-selection = fields(SCANS, "topics start_s end_s stride echo min_height max_height")
-posing = fields(
-    POSES,
-    "poses sensor_pose static_transforms map_frame transform base_frame "
-    "max_pose_gap_s max_speed time_offset_s stamps deskew",
-)
+ranges = group(RANGES, ReturnOptions)
+selection = group(SCANS, Selection, ReaderOptions)
+posing = group(POSES, PosingOptions)
 reading = join(ranges, selection, posing)
 
 
@@ -228,8 +174,8 @@ def model_option(usual: str) -> Any:
     return option(
         MODEL,
         "--model",
-        metavar="NAME[:KEY=NUMBER,...]",
-        help="How evidence is weighed: see `occmap models`.",
+        metavar=OPTIONS["model"].metavar,
+        help=OPTIONS["model"].declared.help,
         show_default=usual,
     )
 
@@ -237,10 +183,10 @@ def model_option(usual: str) -> Any:
 model_parameters = join(
     *(
         option(MODEL, spell_flag(name), type=float, metavar=metavar, help=text)
-        for name, (metavar, text) in MODEL_PARAMETERS.items()
+        for name, (metavar, text) in PARAMETERS.items()
     )
 )
-model = join(model_option(describe_model(DEFAULTS["model"])), model_parameters)
+model = join(model_option(describe_model(choose_model(DEFAULT_UPDATE))), model_parameters)
 saved_model = join(model_option("what it was built with"), model_parameters)
 
 
@@ -256,9 +202,9 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     """
     text = values["model"] or describe_model(usual)
     name = text.partition(":")[0]
-    given = {key: values[key] for key in MODEL_PARAMETERS if values[key] is not None}
+    given = {key: values[key] for key in PARAMETERS if values[key] is not None}
     known = [each.name for each in list_fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
-    flags = ", ".join(spell_flag(key) for key in MODEL_PARAMETERS if key in known)
+    flags = ", ".join(spell_flag(key) for key in PARAMETERS if key in known)
     for key in given:
         if key not in known:
             raise UsageError(

@@ -6,15 +6,14 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli.answers import Answer
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.options import Values, collect_model
 from occmap.cli.streams import hide_sent, place_outputs
-from occmap.command import MODEL_PARAMETERS
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
-from occmap.keywords import take
-from occmap.sensor.models import SensorModel
+from occmap.sensor.models import PARAMETERS, SensorModel
 from occmap.store.publishing import RenderOptions, publish
 from occmap.store.reading import Saved
 from occmap.summary import tell_map, tell_scans
@@ -53,6 +52,6 @@ def choose_saved_model(evidence: Described, values: Values) -> SensorModel | Non
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    if all(values.get(name) is None for name in ("model", *MODEL_PARAMETERS)):
+    if all(values.get(name) is None for name in ("model", *PARAMETERS)):
         return None
     return collect_model(values, read_model(evidence))

@@ -12,10 +12,9 @@ from pathlib import Path
 import click
 
 from occmap.cli.console import Console
-from occmap.command import name_map
 from occmap.errors import UsageError
 from occmap.inputs import find_inputs, keep_stdin
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, name_map
 from occmap.report import Report
 from occmap.writers import FolderWriter
 from occmap.writers.outputs import find_writer

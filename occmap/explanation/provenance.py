@@ -12,9 +12,9 @@ from types import GenericAlias, NoneType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from occmap.cells import Evidence
+from occmap.choices import drop_none
 from occmap.errors import LogError, MapError, OccmapError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
-from occmap.keywords import drop_none
 from occmap.options import BuildOptions
 from occmap.sensor.models import parse_model
 from occmap.wording import join_names

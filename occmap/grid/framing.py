@@ -5,15 +5,16 @@ While a map is built, `Reach` says how large it is going to be at least.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
 
 from occmap.cells import Box, OccupancyMap, to_log_odds
+from occmap.choices import option
+from occmap.choices.values import make_box_form
 from occmap.errors import MapError, require
 from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
 from occmap.grid.tiles import TILE, refuse_large
-from occmap.types import Kind, Metres, Rays
+from occmap.types import Kind, Rays
 from occmap.wording import write_metres
 
 CELL_SLACK = 1e-6
@@ -34,11 +35,14 @@ class Framing:
         A value is out of its range, or both are given.
     """
 
-    extent: Annotated[Box, "X_MIN,Y_MIN,X_MAX,Y_MAX"] | None = None
-    """Cover exactly this box (m), to whole cells; by default what was observed. An .npz holds
-    everything in any case."""
-    margin: Metres = 0.0
-    """Add unknown space around what was observed."""
+    extent: Box | None = option(
+        None,
+        "Cover exactly this box (m), to whole cells; by default what was observed. An .npz holds "
+        "everything in any case.",
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        form=make_box_form("(0, 0, 5, 4)"),
+    )
+    margin: float = option(0.0, "Add unknown space around what was observed.", unit="m")
 
     def __post_init__(self) -> None:
         found = f"a margin of {self.margin} m is not possible"

@@ -4,12 +4,11 @@ import shlex
 from collections.abc import Iterator, Sequence
 from functools import reduce
 
-from occmap.command import chain_builds, compose_build, spell_flag
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
 from occmap.posing.options import Concern, DropReason, Stamps
 from occmap.remarks import LEAST_AGREEMENT
 from occmap.steps.batching import find_oddity

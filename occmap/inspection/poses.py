@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from occmap.command import format_mount
+from occmap.choices.values import format_mount
 from occmap.errors import MountError, PoseError
 from occmap.inspection.findings import Coverage, PoseFindings
 from occmap.inspection.survey import TopicSurvey

@@ -10,7 +10,7 @@ from pathlib import Path
 from platform import python_version
 from typing import Any, Literal
 
-from occmap.command import spell_flags
+from occmap.options import spell_flags
 from occmap.wording import join_names, name_stdin
 from occmap.writers.atomic import open_atomic
 

@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
+from occmap.choices import option
+from occmap.choices.values import MOUNT, PLANAR, TRANSFORM
 from occmap.errors import require
-from occmap.types import Pose, PoseSample, Seconds
+from occmap.types import Pose, PoseSample
 
 Time = TypeVar("Time")
 MAX_OFFSET_S = 4e9
@@ -73,45 +75,68 @@ class PosingOptions:
         A value is out of its range.
     """
 
-    map_frame: Annotated[str, "FRAME"] | None = None
-    """Map in this frame; by default map, else odom, else the root of the laser's tree."""
-    base_frame: Annotated[str, "FRAME"] | None = None
-    """The moving body that `sensor_pose` is on."""
-    sensor_pose: Annotated[Pose, "X,Y,YAW[,ROLL,PITCH]"] | None = None
-    """Where the laser sits on the robot (metres, radians)."""
-    poses: Annotated[str, "FILE|TOPIC"] | None = None
-    """Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic."""
+    poses: str | None = option(
+        None,
+        "Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic.",
+        unit="path or topic",
+        metavar="FILE|TOPIC",
+    )
+    sensor_pose: Pose | None = option(
+        None,
+        "Where the laser sits on the robot (metres, radians).",
+        metavar="X,Y,YAW[,ROLL,PITCH]",
+        form=MOUNT,
+    )
+    # Each goes before what the log says of its child.
+    static_transforms: tuple[PoseSample, ...] = option(
+        (),
+        "A fixed transform that the log lacks (m, rad).",
+        metavar="PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW",
+        flag="static-tf",
+        form=TRANSFORM,
+    )
+    map_frame: str | None = option(
+        None,
+        "Map in this frame; by default map, else odom, else the root of the laser's tree.",
+        unit="frame",
+    )
+    transform: Pose | None = option(
+        None,
+        "Pose of the logs' map frame in the new map (m, rad), to join sessions that have a frame "
+        "each.",
+        metavar="X,Y,YAW",
+        form=PLANAR,
+    )
+    base_frame: str | None = option(None, "The moving body that `sensor_pose` is on.", unit="frame")
     # None: across any gap. Logs that are whole have gaps of one second, and a robot that is not
     # watched for longer than two can have been anywhere.
-    max_pose_gap_s: Seconds | None = 2.0
-    """Leave out scans in a longer gap between poses."""
-    time_offset_s: Seconds = 0.0
-    """Add this to the stamps of scans."""
+    max_pose_gap_s: float | None = option(
+        2.0,
+        "Leave out scans in a longer gap between poses.",
+        unit="s",
+        none=("inf", "to interpolate across any gap"),
+    )
+    # The fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50.
+    max_speed: float = option(
+        50.0, "Leave out scans whose poses leap away faster than this, and back.", unit="m/s"
+    )
+    time_offset_s: float = option(0.0, "Add this to the stamps of scans.", unit="s")
+    stamps: Stamps = option(
+        Stamps.HEADER, "Use the times that the driver wrote, or the recorder's."
+    )
     # Off unless asked: drivers disagree on which beam the stamp belongs to and on the order of the
     # beams. Of two real logs that state a time between beams both were blurred by believing it.
-    deskew: Deskew = Deskew.OFF
-    """Give every beam of a scan a pose of its own."""
-    stamps: Stamps = Stamps.HEADER
-    """Use the times that the driver wrote, or the recorder's."""
-    # Each goes before what the log says of its child.
-    static_transforms: Annotated[tuple[PoseSample, ...], "PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW"] = ()
-    """A fixed transform that the log lacks (m, rad)."""
-    # The fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50.
-    max_speed: Annotated[float, "M/S"] = 50.0
-    """Leave out scans whose poses leap away faster than this, and back."""
-    transform: Annotated[Pose, "X,Y,YAW"] | None = None
-    """Pose of the logs' map frame in the new map (m, rad), to join sessions that have a frame
-    each."""
-    align: float | None = 0.0
-    """The map is turned by this angle (degrees, counter-clockwise); None: by the smallest one that
-    brings its walls along the axes, which is for `occmap.steps.alignment` to find."""
+    deskew: Deskew = option(Deskew.OFF, "Give every beam of a scan a pose of its own.")
+    align: float | None = option(
+        0.0,
+        "Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
+        "angle that brings its walls along the axes.",
+        unit="degrees",
+        none=("auto", "so that walls run along the axes"),
+    )
 
     def __post_init__(self) -> None:
-        for name in (
-            "map_frame",
-            "base_frame",
-            "poses",
-        ):
+        for name in ("map_frame", "base_frame", "poses"):
             found = f"`{name}` is empty"
             require(getattr(self, name) != "", found, "give a name, or leave it out")
         found = f"the time offset is {self.time_offset_s} s"

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from occmap.choices import option
 from occmap.errors import require
-from occmap.types import Metres
 
 
 class Echo(StrEnum):
@@ -26,13 +26,14 @@ class ReaderOptions:
         The heights leave nothing between them.
     """
 
-    echo: Echo = Echo.FIRST
-    """MultiEchoLaserScan: the echo of a beam that counts."""
+    echo: Echo = option(Echo.FIRST, "MultiEchoLaserScan: the echo of a beam that counts.")
     # A slice around the sensor: above the floor for a lidar on a robot's body.
-    min_height: Metres = -0.2
-    """PointCloud2: use points from this height over the sensor on."""
-    max_height: Metres = 0.2
-    """PointCloud2: use points up to this height over the sensor."""
+    min_height: float = option(
+        -0.2, "PointCloud2: use points from this height over the sensor on.", unit="m"
+    )
+    max_height: float = option(
+        0.2, "PointCloud2: use points up to this height over the sensor.", unit="m"
+    )
 
     def __post_init__(self) -> None:
         found = f"no point lies above {self.min_height} m and below {self.max_height} m"

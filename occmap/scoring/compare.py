@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-from occmap.command import compose_build
 from occmap.errors import LogError
-from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
 from occmap.plain import HIDDEN, Count, Printed, printed_as
 from occmap.readers import open_log
 from occmap.remarks import list_frames

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from occmap.cells import EVEN_ODDS, Decision, to_log_odds
+from occmap.choices.values import Form
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.sensor.rules import occupancy, probability, visibility
@@ -89,6 +90,18 @@ LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
 """In observations."""
 NO_CLAMP = {"clamp_min": 0.0, "clamp_max": 1.0}
 """Bounds that bound nothing."""
+PARAMETERS = {
+    "p_hit": ("P", "simple: probability of occupied, given one hit."),
+    "p_miss": ("P", "simple: probability of occupied, given one miss."),
+    "epsilon": ("M", "quadratic: half the depth of a hit."),
+    "p_min": ("P", "quadratic: keep each observation within [P, 1 - P]."),
+    "prior": ("P", "Probability of occupied before any observation."),
+    "cut": ("P", "A cell is occupied above this probability, free below."),
+    "spread": ("SHARE", "How much of a hit counts for each cell beside it."),
+    "clamp_min": ("P", "Lowest probability of an observed cell."),
+    "clamp_max": ("P", "Highest probability of an observed cell."),
+}
+"""Those that can be typed as flags of their own: what stands for the value, and the help"""
 DEEPEST_HIT_M = 100.0
 """The largest epsilon: no wall is thicker."""
 
@@ -298,3 +311,16 @@ def parse_model(text: str) -> SensorModel:
             found = f"{pair!r} is not a parameter of a model"
             raise UsageError(found, fix="write NAME:KEY=NUMBER,KEY=NUMBER") from None
     return make_model(name.strip(), parameters)
+
+
+def _read_model(value: Any) -> SensorModel:
+    """Make a model of text, or take one as it is; raises TypeError for anything else."""
+    if isinstance(value, str):
+        return parse_model(value)
+    if isinstance(value, type) or not isinstance(value, SensorModel):
+        raise TypeError
+    return value
+
+
+MODEL = Form(_read_model, 'text such as "simple:p_hit=0.8", or a model')
+"""What is given where an option is a model"""

@@ -12,18 +12,19 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
-from typing import Annotated, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from occmap.cells import Box
+from occmap.choices import option
+from occmap.choices.values import SECTOR, make_box_form
 from occmap.errors import require
 from occmap.types import (
     Bool,
     Float32,
     Float64,
     Kind,
-    Metres,
     PosedScans,
     Rays,
     Scan,
@@ -59,20 +60,35 @@ class ReturnOptions:
         The limits leave no range to use, or a sector or the box is empty.
     """
 
-    min_range: Metres = 0.0
-    """Ignore nearer ranges."""
-    max_range: Metres = math.inf
-    """Use beams only up to here; a longer one clears the space up to here. No limit by default."""
-    range_max: Metres | None = None
-    """Ranges at or beyond this count as no return; by default the limit that the log states."""
-    no_return: NoReturn = NoReturn.IGNORE
-    """A beam without return clears the space up to the limit, or says nothing."""
-    ignore_sectors: Annotated[tuple[Sector, ...], "FROM,TO"] = ()
-    """Leave out the beams from one bearing counter-clockwise to another (rad, as the sensor sees
-    it): the robot blocks them."""
-    footprint: Annotated[Box, "X_MIN,Y_MIN,X_MAX,Y_MAX"] | None = None
-    """Leave out what is measured in this box around the sensor (m, as the sensor sees it): it is
-    the robot."""
+    min_range: float = option(0.0, "Ignore nearer ranges.", unit="m")
+    max_range: float = option(
+        math.inf,
+        "Use beams only up to here; a longer one clears the space up to here. No limit by default.",
+        unit="m",
+    )
+    range_max: float | None = option(
+        None,
+        "Ranges at or beyond this count as no return; by default the limit that the log states.",
+        unit="m",
+    )
+    no_return: NoReturn = option(
+        NoReturn.IGNORE, "A beam without return clears the space up to the limit, or says nothing."
+    )
+    ignore_sectors: tuple[Sector, ...] = option(
+        (),
+        "Leave out the beams from one bearing counter-clockwise to another (rad, as the sensor "
+        "sees it): the robot blocks them.",
+        metavar="FROM,TO",
+        flag="ignore-sector",
+        form=SECTOR,
+    )
+    footprint: Box | None = option(
+        None,
+        "Leave out what is measured in this box around the sensor (m, as the sensor sees it): it "
+        "is the robot.",
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        form=make_box_form("(-0.4, -0.3, 0.2, 0.3)"),
+    )
 
     def __post_init__(self) -> None:
         for start, end in self.ignore_sectors:

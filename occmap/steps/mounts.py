@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.command import format_mount, format_static
+from occmap.choices.values import format_mount, format_static
 from occmap.errors import MountError, PoseError
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser

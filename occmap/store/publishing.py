@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from occmap.cells import Evidence, Manifest, OccupancyMap
+from occmap.choices import option
 from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
 from occmap.evidence.manifest import BuildRecord, list_doubts
@@ -15,7 +16,7 @@ from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.remarks import list_disagreement, list_unreached
 from occmap.report import Build, MapFacts, MapSummary, Report, describe_map
-from occmap.sensor.models import SensorModel, describe_model, parse_model
+from occmap.sensor.models import MODEL, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.tally import ScanCounts
 from occmap.store import rendering
@@ -29,7 +30,7 @@ from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_
 class RenderOptions:
     """What a user may choose about a map of saved evidence."""
 
-    model: SensorModel | None = None
+    model: SensorModel | None = option(None, form=MODEL)
     """None: the one that the evidence was built with"""
     writing: WriteOptions = field(default_factory=WriteOptions)
     max_cells: int = MAX_CELLS

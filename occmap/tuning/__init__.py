@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.command import compose_build
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, compose_build
 from occmap.plain import HIDDEN, Count, Finite, Share
 from occmap.readers import open_log
 from occmap.remarks import LEAST_AGREEMENT

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple
 
-from occmap.command import to_rpy
+from occmap.choices.values import to_rpy
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.plain import Finite

@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from occmap.cells import Decision, Evidence, OccupancyMap
+from occmap.choices import option
 from occmap.errors import UsageError
 from occmap.types import Int64, Journey
 
@@ -56,13 +57,24 @@ class WriteOptions:
         The thresholds are not in the order 0 < free < occupied < 1, or are too near each other.
     """
 
-    mode: MapMode = MapMode.TRINARY
-    """What the pixels of a PGM mean."""
-    occupied_thresh: Annotated[float, "P"] | None = None
-    """Occupied above this probability; by default the model's cut, and 0.65 in the YAML."""
-    free_thresh: Annotated[float, "P"] | None = None
-    """Free below this probability; by default the model's cut, and 0.196 in the YAML."""
-    shade: Shade = Shade.DARK_OCCUPIED
+    mode: MapMode = option(MapMode.TRINARY, "What the pixels of a PGM mean.")
+    occupied_thresh: float | None = option(
+        None,
+        "Occupied above this probability; by default the model's cut, and 0.65 in the YAML.",
+        unit="probability",
+        metavar="P",
+    )
+    free_thresh: float | None = option(
+        None,
+        "Free below this probability; by default the model's cut, and 0.196 in the YAML.",
+        unit="probability",
+        metavar="P",
+    )
+    shade: Shade = option(
+        Shade.DARK_OCCUPIED,
+        "PNG: light is occupied, as in Elfes' figures.",
+        flag="light-occupied",
+    )
 
     def __post_init__(self) -> None:
         free, occupied = self.thresholds

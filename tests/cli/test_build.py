@@ -81,7 +81,15 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
         ),
         (
             "--map-frame m --base-frame b --poses /pose --max-pose-gap 1 --time-offset -0.5",
-            {"posing": PosingOptions("m", "b", None, "/pose", 1.0, -0.5)},
+            {
+                "posing": PosingOptions(
+                    map_frame="m",
+                    base_frame="b",
+                    poses="/pose",
+                    max_pose_gap_s=1.0,
+                    time_offset_s=-0.5,
+                )
+            },
         ),
         (
             "--sensor-pose -0.1,0,0 --static-tf a,b,1,2,3,0,0,0",

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from occmap.choices.values import format_mount, format_static
 from occmap.cli import run
-from occmap.cli.options import parse_numbers
-from occmap.command import format_mount, format_static
+from occmap.options import OPTIONS
 from tests.cli.runner import occmap
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
@@ -143,12 +143,12 @@ def test_usage_errors(capsys: Capture) -> None:
 
 @pytest.mark.parametrize("text", ["0,0,3.14159", "0.1,-0.2,1.5708", "0,0,-1.5708,3.14159,0"])
 def test_mounts_are_written_as_they_are_read(text: str) -> None:
-    assert format_mount(parse_numbers("sensor_pose", text)) == text
+    assert format_mount(OPTIONS["sensor_pose"].parse(text)) == text
 
 
 def test_transforms_are_written_as_they_are_read() -> None:
     text = "base_link,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
-    sample = parse_numbers("static_transforms", text)
+    sample = OPTIONS["static_transforms"].parse(text)
     assert format_static(sample.parent, sample.child, sample.pose) == text
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
-from occmap.command import OPTIONS, spell_flag, spell_flags
 from occmap.errors import UsageError
+from occmap.options import OPTIONS, OTHER_FLAGS, spell_flag, spell_flags
 from tests.cli.runner import find_command
 
 
@@ -34,7 +34,9 @@ def test_a_named_option_becomes_its_flag(text: str, spelled: str) -> None:
 def test_a_flag_is_what_the_rule_says(name: str) -> None:
     command = find_command(name)
     options = [each for each in command.params if isinstance(each, click.Option)]
-    flags = {each.name: each.opts for each in options if each.name in OPTIONS}
+    flags = {
+        each.name: each.opts for each in options if each.name in OPTIONS or each.name in OTHER_FLAGS
+    }
     assert all(spell_flag(option) in flags[option] for option in flags)
 
 
@@ -43,7 +45,7 @@ def test_every_option_can_be_typed() -> None:
     commands = [find_command(name) for name in names]
     typed = {option for command in commands for each in command.params for option in each.opts}
     positional = {"update"}  # the first word of a build
-    assert {spell_flag(name) for name in OPTIONS - positional} <= typed
+    assert {spell_flag(name) for name in {*OPTIONS, *OTHER_FLAGS} - positional} <= typed
 
 
 def test_whatever_is_printed_is_spelled(capsys: pytest.CaptureFixture[str]) -> None:

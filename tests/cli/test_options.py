@@ -2,21 +2,21 @@ import math
 
 import pytest
 
-from occmap.cli.options import parse_numbers
 from occmap.errors import UsageError
+from occmap.options import OPTIONS
 from occmap.types import Pose
 
 
 def test_a_sensor_pose_in_the_plane() -> None:
     half = math.sqrt(0.5)
     expected = (0.1, -0.2, 0.0, 0.0, 0.0, half, half)
-    assert parse_numbers("sensor_pose", f"0.1, -.2,{math.pi / 2}") == pytest.approx(expected)
+    assert OPTIONS["sensor_pose"].parse(f"0.1, -.2,{math.pi / 2}") == pytest.approx(expected)
 
 
 def test_a_sensor_pose_upside_down() -> None:
     # Half a turn about x.
     expected = (0, 0, 0, 1, 0, 0, 0)
-    assert parse_numbers("sensor_pose", f"0,0,0,{math.pi},0") == pytest.approx(expected, abs=1e-12)
+    assert OPTIONS["sensor_pose"].parse(f"0,0,0,{math.pi},0") == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_a_sensor_pose_upside_down() -> None:
 )
 def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
     with pytest.raises(UsageError, match=found) as caught:
-        parse_numbers("sensor_pose", text)
+        OPTIONS["sensor_pose"].parse(text)
     assert "write x,y,yaw or x,y,yaw,roll,pitch in metres" in str(caught.value)
 
 
@@ -49,7 +49,7 @@ def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:
 )
 def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None:
     with pytest.raises(UsageError, match=r"write radians: 180 degrees are 3.14159"):
-        parse_numbers(name, text)
+        OPTIONS[name].parse(text)
 
 
 @pytest.mark.parametrize(
@@ -73,12 +73,12 @@ def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None
 )
 def test_a_refused_value_names_its_option(name: str, text: str, found: str) -> None:
     with pytest.raises(UsageError) as caught:
-        parse_numbers(name, text)
+        OPTIONS[name].parse(text)
     assert str(caught.value).startswith(found)
 
 
 def test_a_transform() -> None:
-    sample = parse_numbers("static_transforms", "base_link, laser,1,2,3,0,0,0")
+    sample = OPTIONS["static_transforms"].parse("base_link, laser,1,2,3,0,0,0")
     assert (sample.parent, sample.child, sample.static) == ("base_link", "laser", True)
     assert sample.pose == Pose(1, 2, 3, 0, 0, 0, 1)
 
@@ -88,4 +88,4 @@ def test_a_transform() -> None:
 )
 def test_a_wrong_transform_says_what_to_write(text: str) -> None:
     with pytest.raises(UsageError, match="write parent,child,x,y,z,roll,pitch,yaw in metres"):
-        parse_numbers("static_transforms", text)
+        OPTIONS["static_transforms"].parse(text)

@@ -129,7 +129,7 @@ def test_a_signal_leaves_one_line_and_no_file(
 
 
 def test_without_sources_each_option_is_there(tmp_path: Path) -> None:
-    """As where only compiled files are installed: the texts of options stand in the sources."""
+    """As where only compiled files are installed."""
     package = Path(occmap.__file__).parent
     for source in package.rglob("*.py"):
         compiled = tmp_path / "occmap" / source.relative_to(package).with_suffix(".pyc")
@@ -138,4 +138,4 @@ def test_without_sources_each_option_is_there(tmp_path: Path) -> None:
         [*OCCMAP, "build", "--help"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert re.search(r"--min-range M +min_range +\[default: 0.0\]", done.stdout)
+    assert re.search(r"--min-range M +Ignore nearer ranges. +\[default: 0.0\]", done.stdout)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.command import to_rpy
+from occmap.choices.values import to_rpy
 from occmap.errors import LogError, PoseError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, label_first, write_rows
@@ -19,7 +20,6 @@ from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
 from occmap.gates import BUILD
 from occmap.grid.framing import Framing
-from occmap.keywords import take
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.report import Report

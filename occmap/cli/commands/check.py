@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
@@ -14,7 +15,6 @@ from occmap.cli.streams import gather_logs
 from occmap.gates import CHECK
 from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
-from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
 from occmap.remarks import drop_damage

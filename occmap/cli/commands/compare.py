@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, align, write_command
@@ -12,7 +13,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs
 from occmap.gates import COMPARE
-from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.pictures import compare_logs
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores

@@ -6,13 +6,13 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.answers import LIMITS, Answer, answering, fail_if
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.sections import join, option
 from occmap.difference import MapDifference
 from occmap.gates import DIFF, Limit, parse_bound
-from occmap.keywords import take
 from occmap.pictures import compare_files
 from occmap.wording import count, write_metres
 from occmap.writers import WriteOptions

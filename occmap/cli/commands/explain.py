@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.answers import Answer, answering
 from occmap.cli.console import Console, align, label_first, write_rows
@@ -18,7 +19,6 @@ from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.inputs import keep_stdin
-from occmap.keywords import take
 from occmap.store.reading import open_saved
 from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, write_command
@@ -14,7 +15,6 @@ from occmap.cli.progress import show_progress
 from occmap.cli.sections import join
 from occmap.cli.streams import gather_logs
 from occmap.gates import TUNE
-from occmap.keywords import take
 from occmap.options import BuildOptions
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict

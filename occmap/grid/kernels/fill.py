@@ -5,7 +5,7 @@ rule). A centre that edges wind around more than once is inside once, so an outl
 itself, as that of a scan of more than 360 degrees does.
 
 Seen from the sensor, an outline goes round: so the crossings of a row nearly always are in order
-from the left or from the right, and hardly ever need to be sorted.
+from the left or from the right, and are quickly sorted.
 """
 
 from typing import NamedTuple
@@ -79,20 +79,24 @@ def fill_outline(
     -------
     `spans`, or larger ones where these were too small.
     """
-    crossings = _cross_rows(outline, corners, touched, spans)
+    crossings = _cross_rows(outline, corners, touched, cols, spans)
     if crossings + AT_A_TIME > spans.limits.size:
         room = 2 * crossings + AT_A_TIME
         limits, found = np.empty(room, np.int32), np.empty((2, room), np.int32)
         spans = Spans(spans.starts, spans.counts, limits, found)
-        _cross_rows(outline, corners, touched, spans)
+        _cross_rows(outline, corners, touched, cols, spans)
     _sort_by_row(touched, crossings, spans)
-    _make_spans(touched, cols, spans)
+    _make_spans(touched, spans)
     return spans
 
 
 @kernel
-def _cross_rows(outline: Outline, corners: int, touched: tuple[int, int], spans: Spans) -> int:
+def _cross_rows(
+    outline: Outline, corners: int, touched: tuple[int, int], cols: int, spans: Spans
+) -> int:
     """Find where edges cross the centre lines of rows; `counts` gets what changes at each row.
+
+    What lies beside the window crosses at its side.
 
     Returns how many crossings there are; without room for these all must be found again.
     """
@@ -121,7 +125,7 @@ def _cross_rows(outline: Outline, corners: int, touched: tuple[int, int], spans:
             inverse = 1.0 / float(rise << CELL_SHIFT)
             slope, base = run << CELL_SHIFT, rise << CELL_SHIFT
             for k in range((last - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
-                col = _floor_divide(numerator + k * slope, base, inverse)
+                col = min(max(_floor_divide(numerator + k * slope, base, inverse), 0), cols)
                 found[0, np.uint64(crossings + k)] = first + k
                 found[1, np.uint64(crossings + k)] = 2 * col + upward
         crossings += last - first
@@ -154,70 +158,70 @@ def _sort_by_row(touched: tuple[int, int], crossings: int, spans: Spans) -> None
 
 
 @kernel
-def _make_spans(touched: tuple[int, int], cols: int, spans: Spans) -> None:
+def _make_spans(touched: tuple[int, int], spans: Spans) -> None:
     """Turn each row's crossings, in place, into first column and last + 1 of its spans."""
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
-        begin, end = starts[row], starts[row] + counts[row]
-        first, last = np.uint64(begin), np.uint64(end - 1)
-        if end - begin == 2:  # nearly always; then it does not matter which of them leads up
-            a, d = limits[first], limits[last]
-            limits[first], limits[last] = _clip(min(a, d), cols), _clip(max(a, d), cols)
-        elif end - begin == 4:  # sorted without a branch
-            second, third = np.uint64(begin + 1), np.uint64(begin + 2)
-            a, b, c, d = limits[first], limits[second], limits[third], limits[last]
-            a, b, c, d = min(a, b), max(a, b), min(c, d), max(c, d)
-            a, b, c, d = min(a, c), min(b, d), max(a, c), max(b, d)
-            b, c = min(b, c), max(b, c)
-            if (a ^ b) & 1 == 0:  # both lead the same way: one span about another
-                b = c = d
-            limits[first], limits[second] = _clip(a, cols), _clip(b, cols)
-            limits[third], limits[last] = _clip(c, cols), _clip(d, cols)
-        else:
-            if not _are_in_order(limits, begin, end):
-                end = _wind(limits, begin, end)
-                counts[row] = end - begin
-            for i in range(begin, (begin + end) // 2):
-                left, right = np.uint64(i), np.uint64(begin + end - 1 - i)
-                a, d = limits[left], limits[right]
-                limits[left], limits[right] = _clip(min(a, d), cols), _clip(max(a, d), cols)
+        begin, crossings = starts[row], counts[row]
+        if crossings == 2:  # nearly always
+            _pair_two(limits, begin)
+        elif crossings == 4:
+            _pair_four(limits, begin)
+        elif crossings:
+            _sort(limits, begin, begin + crossings)
+            counts[row] = _keep_ends(limits, begin, begin + crossings) - begin
 
 
 @step
-def _clip(crossing: int, cols: int) -> int:
-    """The column of a crossing, in the window."""
-    return min(max(crossing >> 1, 0), cols)
+def _pair_two(limits: Int32, begin: int) -> None:
+    """Make a span of two crossings; it does not matter which of them leads up."""
+    first, last = np.uint64(begin), np.uint64(begin + 1)
+    a, b = limits[first] >> 1, limits[last] >> 1
+    limits[first], limits[last] = min(a, b), max(a, b)
+
+
+@step
+def _pair_four(limits: Int32, begin: int) -> None:
+    """Make two spans of four crossings, sorted without a branch."""
+    first, second = np.uint64(begin), np.uint64(begin + 1)
+    third, last = np.uint64(begin + 2), np.uint64(begin + 3)
+    a, b, c, d = limits[first], limits[second], limits[third], limits[last]
+    a, b, c, d = min(a, b), max(a, b), min(c, d), max(c, d)
+    a, b, c, d = min(a, c), min(b, d), max(a, c), max(b, d)
+    b, c = min(b, c), max(b, c)
+    if (a ^ b) & 1 == 0:  # both lead the same way: one span lies about another
+        b = c = d
+    limits[first], limits[second] = a >> 1, b >> 1
+    limits[third], limits[last] = c >> 1, d >> 1
 
 
 @kernel
-def _are_in_order(crossings: Int32, begin: int, end: int) -> bool:
-    """Whether a row's crossings are in order, from the left or from the right.
+def _sort(crossings: Int32, begin: int, end: int) -> None:
+    """Sort a row's crossings.
 
-    Then each two of them make a span: an outline is closed, and crosses a row up and down in turn.
+    By insertion, once they are turned round where they come from the right: then hardly one moves.
     """
-    rising = falling = True
+    if crossings[begin] > crossings[end - 1]:
+        for i in range((end - begin) // 2):
+            left, right = np.uint64(begin + i), np.uint64(end - 1 - i)
+            crossings[left], crossings[right] = crossings[right], crossings[left]
     for i in range(begin + 1, end):
-        before, here = crossings[np.uint64(i - 1)] >> 1, crossings[np.uint64(i)] >> 1
-        rising &= before <= here
-        falling &= before >= here
-    return rising | falling
+        value, place = crossings[np.uint64(i)], i
+        while place > begin and crossings[np.uint64(place - 1)] > value:
+            crossings[np.uint64(place)] = crossings[np.uint64(place - 1)]
+            place -= 1
+        crossings[np.uint64(place)] = value
 
 
 @kernel
-def _wind(crossings: Int32, begin: int, end: int) -> int:
-    """Sort a row's crossings and keep those where a span begins or ends; returns their end."""
-    for i in range(begin + 1, end):  # by insertion: there are few, or they are nearly in order
-        value, place = crossings[i], i
-        while place > begin and crossings[place - 1] > value:
-            crossings[place] = crossings[place - 1]
-            place -= 1
-        crossings[place] = value
+def _keep_ends(crossings: Int32, begin: int, end: int) -> int:
+    """Keep the columns of those sorted crossings where a span begins or ends; returns their end."""
     winding, place = 0, begin
     for i in range(begin, end):
-        outside = winding == 0
-        winding += 2 * (crossings[i] & 1) - 1
+        outside, crossing = winding == 0, crossings[np.uint64(i)]
+        winding += 2 * (crossing & 1) - 1
         if outside or winding == 0:
-            crossings[place] = crossings[i]
+            crossings[np.uint64(place)] = crossing >> 1
             place += 1
     return place

@@ -19,13 +19,14 @@ import numpy as np
 from occmap.grid.kernels.fill import Outline, Spans, fill_outline, make_outline, make_spans
 from occmap.grid.kernels.projection import Beams, round_to_units
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
-from occmap.jit import kernel
+from occmap.jit import kernel, step
 from occmap.types import Int32, Int64, UInt8
 
 BORDER_BITS = 22
 """A border cell packs, from the lowest bit: minus the number of its hits that lay inside their own
 scan's region (it borrows from the next field), its hits, and the last scan that hit it."""
-COUNTED = (1 << (2 * BORDER_BITS)) - 1
+ONE_HIT, SCAN_SHIFT = 1 << BORDER_BITS, 2 * BORDER_BITS
+COUNTED = (1 << SCAN_SHIFT) - 1
 """Mask of the bits of both counts, without those of the last scan."""
 MOST_SCANS = (1 << 20) - 1
 """The bits above both counts hold no larger number of a scan."""
@@ -70,7 +71,8 @@ def trace_polygons(
     outline, spans = make_outline(3 * count + 4), make_spans(rows)
     for s in range(scans):
         listed = _link_beams(beams, s, jump, border_gap, links, room)
-        corners, touched = _outline_scan(beams, s, jump, corner, links, listed, outline, rows)
+        corners = _outline_scan(beams, s, jump, corner, links, listed, outline)
+        touched = _find_rows(beams, s, corner[1], rows)
         spans = fill_outline(outline, corners, touched, cols, spans)
         _note_spans(touched, spans, border.shape[1], runs)
         size = _list_border(beams, s, corner, links, listed, cells)
@@ -124,37 +126,25 @@ def _link_beams(
 
 @kernel
 def _outline_scan(
-    beams: Beams,
-    s: int,
-    jump: float,
-    corner: Int64,
-    links: UInt8,
-    listed: Int32,
-    outline: Outline,
-    rows: int,
-) -> tuple[int, tuple[int, int]]:
+    beams: Beams, s: int, jump: float, corner: Int64, links: UInt8, listed: Int32, outline: Outline
+) -> int:
     """Write the corners of one scan's regions: one region for each run of beams that are not SKIP.
 
     A region is closed through the sensor or, where a full circle has all its beams, on itself.
     Corners between which no row's centre line is crossed are left out. Returns the number of
-    corners; and of the window's `rows` the first that the scan touches, and the one after the last.
+    corners.
     """
-    rays, full_circle = beams.rays, beams.rays.full_circle
-    origin, turn, bearing = rays.origin[s, 0], rays.turn[s], rays.bearing
-    distance, kinds = rays.distance[s], rays.kind[s]
-    ends_x, ends_y, scale = beams.ends_x[s], beams.ends_y[s], beams.units_per_metre
-    left, bottom = corner[0], corner[1]
+    full_circle = beams.rays.full_circle
+    distance, kinds = beams.rays.distance[s], beams.rays.kind[s]
+    ends_x, ends_y, left, bottom = beams.ends_x[s], beams.ends_y[s], corner[0], corner[1]
     at_x, at_y = beams.origins[s, 0, 0] - left, beams.origins[s, 0, 1] - bottom
-    low, high = ends_y[0], ends_y[0]
-    for b in range(kinds.size):
-        low, high = min(low, ends_y[b]), max(high, ends_y[b])
     corners, drawn, last = 0, -1, kinds.size - 1
     for i in range(listed.size):
         b = int(listed[i])
         if not links[b] & EDGE:
             continue
         a = b - 1 if b > 0 else last
-        begun = kinds[a] != 0 and (b > 0 or full_circle)
+        begun = kinds[a] != SKIP and (b > 0 or full_circle)
         if not begun:
             corners = _add_corner(outline, corners, at_x, at_y, True)
         elif drawn != a:
@@ -165,21 +155,38 @@ def _outline_scan(
         if begun and abs(np.float64(distance[b]) - distance[a]) > jump:
             # Step at the nearer range, so that no space behind an edge is called free.
             near, far = (b, a) if distance[b] < distance[a] else (a, b)
-            t, reach = min(far, turn.shape[0] - 1), np.float64(distance[near])
-            along_x = turn[t, 0, 0] * bearing[0, far] + turn[t, 0, 1] * bearing[1, far]
-            along_y = turn[t, 1, 0] * bearing[0, far] + turn[t, 1, 1] * bearing[1, far]
-            x = round_to_units(origin[0] + reach * along_x, scale) - beams.anchor[0]
-            y = round_to_units(origin[1] + reach * along_y, scale) - beams.anchor[1]
+            x, y = _end_at(beams, s, far, np.float64(distance[near]))
             corners = _add_corner(outline, corners, x - left, y - bottom, False)
         corners = _add_corner(outline, corners, ends_x[b] - left, ends_y[b] - bottom, False)
         drawn = b
-    if kinds[last] != 0 and not full_circle:
+    if kinds[last] != SKIP and not full_circle:
         if drawn != last:
             x, y = ends_x[last] - left, ends_y[last] - bottom
             corners = _add_corner(outline, corners, x, y, True)
         corners = _add_corner(outline, corners, at_x, at_y, False)
-    lowest, highest = min(at_y, low - bottom) >> CELL_SHIFT, max(at_y, high - bottom) >> CELL_SHIFT
-    return corners, (max(lowest, 0), min(highest + 1, rows))
+    return corners
+
+
+@kernel
+def _end_at(beams: Beams, s: int, b: int, reach: float) -> tuple[int, int]:
+    """Find where a beam of a scan would end if it reached so far (m); x and y, in lattice units."""
+    rays, anchor, scale = beams.rays, beams.anchor, beams.units_per_metre
+    origin, turn = rays.origin[s, 0], rays.turn[s, min(b, rays.turn.shape[1] - 1)]
+    x, y = rays.bearing[0, b], rays.bearing[1, b]
+    along_x, along_y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
+    end_x = round_to_units(origin[0] + reach * along_x, scale) - anchor[0]
+    return end_x, round_to_units(origin[1] + reach * along_y, scale) - anchor[1]
+
+
+@kernel
+def _find_rows(beams: Beams, s: int, bottom: int, rows: int) -> tuple[int, int]:
+    """Find the first row of a window that a scan touches, and the one after the last."""
+    ends_y, at_y = beams.ends_y[s], beams.origins[s, 0, 1]
+    low = high = ends_y[0]
+    for b in range(ends_y.size):
+        low, high = min(low, ends_y[b]), max(high, ends_y[b])
+    lowest, highest = min(at_y, low) - bottom, max(at_y, high) - bottom
+    return max(lowest >> CELL_SHIFT, 0), min((highest >> CELL_SHIFT) + 1, rows)
 
 
 @kernel
@@ -237,15 +244,23 @@ def _list_border(
 
 @kernel
 def _note_border(cells: Int32, size: int, spans: Spans, mark: int, border: Int64) -> None:
-    """Give each of the listed cells one hit, and count whether it lies in a span."""
-    starts, counts, limits = spans.starts, spans.counts, spans.limits
+    """Give each of the listed cells one hit, and count whether it lies in a span.
+
+    There is no branch: whether neighbours share a cell is a coin toss to a processor.
+    """
     for i in range(size):
-        row, col = np.uint64(cells[i, 0]), cells[i, 1]
-        begin, in_row, passed = starts[row], counts[row], 0
-        for k in range((in_row + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
-            passed += (limits[np.uint64(begin + k)] <= col) & (k < in_row)
-        # No branch: whether neighbours share a cell is a coin toss to a processor.
-        cell = border[row, np.uint64(col)]
-        hit = (cell & COUNTED) + (1 << BORDER_BITS) - (passed & 1)
-        is_new = (cell >> (2 * BORDER_BITS)) != mark
-        border[row, np.uint64(col)] = hit | (mark << (2 * BORDER_BITS)) if is_new else cell
+        row, col = np.uint64(cells[i, 0]), np.uint64(cells[i, 1])
+        inside = _count_begun(spans, row, cells[i, 1]) & 1
+        cell = border[row, col]
+        is_new = (cell >> SCAN_SHIFT) != mark
+        hit = (cell & COUNTED) + ONE_HIT - inside
+        border[row, col] = hit | (mark << SCAN_SHIFT) if is_new else cell
+
+
+@step
+def _count_begun(spans: Spans, row: np.uint64, col: int) -> int:
+    """How many limits of a row's spans lie at or before a column: an odd number inside a span."""
+    limits, begin, in_row, begun = spans.limits, spans.starts[row], spans.counts[row], 0
+    for k in range((in_row + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+        begun += (limits[np.uint64(begin + k)] <= col) & (k < in_row)
+    return begun
