@@ -47,8 +47,7 @@ HEAVY = {
 BUILD_COMMAND = {
     f"occmap.cli.{name}"
     for name in [
-        *("answers", "commands", "commands.build", "config", "console"),
-        *("options", "progress", "sections", "signals", "streams"),
+        *("build", "config", "console", "declaring", "options", "signals", "streams"),
     ]
 }
 
