@@ -16,12 +16,11 @@ from occmap.cli.declaring import Answer, answering, fail_if, join, option
 from occmap.cli.options import PATH, Values, collect_model
 from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
-from occmap.gates import BUILD
 from occmap.grid.framing import Framing
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
-from occmap.report import Report
-from occmap.summary import tell_beams, tell_map, tell_scans
+from occmap.report.limits import BUILD
+from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.types import Update
 
 SIZE = re.compile(r"(\d*\.?\d+)([KMGT]?)B?", re.IGNORECASE)

@@ -11,12 +11,13 @@ from occmap.cli import options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.declaring import Answer, answering, fail_if, join
 from occmap.cli.streams import gather_logs
-from occmap.gates import CHECK
 from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
-from occmap.remarks import drop_damage
+from occmap.report.doubts import drop_damage
+from occmap.report.limits import CHECK
+from occmap.report.words import Row
 from occmap.writers.outputs import check_picture
 
 LABEL = 10
@@ -67,7 +68,7 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
         yield from ("", write_command(inspection.command))
 
 
-def list_log(log: LogFindings) -> Iterator[telling.Row]:
+def list_log(log: LogFindings) -> Iterator[Row]:
     """List all about one log."""
     yield from label_first("topics", list_streams(log.streams))
     for topic in log.scans:

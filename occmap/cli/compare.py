@@ -12,16 +12,16 @@ from occmap.cli import options
 from occmap.cli.console import Console, align, show_progress, write_command
 from occmap.cli.declaring import Answer, answering, fail_if, join, option
 from occmap.cli.streams import gather_logs
-from occmap.gates import COMPARE, TUNE
 from occmap.options import OPTIONS, BuildOptions
-from occmap.pictures import compare_logs
+from occmap.page.pictures import compare_logs
+from occmap.report.limits import COMPARE, TUNE
+from occmap.report.words import count
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.scoring.variants import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.types import Update
-from occmap.wording import count
 
 VARIANTS = "What to compare"
 

@@ -13,8 +13,8 @@ import click
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import OccmapError, UsageError
-from occmap.gates import Failed, Limit, Measures, judge, parse_limit
-from occmap.plain import Printed
+from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
+from occmap.report.printed import Printed
 
 SHORT_EQUALS = re.compile("-[a-z]=")
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")

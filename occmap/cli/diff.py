@@ -11,9 +11,9 @@ from occmap.cli import options
 from occmap.cli.console import Console, label_first, write_rows
 from occmap.cli.declaring import LIMITS, Answer, answering, fail_if, join, option
 from occmap.difference import MapDifference
-from occmap.gates import DIFF, Limit, parse_bound
-from occmap.pictures import compare_files
-from occmap.wording import count, write_metres
+from occmap.page.pictures import compare_files
+from occmap.report.limits import DIFF, Limit, parse_bound
+from occmap.report.words import count, write_metres
 from occmap.writers import WriteOptions
 
 

@@ -13,12 +13,11 @@ from occmap.cli.declaring import Answer, answering, fail_if, join, option
 from occmap.cli.options import choose_saved_model
 from occmap.cli.streams import hide_sent, place_outputs
 from occmap.errors import UsageError
-from occmap.gates import SAVED
-from occmap.report import Report
+from occmap.report.limits import SAVED
+from occmap.report.results import Report, tell_map, tell_scans
 from occmap.store.merging import combine
 from occmap.store.publishing import RenderOptions, publish
 from occmap.store.reading import Saved, open_saved
-from occmap.summary import tell_map, tell_scans
 from occmap.writers.outputs import check_outputs
 
 subtracted = options.paths(

@@ -17,8 +17,8 @@ from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.inputs import keep_stdin
+from occmap.report.words import count, join_names, write_box, write_time
 from occmap.store.reading import open_saved
-from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions
 
 MOST_SCANS = 12

@@ -8,13 +8,12 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.grid.kernels.beams import trace_beams
+from occmap.grid.kernels.beams import Canvas, Tiles, trace_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.sums import Changes, read_tiles
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
-from occmap.grid.kernels.visits import Canvas, Tiles
 from occmap.grid.lattice import CellBox
 from occmap.grid.spec import GridSpec
 from occmap.grid.tiles import Key, Tile, view_tiles
