@@ -12,8 +12,8 @@ from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.persistence import render_lasting
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import BuildOptions
-from occmap.remarks import list_notes
-from occmap.report import Build, MapFacts, MapSummary, Report, Resumed, describe_map
+from occmap.report.doubts import list_notes
+from occmap.report.results import Build, MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.steps.alignment import settle_align
 from occmap.steps.observing import Keep, Observe, Progress, Remarks, ignore_progress
 from occmap.steps.observing import observe as observe_here

@@ -16,8 +16,8 @@ from occmap.choices import drop_none
 from occmap.errors import LogError, MapError, OccmapError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.options import BuildOptions
+from occmap.report.words import join_names
 from occmap.sensor.models import parse_model
-from occmap.wording import join_names
 
 Value = TypeVar("Value")
 

@@ -19,8 +19,8 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.options import BuildOptions
 from occmap.pipeline import list_inputs, make_report
-from occmap.remarks import list_notes
-from occmap.report import MapFacts, Report, count_cells
+from occmap.report.doubts import list_notes
+from occmap.report.results import MapFacts, Report, count_cells
 from occmap.steps.alignment import settle_align
 from occmap.steps.observing import Keep, Progress
 from occmap.steps.tally import refuse_unseen, refuse_unused

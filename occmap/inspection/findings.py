@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 
 from occmap.cells import Box
 from occmap.grid.lattice import CellBox
-from occmap.plain import HIDDEN, Finite, Printed, Share
 from occmap.posing.frames import Source
 from occmap.posing.options import Concern, Stamps
 from occmap.readers import Stream
+from occmap.report.printed import HIDDEN, Finite, Printed, Share
 from occmap.selection import count_wanted
 
 

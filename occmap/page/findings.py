@@ -9,8 +9,8 @@ from occmap.inspection import telling
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.page.document import Block, Page, Section, describe_maker, name_logs, write_page
 from occmap.readers import Role
-from occmap.remarks import drop_damage
-from occmap.wording import count
+from occmap.report.doubts import drop_damage
+from occmap.report.words import count
 
 MOST_LOGS = 20
 """With all that is found in them; warnings and problems are those of all logs."""

@@ -12,7 +12,7 @@ from occmap.page.findings import tell_findings, tell_notes
 from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
 from occmap.page.raster import Packed, Raster, make_raster, pack
-from occmap.summary import tell_beams, tell_map, tell_scans
+from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 

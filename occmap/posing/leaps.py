@@ -25,8 +25,8 @@ from typing import NamedTuple, Self, TypeAlias
 import numpy as np
 
 from occmap.posing.options import DropReason
+from occmap.report.words import count
 from occmap.types import Attached, Bool, Float64, Int64, PosedScans
-from occmap.wording import count
 
 SLACK_M = 1.0
 """A shorter step is not a leap, however short the time: stamps are rounded, odometry corrected."""

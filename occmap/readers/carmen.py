@@ -21,9 +21,9 @@ from occmap.readers.carmen_lines import (
 from occmap.readers.probing import Probe
 from occmap.readers.text import Block, Line, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
+from occmap.report.words import count
 from occmap.types import Int64, PoseSample, Scan, ScanRun
 from occmap.values import shorten
-from occmap.wording import count
 
 # fmt: off
 OTHER_WORDS = frozenset({

@@ -8,9 +8,10 @@ from pathlib import Path
 
 from occmap.errors import LogError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
-from occmap.plain import HIDDEN, Count, Printed, printed_as
 from occmap.readers import open_log
-from occmap.remarks import list_frames
+from occmap.report.doubts import list_frames
+from occmap.report.printed import HIDDEN, Count, Printed, printed_as
+from occmap.report.words import count
 from occmap.scoring.score import SMALL
 from occmap.scoring.trials import HoldOut, ScoredVariant, Trials
 from occmap.scoring.variants import Variant
@@ -19,7 +20,6 @@ from occmap.steps.opening import count_scans
 from occmap.steps.tally import ScanCounts, Tally, refuse_unused
 from occmap.steps.tracing import trace_logs
 from occmap.types import Update
-from occmap.wording import count
 
 FEW_SCANS = 10
 """Fewer scans do not show how far the next one may lie from them."""

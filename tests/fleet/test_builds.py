@@ -14,7 +14,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.leaps import MOST_PATHS, Ends, Moment
 from occmap.readers import open_log, split_log
-from occmap.report import Report
+from occmap.report.results import Report
 from occmap.selection import Selection
 from tests.samples import DRIVES, write_csv
 

@@ -15,7 +15,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
 from occmap.posing.options import PosingOptions, Stamps
-from occmap.report import Build
+from occmap.report.results import Build
 from occmap.selection import Selection
 from occmap.steps import batching
 from occmap.steps.batching import stack

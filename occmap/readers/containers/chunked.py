@@ -26,7 +26,7 @@ from occmap.readers.containers.records import (
     RecordBlock,
 )
 from occmap.readers.containers.source import Channel, RawMessage
-from occmap.wording import count
+from occmap.report.words import count
 
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""

@@ -18,7 +18,7 @@ from occmap.readers.containers.chunked import ChunkedSource
 from occmap.readers.containers.inflate import inflate
 from occmap.readers.containers.records import NEVER_NS, Descriptions, Record, RecordBlock
 from occmap.readers.containers.source import Channel
-from occmap.wording import count
+from occmap.report.words import count
 
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""

@@ -17,7 +17,7 @@ from occmap.errors import LogError
 from occmap.readers import NoteList, make_part
 from occmap.readers.containers.source import Channel, RawMessage
 from occmap.readers.containers.sqlite_pages import Row, find_rows
-from occmap.wording import count
+from occmap.report.words import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
