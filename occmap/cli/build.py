@@ -10,11 +10,9 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.answers import Answer, answering, fail_if
-from occmap.cli.console import Console, label_first, write_rows
+from occmap.cli.console import Bar, Console, label_first, show_progress, write_rows
+from occmap.cli.declaring import Answer, answering, fail_if, join, option
 from occmap.cli.options import PATH, Values, collect_model
-from occmap.cli.progress import Bar, show_progress
-from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -57,7 +55,7 @@ fleet = join(
 @join(options.ranges, options.model, options.selection, options.posing)
 @join(fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
 @options.printing
-def command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
+def build_command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
     """Build one map from one or more logs.
 
     The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
