@@ -19,7 +19,7 @@ from PIL import Image
 
 import occmap
 from occmap.choices import list_options, read_options
-from occmap.cli.console import spell_all
+from occmap.cli.console import spell
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.grid.framing import Framing
 from occmap.options import BuildOptions
@@ -439,7 +439,7 @@ def run(*words: str | Path) -> Any:
 
 def as_printed(value: dict[str, Any]) -> Any:
     """The same as JSON, in which options are flags."""
-    return json.loads(json.dumps(spell_all(value)))
+    return json.loads(spell(json.dumps(value)))
 
 
 def test_check_gives_what_the_command_prints() -> None:

@@ -8,9 +8,8 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
-from occmap.cli.sections import join
+from occmap.cli.declaring import Answer, answering, fail_if, join
 from occmap.cli.streams import gather_logs
 from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
@@ -30,7 +29,7 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page a
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, options.reading)
 @join(fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
-def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
+def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say what is in logs, and what will go wrong with them.
 
     It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
