@@ -20,13 +20,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, Protocol, Self, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import NoteList, make_part
-from occmap.readers.text import ALL, Block, Line, split_lines
+from occmap.readers import NoteList
+from occmap.readers.text import Block, Line
 from occmap.types import UNKNOWN_POSE, Float32, Float64, Int64, Pose, Scan, ScanRun, UInt8
 
 Parsed = TypeVar("Parsed")
@@ -121,13 +121,12 @@ class TextLog(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes = NoteList()
-        self._span = ALL
         self._kept: list[Scan | ScanRun] | None = None
         """The scans of a log that were read when it was opened"""
 
     @abstractmethod
     def _read(self) -> Iterator[Scan | ScanRun]:
-        """Yield all scans of the log, or of this part of it.
+        """Yield all scans of the log.
 
         Raises
         ------
@@ -151,12 +150,6 @@ class TextLog(ABC):
         for some in self._read():
             if some.first.topic in topics and some.first.ranges.size:
                 yield some
-
-    def split(self, size: int) -> Sequence[Self]:
-        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        damaged = any(note.damage for note in self.notes)
-        spans = [ALL] if damaged else split_lines(self.path, size)
-        return [make_part(self, _span=span, _kept=None) for span in spans]
 
     def _parse_block(
         self, block: Block, lines: Mapping[str, Int64], tally: LineTally
