@@ -1,5 +1,6 @@
 """What a user may choose about a build, checked as a whole, and the line that types it."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,6 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
-from occmap.selection import Selection
 from occmap.sensor.models import MODEL, PARAMETERS, CountingModel, SensorModel
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
@@ -36,6 +36,30 @@ def choose_model(update: Update) -> SensorModel:
     A scan counts once in the polygon update, and its joined borders thicken walls by themselves.
     """
     return CountingModel(cut=0.4, spread=0.0) if update is Update.POLYGON else CountingModel()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which scans of a log to use; two parts that end and start at one time share no scan.
+
+    Raises
+    ------
+    UsageError
+        The values leave no scan to use.
+    """
+
+    topics: tuple[str, ...] = option(
+        (), "Use the scans of this topic; by default of all.", metavar="TOPIC", flag="scan-topic"
+    )
+    start_s: float = option(-math.inf, "Use scans from this time after the first on.", unit="s")
+    end_s: float = option(math.inf, "Use scans before this time after the first.", unit="s")
+    stride: int = option(1, "Use every N-th of these scans.", unit="scans", metavar="N")
+
+    def __post_init__(self) -> None:
+        require(self.stride >= 1, f"a stride of {self.stride} is not possible", "give 1 or more")
+        found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
+        fix = "both are in seconds after the log's first scan"
+        require(self.start_s < self.end_s, found, fix)
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,10 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, open_log, read_scans
 from occmap.report.words import write_unused
+from occmap.scans.logs import choose_topics, count_messages
+from occmap.scans.mounts import estimate_agreement, find_better
 from occmap.sensor.models import Spreading
 from occmap.sensor.no_return import RangeLimits
-from occmap.steps.mounts import find_better
-from occmap.steps.opening import choose_topics, count_messages
-from occmap.steps.sampling import estimate_agreement
 
 __all__ = ["Inspection", "inspect"]
 

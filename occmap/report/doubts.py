@@ -7,10 +7,9 @@ from pathlib import Path
 
 from occmap.options import BuildOptions
 from occmap.report.results import LEAST_AGREEMENT, MapFacts
-from occmap.selection import LeftOut
+from occmap.scans.mounts import list_misfits
+from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor.models import Clamped, SensorModel, find_decision
-from occmap.steps.mounts import list_misfits
-from occmap.steps.tally import Tally
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import list_idle
 

@@ -12,10 +12,9 @@ import pytest
 from occmap.errors import MapError
 from occmap.evidence.manifest import UNRECORDED, describe_build
 from occmap.explanation.provenance import recall_options
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update

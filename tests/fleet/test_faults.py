@@ -21,7 +21,7 @@ from occmap.fleet.tasks import Job, Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.steps.observing import Keep, ignore_progress
+from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store.layout import digest_evidence
 from occmap.store.reading import open_store, read_all
 from tests.samples import DRIVES

@@ -13,7 +13,7 @@ from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
 from occmap.readers.message_types import BEARINGS, convert_cloud, convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.steps.opening import choose_topics
+from occmap.scans.logs import choose_topics
 from occmap.types import Float32
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 

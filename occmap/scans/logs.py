@@ -1,4 +1,4 @@
-"""Which recordings a user means by a path: a log, a folder of several, a pattern, or stdin."""
+"""What is known of a log before its scans are read: its topics, and where the robot went."""
 
 import glob
 import os
@@ -10,12 +10,105 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.errors import LogError, OccmapError
-from occmap.readers import find_reader, open_log
+from occmap.errors import LogError, OccmapError, UsageError
+from occmap.posing.attach import Poser
+from occmap.posing.options import PosingOptions
+from occmap.readers import Log, Role, find_reader, open_log, read_poses
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
 from occmap.report.words import STDIN_FOLDER, count, join_names
-from occmap.steps.opening import choose_topics, take_first
+from occmap.types import Scan
+
+
+def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
+    """Choose the scan topics of a log: those that the user names, else all.
+
+    Clouds of points are taken where there are no scans, or where the user names them.
+
+    Raises
+    ------
+    LogError
+        The log has no scans, or not on a wanted topic.
+    """
+    scans = [s.topic for s in log.streams if s.role is Role.SCAN and s.count]
+    clouds = [s.topic for s in log.streams if s.role is Role.CLOUD and s.count]
+    there = scans + clouds if wanted else scans or clouds
+    if not there:
+        held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
+        damage = next((note.text for note in log.notes if note.damage), "")
+        found = f"holds no laser scans; it holds {held or 'nothing'}"
+        raise LogError(found, where=log.path, fix=damage)
+    missing = sorted(set(wanted) - set(there))
+    if missing:
+        found = f"has no scans on the topic {missing[0]}"
+        raise LogError(found, where=log.path, fix=f"it has scans on {', '.join(there)}")
+    return [topic for topic in there if topic in wanted or not wanted]
+
+
+def count_scans(log: Log, wanted: Sequence[str]) -> int:
+    """Count the scans that will be read.
+
+    Raises
+    ------
+    LogError
+        As `choose_topics`.
+    """
+    return count_messages(log, choose_topics(log, wanted))
+
+
+def count_messages(log: Log, topics: Sequence[str]) -> int:
+    """Count the messages on some topics, by what the reader says of its streams."""
+    return sum(stream.count for stream in log.streams if stream.topic in topics)
+
+
+def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
+    """Read the poses of a log, unless it states them beside its scans.
+
+    Raises
+    ------
+    PoseError
+        No scan frame has a chain of transforms to a map frame.
+    UsageError
+        As `refuse_shared_mount`.
+    """
+    first = take_first(log, topics)
+    refuse_shared_mount(log, first, options)
+    stated = options.poses is None and all(scan.pose is not None for scan in first)
+    poser = Poser.build([] if stated else read_poses(log), options)
+    if not stated:
+        failures = poser.find_chains({scan.frame for scan in first})
+        if failures and poser.fixed is None:
+            raise next(iter(failures.values())).placed(log.path)
+    return poser
+
+
+def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions) -> None:
+    """Refuse to put lasers that have frames of their own at one place.
+
+    Raises
+    ------
+    UsageError
+        The mount is given, and the first scans of each topic are in different frames.
+    """
+    lasers = {scan.frame.strip("/"): scan.topic for scan in first}
+    if options.sensor_pose is None or len(lasers) == 1:
+        return
+    frame, topic = next(iter(lasers.items()))
+    own = f"`static_transforms={options.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
+    found = f"`sensor_pose` would put {len(lasers)} lasers at one place: {', '.join(lasers)}"
+    fix = f"choose one: `topics={topic}`, or give each a mount of its own: {own}"
+    raise UsageError(found, where=log.path, fix=fix)
+
+
+def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
+    """Read the first scan of each topic, and stop reading when all are found."""
+    first: dict[str, Scan] = {}
+    for scan in log.scans(set(topics)):
+        first.setdefault(scan.topic, scan)
+        if len(first) == len(topics):
+            break
+    return list(first.values())
+
 
 STDIN = Path("-")
 RECORDED = (".mcap", ".bag", ".db3")
