@@ -16,7 +16,7 @@ from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, list_tilts
 from occmap.posing.deskewing import choose_deskewed, list_moments, place_beams
 from occmap.posing.jumps import warn_of_jumps
-from occmap.posing.leaps import Ends, Laser, LeapFilter
+from occmap.posing.leaps import LeapFilter
 from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
 from occmap.posing.resolve import resolve
 from occmap.posing.sources import Sources, gather
@@ -207,10 +207,6 @@ class Poser:
                 first = first_ns + self._offset_ns
                 if jumped := warn_of_jumps(course.find_jumps(), course.stamp_ns, first):
                     yield topic, jumped
-
-    def find_ends(self) -> dict[Laser, Ends]:
-        """Find where the posed scans of each laser begin and end so far."""
-        return self._leaps.find_ends()
 
     def _note(self, *sentences: str) -> None:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]

@@ -7,18 +7,15 @@ on use.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
-
-Whole = TypeVar("Whole")
 
 DEFAULT_OPTIONS = ReaderOptions()
 
@@ -79,20 +76,6 @@ class NoteList(list[Note]):
         self.append(Note(text, damage=True))
 
 
-class Span(NamedTuple):
-    """The bytes of a log that a part of it has: from the start on, and before the end."""
-
-    start: int
-    end: int
-
-
-def make_part(whole: Whole, **fields: Any) -> Whole:
-    """Copy a log, or a source of one, with some other fields and a list of notes of its own."""
-    part = copy(whole)
-    vars(part).update(fields, notes=NoteList(vars(whole)["notes"]))
-    return part
-
-
 class Log(Protocol):
     """An opened log. Both iterators may be called more than once and start at the beginning."""
 
@@ -130,23 +113,6 @@ class StackingScans(Protocol):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
-
-
-@runtime_checkable
-class Splittable(Protocol):
-    """A log whose scans can be read in parts, each by another process."""
-
-    def split(self, size: int) -> Sequence[Log]:
-        """Cut the log into parts of about `size` bytes, in file order; each can be pickled.
-
-        A part gives its own scans and, where these are damaged, notes. A log that cannot be cut is
-        one part; where even that cannot be pickled, there is none.
-        """
-
-
-def split_log(log: Log, size: int) -> Sequence[Log]:
-    """Cut a log into parts of about `size` bytes; none where its reader cannot."""
-    return log.split(size) if isinstance(log, Splittable) else ()
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:

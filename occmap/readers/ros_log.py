@@ -66,20 +66,11 @@ class RosLog:
         self.notes = source.notes
         self._options = options
         self._source = source
-        self._is_whole = True
         self._types = {channel: find_type(channel) for channel in source.channels}
         for channel, kind in self._types.items():
             if channel.count and kind is None and channel.kind in TYPES:
                 found = f"{channel.count} messages on {channel.topic} are {channel.type}"
                 self.notes.add_damage(f"{found} in {channel.encoding!r}: they are not used")
-
-    def split(self, size: int) -> Sequence["RosLog"]:
-        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        scans = [channel for channel, kind in self._types.items() if kind and kind.to_scan]
-        parts = [RosLog(part, self._options) for part in self._source.split(size, scans)]
-        for part in parts:
-            part._is_whole = len(parts) == 1
-        return parts
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -182,7 +173,7 @@ class RosLog:
         """Say what of the messages was lost or damaged."""
         for channel, reader in readers.items():
             topic, announced = channel.topic, channel.count
-            if self._is_whole and reader.messages != announced:
+            if reader.messages != announced:
                 text = f"{reader.messages} messages are read on {topic}"
                 self.notes.add_damage(f"{text}, where the log announces {announced}")
             if reader.uses_standard:

@@ -9,7 +9,7 @@ from occmap.grid.lattice import Lattice
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, read_scans
-from occmap.selection import FROM_THE_START, Seam, Selector
+from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret
 from occmap.steps.batching import batch_scans, list_oddities
@@ -28,14 +28,12 @@ AddRays = Callable[[Rays], None]
 
 
 class Drive(NamedTuple):
-    """A log, or a part of one, and all that its scans need of the rest of it."""
+    """A log, which of its scans are used, and where they were taken."""
 
     log: Log
     topics: Sequence[str]
     """The topics whose scans are used"""
     poser: Poser
-    seam: Seam = FROM_THE_START
-    """What is carried over from the parts before this one"""
 
 
 def open_drive(log: Log, options: BuildOptions) -> Drive:
@@ -87,14 +85,14 @@ def trace_logs(
 def trace(
     drive: Drive, options: BuildOptions, add_rays: AddRays, limits: RangeLimits, tally: Tally
 ) -> list[str]:
-    """Trace the scans of a log, or of a part of one, as a stream; say what is odd about them.
+    """Trace the scans of a log as a stream; say what is odd about them.
 
     Parameters
     ----------
     limits, tally
         Learn from the scans, and count them; the notes of the poser grow as well.
     """
-    selector = Selector(options.selection, options.posing.stamps, drive.seam)
+    selector = Selector(options.selection, options.posing.stamps)
     reach = Reach(Lattice(options.resolution), options.max_cells)
     odd: dict[str, None] = {}
 
@@ -122,7 +120,7 @@ def trace(
 def pose_scans(
     drive: Drive, batches: Iterator[ScanBatch], selector: Selector, tally: Tally
 ) -> Iterator[Attached]:
-    """Pose the scans of a log, or of a part of one, as a stream; count what becomes of them.
+    """Pose the scans of a log as a stream; count what becomes of them.
 
     Parameters
     ----------

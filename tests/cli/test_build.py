@@ -233,11 +233,10 @@ def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
 
 def test_options_of_a_build_by_workers_are_noted_without_workers(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
-    words = ["build", log, "-o", tmp_path / "m.pgm", "--slice", "1MB", "--scratch", tmp_path]
+    words = ["build", log, "-o", tmp_path / "m.pgm", "--scratch", tmp_path]
     told = occmap(*words, "--json")
-    notes = ["--scratch does nothing without --dask", "--slice does nothing without --dask"]
-    assert json.loads(told.out)["notes"] == notes
-    assert told.err == "".join(f"note: {note}\n" for note in notes)
+    assert json.loads(told.out)["notes"] == ["--scratch does nothing without --dask"]
+    assert told.err == "note: --scratch does nothing without --dask\n"
 
 
 def test_quiet_prints_nothing(tmp_path: Path) -> None:

@@ -111,7 +111,6 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
         ("align = true", "align: 'True' is not a number"),
         ("footprint = 3", "footprint: 1 value where 4 belong"),
-        ("slice = 100", "slice: is not a size of 1 kB or more"),
         ("static-tf = [3]", "static-tf: 1 value where 8 belong"),
         ('resolution = "x"', "resolution: 'x' is not a valid float"),
         ("start = 2020-01-01", "'2020-01-01' is not a valid float"),
