@@ -194,7 +194,6 @@ def test_an_output_that_cannot_be(output: str, found: str) -> None:
         ("log.csv -o m.pgm --resolution -0.05", "a resolution of -0.05 m is not possible"),
         ("log.csv -o m.pgm --resolution nan", "a resolution of nan m is not possible"),
         ("log.csv -o m.pgm --resolution 1e300", "a resolution of 1e+300 m is not possible"),
-        ("log.csv -o m.pgm --margin 1e9", "--margin 1000000000.0 is not possible; give 0 to 1e+08"),
         ("log.csv -o m.pgm --extent 0,0,1e9,1", "reaches too far; give numbers up to 1e+08"),
         ("log.csv -o m.pgm --poses=", "--poses is empty; give a name, or leave it out"),
         ("log.csv -o m.pgm --map-frame=", "--map-frame is empty; give a name, or leave it out"),
@@ -212,10 +211,8 @@ def test_an_output_that_cannot_be(output: str, found: str) -> None:
         ),
         ("log.csv -o m.pgm --min-range 5 --max-range 2", "--min-range 5.0 and --max-range 2.0"),
         ("log.csv -o m.pgm --max-range nan", "--max-range nan leave no range"),
-        ("log.csv -o m.pgm --range-max 0", "--range-max 0.0 is not possible; give more than 0"),
         ("log.csv -o m.pgm --no-return free", "'free' is not one of 'clear', 'ignore'"),
         ("log.csv -o m.pgm --start 5 --end 2", "--start 5.0 is not before --end 2.0"),
-        ("log.csv -o m.pgm --stride 0", "--stride 0 is not possible; give 1 or more"),
         ("log.csv -o m.pgm --jobs 0", "--jobs 0 is not possible; give 1 or more"),
         ("log.csv -o m.pgm --max-cells 0", "0 is not in the range x>=1"),
         (
