@@ -145,6 +145,5 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
         beams=tally.beams,
         map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
-        damage=tuple(remarks.damage),
         seconds=tally.list_seconds(),
     )

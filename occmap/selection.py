@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from occmap.choices import option
+from occmap.choices import check_bounds, option
 from occmap.errors import require
 from occmap.posing.options import Stamps
 from occmap.types import Scan, ScanRun
@@ -45,10 +45,12 @@ class Selection:
     )
     start_s: float = option(-math.inf, "Use scans from this time after the first on.", unit="s")
     end_s: float = option(math.inf, "Use scans before this time after the first.", unit="s")
-    stride: int = option(1, "Use every N-th of these scans.", unit="scans", metavar="N")
+    stride: int = option(
+        1, "Use every N-th of these scans.", unit="scans", metavar="N", bounds=(1, math.inf)
+    )
 
     def __post_init__(self) -> None:
-        require(self.stride >= 1, f"a stride of {self.stride} is not possible", "give 1 or more")
+        check_bounds(self)
         found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
         fix = "both are in seconds after the log's first scan"
         require(self.start_s < self.end_s, found, fix)

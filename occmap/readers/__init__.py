@@ -6,7 +6,7 @@ message, from the file to a scan or a pose. Nothing here imports rosbags or mcap
 on use.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -15,6 +15,8 @@ from typing import Protocol, cast, runtime_checkable
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
+from occmap.report.notes import Note as Note
+from occmap.report.notes import NoteList as NoteList
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 
 DEFAULT_OPTIONS = ReaderOptions()
@@ -42,38 +44,6 @@ class Stream:
     """Messages"""
     role: Role
     """What the topic can be used for"""
-
-
-@dataclass(frozen=True)
-class Note:
-    """Something about a log that its user should know: lines passed over, a limit found, damage."""
-
-    text: str
-    """One sentence, without the path."""
-    damage: bool = False
-    """True: the log is not as its recorder meant it; `text` says where, and what is lost."""
-
-
-class NoteList(list[Note]):
-    """Notes, each once however often the log is read; a damaged log may give very many."""
-
-    def __init__(self, notes: Iterable[Note] = ()) -> None:
-        super().__init__(notes)
-        self._known = set(self)
-
-    def append(self, note: Note) -> None:
-        """Add a note unless it is there."""
-        if note not in self._known:
-            super().append(note)
-            self._known.add(note)
-
-    def add(self, text: str) -> None:
-        """Add what the user should know, as one sentence."""
-        self.append(Note(text))
-
-    def add_damage(self, text: str) -> None:
-        """Add what is damaged, where, and what is lost."""
-        self.append(Note(text, damage=True))
 
 
 class Log(Protocol):

@@ -102,8 +102,12 @@ def is_heading(line: bytes) -> bool:
 
 
 def _has_mac_ends(head: bytes) -> bool:
-    """Whether a text that begins like this has CR alone at the end of a line, as Macs wrote it."""
-    return b"\r" in head[:-1] and b"\n" not in head
+    """Whether a text that begins like this has CR alone at the end of a line, as Macs wrote it.
+
+    A program of today may have ended the last line of it.
+    """
+    lines = head.rstrip(b"\r\n")
+    return b"\r" in lines and b"\n" not in lines
 
 
 def read_blocks(path: Path, notes: NoteList) -> Iterator[Block]:
