@@ -159,8 +159,7 @@ def test_a_scheduler_is_killed(tmp_path: Path, expected: bytes) -> None:
             scheduler.kill()
             _, said = building.communicate(timeout=PATIENCE_S)
     assert building.returncode == 1
-    assert said.count("\n") == 1, said
-    told = said
+    (told,) = said.splitlines()
     for part in (f"{address}: the scheduler is gone", "of 2 tasks", "same command", found.parent):
         assert str(part) in told
     done = found.stat().st_mtime_ns
@@ -173,7 +172,7 @@ def test_a_scheduler_is_killed(tmp_path: Path, expected: bytes) -> None:
 
 def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path: Path) -> None:
     job = Job(Setting(OPTIONS, Keep(), tmp_path, 1, 0, 0), "log", "drive.mcap")
-    with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, str) as found:
+    with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, print) as found:
         scheduler.kill()
         time.sleep(1)  # by then, the client knows
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
