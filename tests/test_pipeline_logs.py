@@ -279,7 +279,7 @@ def test_build_map_takes_names(tmp_path: Path) -> None:
         ({"update": "polgon"}, "update is 'polgon'; did you mean 'polygon'"),
         ({"model": "smiple"}, "no model is called 'smiple'; did you mean 'simple'"),
         ({"resolution": 0.0}, "a resolution of 0.0 m"),
-        ({"jobs": 0}, "0 jobs"),
+        ({"jobs": 0}, "`jobs=0`"),
         ({"jump": math.nan}, "`jump=nan`"),
         ({"border_gap": -1}, "`border_gap=-1`"),
     ],
