@@ -139,7 +139,7 @@ def test_an_option_that_was_not_there_yet_has_its_default(tmp_path: Path) -> Non
         ("model", None, "no model is called"),
         ("posing", 5, "keys"),
         ("posing", {"sensor_pose": [1, 2]}, "zip"),
-        ("selection", {"stride": 0}, "a stride of 0"),
+        ("selection", {"stride": 0}, "`stride=0`"),
         ("selection", {"topics": 4}, "not iterable"),
     ],
 )

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, tuning
+from occmap.api.maps import Map
 from occmap.choices import describe_options, read_each, read_options
 from occmap.choices.values import read_value
 from occmap.errors import UsageError
-from occmap.maps import Map
 from occmap.options import BuildOptions
 from occmap.page import pictures
 from occmap.pipeline import build, list_inputs
