@@ -10,8 +10,8 @@ from occmap.choices import check_bounds, list_options, list_values, option
 from occmap.choices.values import write_values
 from occmap.errors import require
 from occmap.evidence.persistence import check_passes
-from occmap.grid.framing import Framing
 from occmap.grid.lattice import Lattice
+from occmap.grid.rendering import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
