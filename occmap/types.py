@@ -172,6 +172,42 @@ class ScanRun(NamedTuple):
         return [self.first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 
 
+class Cloud(NamedTuple):
+    """Points of a 3D lidar or a depth camera as they were recorded."""
+
+    stamp_ns: int
+    frame: str
+    """In which the points are"""
+    points: Float32
+    """(N, 3) x, y, z (m); where nothing came back NaN or zero, as the driver wrote it"""
+    offset_ns: Int64 | None = None
+    """(N,) when each point was measured, after the stamp; None: all at the stamp"""
+    pose: Pose | None = None
+    """The frame in the map frame; None: the log does not state poses beside its clouds"""
+    topic: str = ""
+    record_ns: int = 0
+    times: str = ""
+    """How the times of points were read; empty where they have none"""
+
+    @property
+    def first(self) -> Self:
+        """The cloud itself, so that it can stand in for a run of scans."""
+        return self
+
+    @property
+    def scans(self) -> int:
+        """How many there are: one."""
+        return 1
+
+
+class Moments(NamedTuple):
+    """The times of the scans of a log that holds nothing else, in their order."""
+
+    stamp_ns: list[int]
+    is_timed: bool
+    """False: they only count the scans, whose times are not known"""
+
+
 class _PoseFields(NamedTuple):
     """What a pose sample holds."""
 

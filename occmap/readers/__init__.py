@@ -15,7 +15,7 @@ from typing import Protocol, cast, runtime_checkable
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
-from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import Moments, PoseBatch, PoseSample, Scan, ScanRun
 
 DEFAULT_OPTIONS = ReaderOptions()
 
@@ -113,6 +113,13 @@ class StackingScans(Protocol):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
+
+
+@runtime_checkable
+class Counting(Protocol):
+    """A log of scans alone, whose order at least is known before they are read."""
+
+    moments: Moments
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from occmap.errors import LogError, UsageError
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
-from occmap.readers import Log, Role, read_poses
+from occmap.readers import Counting, Log, Role, read_poses
 from occmap.types import Scan
 
 
@@ -24,9 +24,9 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     there = scans + clouds if wanted else scans or clouds
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
-        damage = next((note.text for note in log.notes if note.damage), "")
+        notes = sorted(log.notes, key=lambda note: not note.damage)
         found = f"holds no laser scans; it holds {held or 'nothing'}"
-        raise LogError(found, where=log.path, fix=damage)
+        raise LogError(found, where=log.path, fix=notes[0].text if notes else "")
     missing = sorted(set(wanted) - set(there))
     if missing:
         found = f"has no scans on the topic {missing[0]}"
@@ -63,7 +63,8 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else read_poses(log), options)
+    moments = log.moments if isinstance(log, Counting) else None
+    poser = Poser.build([] if stated else read_poses(log), options, moments)
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
