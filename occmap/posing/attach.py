@@ -147,7 +147,9 @@ class Poser:
         if chain is None:
             yield Attached(batch, None, {DropReason.NO_TRANSFORM: scans})
             return
-        deskewed, notes = choose_deskewed(batch, self.options.deskew, chain)
+        # A cloud takes long, and its points say when they were measured.
+        deskew = Deskew.AUTO if batch.clouds else self.options.deskew
+        deskewed, notes = choose_deskewed(batch, deskew, chain)
         self._note(*notes)
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         if deskewed.any():
@@ -201,7 +203,7 @@ class Poser:
         for topic, course in sorted(self.courses.items()):
             if course.stands:
                 self._note(f"{topic}: {STANDS}")
-            if course.stance:
+            if course.stance and not course.is_of_clouds:
                 yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns

@@ -14,22 +14,23 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from occmap.errors import DamageError
 from occmap.readers import Role
 from occmap.readers.containers.source import Channel
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.types import IDENTITY, Float32, Float64, Pose, PoseSample, Scan
-from occmap.values import as_float32, as_number, as_stamp, as_text
+from occmap.types import IDENTITY, Cloud, Float32, Float64, Int64, Pose, PoseSample, Scan
+from occmap.values import as_number, as_stamp, as_text
 
-ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
+ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan | Cloud]
 """From what the user chose, a decoded message, its topic and its record time in ns."""
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
-BEARINGS = 720
-"""A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse
-enough that one turn leaves few bearings empty."""
+TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
+"""What drivers call the time of a point."""
+LONGEST_SWEEP_NS = 1_000_000_000
+"""No sensor takes longer for a cloud; times beyond this are not those of points."""
 
 _STAMP_NAMES = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"))
 """The parts of a time as rosbags, Foxglove's JSON and protobuf name them."""
@@ -203,73 +204,98 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
     return [] if sample.pose == IDENTITY else [sample._replace(child=child)]
 
 
-def convert_cloud(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
-    """Convert a sensor_msgs/PointCloud2: the nearest point of each bearing between two heights.
-
-    Heights and bearings are those of the cloud's own frame, whose z is taken to point up; not so
-    in a camera's optical frame. A bearing without a point is +inf. The limits are unknown.
+def convert_cloud(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/PointCloud2.
 
     Raises
     ------
     DamageError
         The cloud has no x, y, z, or is not as long as it says.
     """
-    points = read_points(message)
-    level = (points[:, 2] >= options.min_height) & (points[:, 2] <= options.max_height)
-    step = 2 * math.pi / BEARINGS
-    return Scan(
-        stamp_ns=get_stamp(message, "header.stamp"),
-        frame=get_frame(message, "header.frame_id"),
-        angle_min=step / 2 - math.pi,
-        angle_increment=step,
-        ranges=find_nearest(points[level, :2]),
-        range_min=0.0,
-        range_max=math.inf,
-        topic=topic,
-        record_ns=record_ns,
-    )
-
-
-def read_points(message: Any) -> Float64:
-    """Read x, y, z (N, 3) of a sensor_msgs/PointCloud2, without the points that are not finite."""
-    order = ">" if get_whole(message, "is_bigendian") else "<"
-    fields = {as_text(get(field, "name")): field for field in get_list(message, "fields")}
-    kinds = {name: _FORMATS.get(get_whole(fields[name], "datatype")) for name in fields}
-    if not all(kinds.get(name) for name in "xyz"):
+    stamp_ns = get_stamp(message, "header.stamp")
+    columns = read_columns(message)
+    if not all(name in columns for name in "xyz"):
         raise DamageError("is a cloud of points without x, y and z")
-    columns = [(np.dtype(f"{order}{kinds[c]}"), get_whole(fields[c], "offset")) for c in "xyz"]
+    points = np.empty((len(columns["x"]), 3), np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
+        for axis, name in enumerate("xyz"):
+            points[:, axis] = columns[name]
+    times = next((columns[name] for name in TIME_FIELDS if name in columns), None)
+    offset_ns = None if times is None else find_offsets(times, points, stamp_ns)
+    frame = get_frame(message, "header.frame_id")
+    return Cloud(stamp_ns, frame, points, offset_ns, None, topic, record_ns)
+
+
+def read_columns(message: Any) -> dict[str, NDArray[Any]]:
+    """Read the fields of points that occmap uses, (N,) each, by their names.
+
+    Raises
+    ------
+    DamageError
+        The cloud is not as long as it says.
+    """
+    order = ">" if get_whole(message, "is_bigendian") else "<"
     sizes = ("height", "width", "point_step", "row_step")
     rows, width, step, row_step = (get_whole(message, name) for name in sizes)
     row_step = row_step if rows > 1 else width * step
-    if row_step < width * step or any(not 0 <= at <= step - t.itemsize for t, at in columns):
-        raise DamageError("is a cloud whose points lie over one another")
     data = get(message, "data")
     if not isinstance(data, np.ndarray) or data.dtype.itemsize != 1:
         raise DamageError("holds something else where bytes belong")
     if min(rows, width) < 0 or (rows - 1) * row_step + width * step > len(data):
         raise DamageError(f"announces {rows} x {width} points in {len(data)} bytes")
-    if rows * width == 0:
-        return np.empty((0, 3))
-    data = np.ascontiguousarray(data).data
-    points = [
-        np.ndarray((rows, width), kind, data, at, (row_step, step)).ravel() for kind, at in columns
-    ]
-    with np.errstate(invalid="ignore"):  # a flipped bit makes a signalling NaN of infinity
-        stacked = np.stack(points, axis=1).astype(np.float64)
-    return stacked[np.isfinite(stacked).all(axis=1)]
+    data, columns = np.ascontiguousarray(data).data, {}
+    for field in get_list(message, "fields"):
+        name, kind = as_text(get(field, "name")), _FORMATS.get(get_whole(field, "datatype"))
+        if kind is None or name not in (*"xyz", *TIME_FIELDS):
+            continue
+        dtype, at = np.dtype(f"{order}{kind}"), get_whole(field, "offset")
+        if row_step < width * step or not 0 <= at <= step - dtype.itemsize:
+            raise DamageError("is a cloud whose points lie over one another")
+        shape = rows, width
+        is_empty = rows * width == 0
+        column = (
+            np.empty(shape, dtype)
+            if is_empty
+            else np.ndarray(shape, dtype, data, at, (row_step, step))
+        )
+        columns[name] = column.ravel()
+    return columns
 
 
-def find_nearest(points: Float64) -> Float32:
-    """Find the distance (BEARINGS,) of the nearest of points (N, 2) in each sector around zero.
+def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> Int64 | None:
+    """Find when points were measured, in ns after the stamp (N,), whatever their driver's unit.
 
-    Points at zero itself stand for no return with some drivers.
+    Times may be relative to the stamp or absolute, in s, us or ns. Those of a clock other than
+    the stamp's are taken from the first point on. None where all points have one time, or times
+    are further apart than any sensor's sweep.
     """
-    distance = as_float32(np.hypot(points[:, 0], points[:, 1]))
-    bearing = np.arctan2(points[:, 1], points[:, 0])
-    sector = ((bearing + math.pi) * (BEARINGS / (2 * math.pi))).astype(np.int64) % BEARINGS
-    nearest = np.full(BEARINGS, np.inf, np.float32)
-    np.minimum.at(nearest, sector[distance > 0], distance[distance > 0])
-    return nearest
+    with np.errstate(invalid="ignore"):
+        values = times.astype(np.float64)
+        used = np.isfinite(values) & np.isfinite(points).all(axis=1) & points.any(axis=1)
+    if not used.any():
+        return None
+    low, high = float(values[used].min()), float(values[used].max())
+    unit, is_absolute = find_time_unit(low, high)
+    # Counted from the earliest one, since nanoseconds of a clock are more than a float can tell.
+    offset_ns = np.rint((np.where(used, values, low) - low) * unit).astype(np.int64)
+    start_ns = round(low * unit) - (stamp_ns if is_absolute else 0)
+    if is_absolute and abs(start_ns) > LONGEST_SWEEP_NS:
+        start_ns = 0
+    offset_ns += start_ns
+    longest = max(abs(int(offset_ns.min())), abs(int(offset_ns.max())))
+    return offset_ns if 0 < longest <= LONGEST_SWEEP_NS else None
+
+
+def find_time_unit(low: float, high: float) -> tuple[float, bool]:
+    """Find how many ns the unit of points' times has, and whether they are a clock's.
+
+    A clock has counted 1e9 seconds since 2001; a sweep takes less than two seconds.
+    """
+    for unit in (1.0, 1e3, 1e9):
+        if low * unit > 1e18 and (high - low) * unit <= 10 * LONGEST_SWEEP_NS:
+            return unit, True
+    largest = max(abs(low), abs(high))
+    return next((unit for unit, most in ((1e9, 2), (1e3, 2e6)) if largest <= most), 1.0), False
 
 
 FOXGLOVE = PoseFields("timestamp", "frame_id", unset_rotation=IDENTITY[3:])

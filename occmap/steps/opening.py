@@ -1,12 +1,14 @@
 """What is known of a log before its scans are read: its topics, and where the robot went."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from occmap.errors import LogError, UsageError
+from occmap.errors import LogError, UsageError, require
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import Log, Role, read_poses
-from occmap.types import Scan
+from occmap.types import Scan, Update
 
 
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
@@ -32,6 +34,35 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
         found = f"has no scans on the topic {missing[0]}"
         raise LogError(found, where=log.path, fix=f"it has scans on {', '.join(there)}")
     return [topic for topic in there if topic in wanted or not wanted]
+
+
+def settle_update(logs: Sequence[Log], options: BuildOptions) -> BuildOptions:
+    """Choose the update for clouds, with its model, where logs hold clouds and no scans.
+
+    Raises
+    ------
+    UsageError
+        An update is named that is not for what a log holds, or logs hold one and the other.
+    """
+    kinds: dict[Role, str] = {}
+    for log in logs:
+        topics = choose_topics(log, options.selection.topics)
+        roles = {s.topic: s.role for s in log.streams if s.topic in topics}
+        kinds |= {role: f"{topic} of {log.path}" for topic, role in roles.items()}
+    if Role.CLOUD not in kinds:
+        found = "the logs hold no clouds of points"
+        require(options.update is not Update.CLOUD, found, "leave out `update=cloud`")
+        return options
+    found = f"{kinds.get(Role.SCAN)} holds laser scans, {kinds[Role.CLOUD]} clouds of points"
+    require(Role.SCAN not in kinds, found, "map one kind at a time: choose with `topics`")
+    require(options.min_passes is None, "`min_passes` is not for clouds of points", "leave it out")
+    if options.update is Update.CLOUD:
+        return options
+    found = f"{kinds[Role.CLOUD]} holds clouds of points, which the {options.update} update"
+    require(options.update is DEFAULT_UPDATE, f"{found} does not take", "name no update")
+    is_default = options.model == choose_model(options.update)
+    model = choose_model(Update.CLOUD) if is_default else options.model
+    return replace(options, update=Update.CLOUD, model=model)
 
 
 def count_scans(log: Log, wanted: Sequence[str]) -> int:
