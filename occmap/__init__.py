@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from occmap.options import BuildOptions
     from occmap.pipeline import build
     from occmap.readers import Log
-    from occmap.report import Build
+    from occmap.report.results import Build
 
     __version__: str
 
@@ -38,7 +38,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Build": "occmap.report",
+    "Build": "occmap.report.results",
     "BuildOptions": "occmap.options",
     "Log": "occmap.readers",
     "Map": "occmap.maps",

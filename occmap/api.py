@@ -5,13 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from occmap import difference, inspection, pictures, tuning
+from occmap import difference, inspection, tuning
 from occmap.choices import describe_options, read_each, read_options
 from occmap.choices.values import read_value
 from occmap.errors import UsageError
 from occmap.inputs import find_inputs
 from occmap.maps import Map
 from occmap.options import BuildOptions
+from occmap.page import pictures
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.scoring import compare as scoring

@@ -14,8 +14,8 @@ from occmap.errors import LogError, OccmapError
 from occmap.readers import find_reader, open_log
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
+from occmap.report.words import STDIN_FOLDER, count, join_names
 from occmap.steps.opening import choose_topics, take_first
-from occmap.wording import STDIN_FOLDER, count, join_names
 
 STDIN = Path("-")
 RECORDED = (".mcap", ".bag", ".db3")

@@ -12,7 +12,7 @@ from occmap.choices.values import read_value
 from occmap.errors import UsageError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
-from occmap.report import Build, Report
+from occmap.report.results import Build, Report
 from occmap.types import Float64
 from occmap.writers import Product, WriteOptions
 from occmap.writers.outputs import check_outputs, write_outputs

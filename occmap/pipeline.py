@@ -13,8 +13,8 @@ from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.persistence import render_lasting
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
-from occmap.remarks import list_notes
-from occmap.report import Build, MapFacts, MapSummary, Report, Resumed, describe_map
+from occmap.report.doubts import list_notes
+from occmap.report.results import Build, MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.steps.alignment import settle_align
 from occmap.steps.observing import Keep, Observe, Progress, Remarks, ignore_progress
 from occmap.steps.observing import observe as observe_here
@@ -53,14 +53,15 @@ def build(
         past, options = open_past(options)
         options, unaligned = settle_align(paths, options)
         wants_evidence = want_evidence(outputs)
-        slices_kept = options.min_passes is not None or wants_evidence
-        keep = Keep(slices_kept, want_journey(outputs), open_ground(options, past))
-        tiles, slices, tally, remarks, ground, settled = observe(paths, options, keep, progress)
-        if settled is not None and settled.update is not options.update:
-            options = settled
-            if past is not None:  # it is of something else than clouds
-                refuse_different(plan_manifest(options), past)
-        slices, misfit = add_past(tiles, slices, past, options)
+        keep = Keep(
+            options.min_passes is not None or wants_evidence,
+            want_journey(outputs),
+            open_ground(options, past),
+        )
+        seen = observe(paths, options, keep, progress)
+        tiles, _, tally, remarks, _, settled = seen
+        options = settled or options
+        slices, misfit = add_past(tiles, seen.slices, past, options)
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, tiles.tiles)
 
@@ -75,8 +76,9 @@ def build(
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
         where = past.where if past else ""
-        made_of = partial(Evidence, manifest, slices=slices, where=where, ground=ground)
-        evidence = cache(lambda: made_of(*stack_tiles(tiles.tiles)))
+        evidence = cache(
+            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=seen.ground)
+        )
         journey = tally.recorder.finish() if tally.recorder else None
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
@@ -138,9 +140,16 @@ def open_ground(options: BuildOptions, past: Evidence | None) -> Ground | None:
 def add_past(
     tiles: TileGrid, slices: tuple[Slices, ...], past: Evidence | None, options: BuildOptions
 ) -> tuple[tuple[Slices, ...], list[str]]:
-    """Add the evidence that a build goes on from; return all slices, and say what does not fit."""
+    """Add the evidence that a build goes on from; return all slices, and say what does not fit.
+
+    Raises
+    ------
+    MapError
+        It is evidence of another kind.
+    """
     if past is None:
         return slices, []
+    refuse_different(plan_manifest(options), past)  # only the logs say if they hold clouds
     before = view_tiles(past.tiles, past.cells)
     misfit = list_misfit(tiles, before, options.model, "the logs that are added to it")
     notes = [f"{past.where}: {text}" for text in misfit]
@@ -173,6 +182,5 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
         beams=tally.beams,
         map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
-        damage=tuple(remarks.damage),
         seconds=tally.list_seconds(),
     )

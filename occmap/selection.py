@@ -5,15 +5,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple, TypeAlias
 
 from occmap.choices import option
 from occmap.errors import require
 from occmap.posing.options import Stamps
-from occmap.types import Cloud, Scan, ScanRun
-
-Recorded: TypeAlias = Scan | ScanRun | Cloud
-"""What a log holds of its sensors"""
+from occmap.types import Cloud, Recorded, Scan
 
 
 class LeftOut(StrEnum):
@@ -69,28 +65,18 @@ def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
     return None
 
 
-class Seam(NamedTuple):
-    """What a part of a log needs to know of the parts before it to select its scans."""
-
-    first_ns: int | None = None
-    """The stamp of the log's first scan; None: it is in this part"""
-    wanted: int = 0
-    """How many scans of the parts before lie in the time window"""
-
-
-FROM_THE_START = Seam()
-
-
 class Selector:
     """Says which scans of one log are used; it is shown all of them, in order."""
 
-    def __init__(self, selection: Selection, stamps: Stamps, seam: Seam = FROM_THE_START) -> None:
+    def __init__(self, selection: Selection, stamps: Stamps) -> None:
         self.selection = selection
         self.stamps = stamps
         """Which of a scan's two times counts"""
         self._wants_all = replace(selection, topics=()) == Selection()
-        self.first_ns, self.wanted = seam
-        """What `Seam` says of the scans that come after those so far"""
+        self.first_ns: int | None = None
+        """The stamp of the log's first scan; None before it is seen"""
+        self._wanted = 0
+        """How many scans lie in the time window so far"""
         self.read = 0
         self.left_out: Counter[LeftOut] = Counter()
         """How many of those read `select` left out, by reason"""
@@ -122,5 +108,5 @@ class Selector:
             return flaw
         if not self.selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self.selection.end_s:
             return LeftOut.TIME
-        self.wanted += 1
-        return LeftOut.STRIDE if (self.wanted - 1) % self.selection.stride else None
+        self._wanted += 1
+        return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None

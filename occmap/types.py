@@ -188,6 +188,11 @@ class Cloud(NamedTuple):
     record_ns: int = 0
 
     @property
+    def time_increment(self) -> float:
+        """Its points come in no order that a time between them could tell (s)."""
+        return 0.0
+
+    @property
     def first(self) -> Self:
         """The cloud itself, so that it can stand in for a run of scans."""
         return self
@@ -196,6 +201,10 @@ class Cloud(NamedTuple):
     def scans(self) -> int:
         """How many there are: one."""
         return 1
+
+
+Recorded: TypeAlias = Scan | ScanRun | Cloud
+"""What a log holds of its sensors"""
 
 
 class _PoseFields(NamedTuple):
@@ -300,7 +309,8 @@ class ScanBatch:
 
 def list_chosen(scans: Bool | Int64) -> list[int]:
     """List the indices that a mask (S,), or indices, choose."""
-    return (np.flatnonzero(scans) if scans.dtype == np.bool_ else scans).tolist()
+    chosen: list[int] = (np.flatnonzero(scans) if scans.dtype == np.bool_ else scans).tolist()
+    return chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -325,7 +335,7 @@ class PosedScans:
     def at_first_beam(self) -> tuple[Float64, Float64]:
         """(S, 3) and (S, 3, 3): the sensor's one pose at each scan, or that at its first beam."""
         if self.position.ndim == 2:
-            return self.position, self.rotation
+            return self.position if self.origin is None else self.origin, self.rotation
         return self.position[:, 0], self.rotation[:, 0]
 
 

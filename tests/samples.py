@@ -42,3 +42,18 @@ def write_csv(
     rows = [f"{second},{x},{y},{yaw},{cells}\n" for second, (x, y, yaw) in enumerate(poses, start)]
     path.write_text(head + "".join(rows))
     return path
+
+
+def write_late(path: Path, scans: int, marked_from: int) -> Path:
+    """A log whose laser writes 30 m where nothing came back, though not before some scan."""
+    beams = 60
+    names = ",".join(f"r{beam}" for beam in range(beams))
+    head = f"# angle_min: 0\n# angle_increment: 0.02\nstamp,x,y,yaw,{names}\n"
+    rows = []
+    for number in range(scans):
+        ranges = [2 + 0.05 * beam + 0.01 * (number % 7) for beam in range(beams)]
+        if number >= marked_from:
+            ranges[::5] = [30.0] * len(ranges[::5])
+        rows.append(f"{number},0,{0.01 * number},0,{','.join(f'{r:.2f}' for r in ranges)}\n")
+    path.write_text(head + "".join(rows))
+    return path

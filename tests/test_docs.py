@@ -16,11 +16,11 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from occmap.gates import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import Role, open_log
 from occmap.readers.probing import Probe
+from occmap.report.limits import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
 from occmap.types import Pose
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page
 from tests.samples import ROOT

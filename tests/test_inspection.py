@@ -22,7 +22,7 @@ from occmap.options import BuildOptions, compose_build
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.readers import Note, Stream
-from occmap.remarks import LEAST_AGREEMENT
+from occmap.report.results import LEAST_AGREEMENT
 from occmap.selection import Selection
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.steps.mounts import SUSPECT, correct_mount

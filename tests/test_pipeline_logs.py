@@ -17,7 +17,7 @@ from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseErro
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.report import Build, Report
+from occmap.report.results import Build, Report
 from occmap.selection import Selection
 from occmap.steps import batching
 from occmap.types import Update

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 from occmap.errors import UsageError
 from occmap.plugins import suggest
+from occmap.report.words import count
 from occmap.types import Pose, PoseSample
-from occmap.wording import count
 
 LARGEST_ANGLE = 7.0
 """A little more than a full turn (rad), since people round."""

@@ -1,4 +1,4 @@
-"""The command line: one file per command, and the one place where an error becomes an exit code.
+"""The command line: the list of commands, and the one place where an error becomes an exit code.
 
 Importing this brings in click and nothing else, so that `occmap --help` answers at once; a command
 is imported when it is run.
@@ -31,9 +31,13 @@ COMMANDS = {
     "tune": "Find the time offset and the mount that suit logs best.",
     "writers": "List the map formats that can be written.",
 }
-"""Each is `command` in the module of that name in `commands`; the texts are those of --help."""
-LISTS = ("models", "readers", "writers")
-"""These are made by `listing`."""
+"""The texts are those of --help."""
+HOMES = {
+    **dict.fromkeys(("merge", "render"), "evidence"),
+    **dict.fromkeys(("models", "readers", "schema", "writers"), "lists"),
+    "tune": "compare",
+}
+"""The modules of commands that share one; any other has one of its own, under its name"""
 
 NEW_OBJECTS = 100_000
 """Allocations between two garbage collections; at Python's 700 an import sets off many."""
@@ -50,11 +54,8 @@ class CommandTable(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
-        if cmd_name in LISTS:
-            from occmap.cli.listing import make_command  # noqa: PLC0415  late, as all commands
-
-            return make_command(cmd_name)
-        command: click.Command = import_module(f"occmap.cli.commands.{cmd_name}").command
+        module = import_module(f"occmap.cli.{HOMES.get(cmd_name, cmd_name)}")
+        command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 
     def resolve_command(
@@ -114,10 +115,8 @@ def answer(error: BaseException, console: Console) -> int:
         discard(sys.stdout)
         return 0
     if isinstance(error, click.ClickException):
-        return console.fail(console.place(describe_misuse(error)), error.exit_code)
-    if isinstance(error, UsageError):
-        error = console.place(error)
-    elif isinstance(error, OSError):  # a path too long, a disk that fails
+        return console.fail(describe_misuse(error), error.exit_code)
+    if isinstance(error, OSError):  # a path too long, a disk that fails
         error = OccmapError(error.strerror or type(error).__name__, where=error.filename or "")
     elif isinstance(error, MemoryError):
         error = OccmapError("out of memory", fix="try a coarser --resolution or fewer --jobs")

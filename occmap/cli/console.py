@@ -1,19 +1,20 @@
-"""What is printed where: results on stdout, notes and errors on stderr, each in one line."""
+"""What is printed where: results on stdout, notes, errors and progress on stderr."""
 
 import os
 import re
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
+from threading import Event, Thread
 from typing import Any, TypedDict
 
 import click
 
-from occmap.errors import OccmapError, OutputError, UsageError
-from occmap.wording import name_stdin
+from occmap.errors import OccmapError, OutputError
+from occmap.report.words import name_stdin
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
@@ -65,8 +66,6 @@ class Console:
     """A map goes there: all else goes to stderr"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
-    place: Callable[[UsageError], UsageError] = lambda error: error
-    """Names the file of options in an error that it makes, where there is one"""
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
@@ -92,8 +91,8 @@ class Console:
         self.answered = True
         if "notes" in value:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
-        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **spell_all(value)}
-        text = json.dumps(named, indent=2, allow_nan=False)
+        named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
+        text = spell(json.dumps(named, indent=2, allow_nan=False))
         put_line(text.replace("##", r"\u0023#"))  # the same JSON, but no command to a CI runner
 
     def note(self, *texts: str) -> None:
@@ -198,15 +197,6 @@ def spell(text: str) -> str:
     return spell_flags(text)
 
 
-def spell_all(value: Any) -> Any:
-    """Spell the options that any text of a result names, as `spell` does."""
-    if isinstance(value, str):
-        return spell(value)
-    if isinstance(value, dict):
-        return {spell(key): spell_all(item) for key, item in value.items()}
-    return [spell_all(item) for item in value] if isinstance(value, list | tuple) else value
-
-
 def clean(line: str) -> str:
     """Escape what moves the cursor, or is an order to a runner of pipelines."""
     if not line.isprintable():
@@ -219,3 +209,50 @@ def discard(stream: Any) -> None:
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, stream.fileno())
     os.close(nothing)
+
+
+REDRAW_S = 0.5
+"""The clock of the bar runs on while a long step reports nothing."""
+
+
+class Bar:
+    """Shows how far the work is, where there is a terminal to show it on."""
+
+    def __init__(self, tqdm: Any = None) -> None:
+        self._tqdm = tqdm
+
+    def __call__(self, scans: int, total: int) -> None:
+        """Show that `scans` more scans were read, of `total` in all."""
+        if self._tqdm is not None:
+            self._tqdm.total = max(total, self._tqdm.n + scans)  # an index may count too few
+            self._tqdm.update(scans)
+
+    def describe(self, text: str) -> None:
+        """Show which phase of the work goes on."""
+        if self._tqdm is not None:
+            self._tqdm.set_postfix_str(text)
+
+
+@contextmanager
+def show_progress(console: Console) -> Iterator[Bar]:
+    """Show a bar while the block runs, unless nobody would see it."""
+    if console.verbosity is Verbosity.QUIET or sys.stderr is None or not sys.stderr.isatty():
+        yield Bar()
+        return
+    from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
+
+    with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
+        done = Event()
+        clock = Thread(target=redraw, args=(bar, done), daemon=True)
+        clock.start()
+        try:
+            yield Bar(bar)
+        finally:
+            done.set()
+            clock.join()
+
+
+def redraw(bar: Any, done: Event) -> None:
+    """Draw a bar anew, with what time it is, until all is done."""
+    while not done.wait(REDRAW_S):
+        bar.refresh()

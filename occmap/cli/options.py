@@ -15,9 +15,10 @@ import click
 from occmap.choices import Option, list_options
 from occmap.choices.values import parse_number
 from occmap.cli.console import Console, Verbosity, spell
-from occmap.cli.sections import BareOption, ConfigOption, join, option
+from occmap.cli.declaring import BareOption, ConfigOption, join, option
 from occmap.clouds.options import CloudOptions
 from occmap.errors import UsageError
+from occmap.evidence import Described, read_model
 from occmap.grid.framing import Framing
 from occmap.options import DEFAULT_UPDATE, OPTIONS, choose_model, spell_flag
 from occmap.posing.options import PosingOptions
@@ -205,15 +206,26 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     name = text.partition(":")[0]
     given = {key: values[key] for key in PARAMETERS if values[key] is not None}
     known = [each.name for each in list_fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
-    flags = ", ".join(spell_flag(key) for key in PARAMETERS if key in known)
     for key in given:
         if key not in known:
-            raise UsageError(
-                f"{spell_flag(key)} does not go with the model {name}",
-                fix=f"it has {flags}; see `occmap models` for --model",
-            )
+            found = f"{spell_flag(key)} does not go with the model {name}"
+            flags = ", ".join(spell_flag(key) for key in PARAMETERS if key in known)
+            raise UsageError(found, fix=f"it has {flags}; see `occmap models` for --model")
     pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")
+
+
+def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:
+    """Make the model that the user wants, if any; a shorthand changes the one of the evidence.
+
+    Raises
+    ------
+    UsageError
+        As `collect_model`.
+    """
+    if all(values.get(name) is None for name in ("model", *PARAMETERS)):
+        return None
+    return collect_model(values, read_model(evidence))
 
 
 jobs = field(RUN, "jobs", show_default="one for each core")

@@ -15,7 +15,7 @@ from occmap.cli.console import Console
 from occmap.errors import UsageError
 from occmap.inputs import find_inputs, keep_stdin
 from occmap.options import BuildOptions, name_map
-from occmap.report import Report
+from occmap.report.results import Report
 from occmap.writers import FolderWriter
 from occmap.writers.outputs import find_writer
 

@@ -30,7 +30,7 @@ class Sheet:
     def __init__(self, lattice: Lattice, blocks: Blocks, height: Int32, box: CellBox) -> None:
         self.lattice, self.blocks, self.height = lattice, blocks, height
         table = np.full(box.shape, -2, np.int32)
-        self.canvas = Canvas(table, np.array(box[:2], np.int64), *allocate(FIRST_TILES))
+        self.canvas = allocate(table, np.array(box[:2], np.int64), FIRST_TILES)
         self.used = 0
         self.counts = np.zeros(COUNTS, np.int64)
         self.touched = np.zeros(0, np.int32)
@@ -49,9 +49,10 @@ class Sheet:
                 self.used = used
                 return
             self.used = -1 - used
-            more = allocate(max(self.used, FIRST_TILES))
-            grown = (np.concatenate(pair) for pair in zip(self.canvas[2:], more, strict=True))
-            self.canvas = Canvas(*self.canvas[:2], *grown)
+            grown = allocate(table, corner, 2 * self.used)
+            for layer in ("counts", "state", "ground", "base"):
+                getattr(grown, layer)[: self.used] = getattr(self.canvas, layer)
+            self.canvas = grown
 
     def observe(self, cloud: Cloud, band: Band, farthest: float) -> None:
         """Observe the cells of one cloud, whose points lie up to so far from the sensor (m)."""
@@ -73,10 +74,12 @@ class Sheet:
         return places[seen], cells[seen]
 
 
-def allocate(tiles: int) -> tuple[Int32, ...]:
-    """Make room for so many tiles, as `Canvas` has them."""
+def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
+    """Make a canvas with room for so many tiles."""
     size = TILE * TILE
-    return (
+    return Canvas(
+        table,
+        corner,
         np.zeros((tiles, 2, size), np.int32),
         np.zeros((tiles, size), np.uint8),
         np.zeros((tiles, size), np.int16),

@@ -173,8 +173,8 @@ def read_columns(table: Histogram, known: Ground | None) -> Columns:
     every = np.unique(keys >> 20)
     blocks = make_blocks(np.stack([(every >> 21) - WIDE, every % (2 * WIDE) - WIDE], axis=1), known)
     size = len(blocks.places) << 2 * BLOCK_BITS
-    first, many, tall = (np.zeros(size, kind) for kind in (np.int32, np.int32, np.uint8))
-    peaks = peaks._replace(first=first, many=many)
+    tall = np.zeros(size, np.uint8)
+    peaks = peaks._replace(first=np.zeros(size, np.int32), many=np.zeros(size, np.int32))
     column, near = np.concatenate(listed), len(listed[0])
     growth.index_peaks(blocks, column, peaks, 0, near)
     growth.index_peaks(blocks, column, peaks, near, len(column))
@@ -185,14 +185,17 @@ def read_columns(table: Histogram, known: Ground | None) -> Columns:
 
 def list_peaks(layers: Sequence[tuple[Int64, Int32]]) -> tuple[list[Int64], Peaks]:
     """List the columns of all peaks, layer by layer, and the peaks."""
-    columns, levels, weights = [], [], []
+    columns: list[Int64] = []
+    levels: list[Int32] = []
+    weights: list[Int32] = []
     for keys, counts in layers:
         room = 8 * len(keys) + 8
         column, height = np.empty(room, np.int64), np.empty(room, np.int32)
         weight = np.empty(room, np.int32)
         found = heights.list_peaks(keys, counts, column, height, weight)
-        for listed, made in ((columns, column), (levels, height), (weights, weight)):
-            listed.append(made[:found].copy())
+        columns.append(column[:found].copy())
+        levels.append(height[:found].copy())
+        weights.append(weight[:found].copy())
     none = np.zeros(0, np.int32)
     return columns, Peaks(none, none, np.concatenate(levels), np.concatenate(weights))
 

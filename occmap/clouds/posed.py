@@ -21,7 +21,7 @@ def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
         place = place[:, None]
     middle = place[:, place.shape[1] // 2, :, 3]
     origins = np.ascontiguousarray(middle if posed.origin is None else posed.origin)
-    for cloud, poses, origin in zip(posed.batch.clouds, place, origins, strict=True):
+    for cloud, poses, origin in zip(posed.batch.clouds or (), place, origins, strict=True):
         yield Cloud(cloud.points, find_moments(cloud, len(poses)), poses, origin)
 
 
@@ -32,4 +32,5 @@ def find_moments(cloud: RecordedCloud, moments: int) -> Int32:
         return ALL_AT_ONCE
     start, stop = int(offset_ns.min()), int(offset_ns.max())
     share = (offset_ns - start) * ((moments - 1) / max(stop - start, 1))
-    return np.rint(share).astype(np.int32)
+    nearest: Int32 = np.rint(share).astype(np.int32)
+    return nearest

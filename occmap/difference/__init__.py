@@ -11,7 +11,7 @@ from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import MAX_CELLS
-from occmap.plain import HIDDEN, Count, Printed, Share, printed_as
+from occmap.report.printed import HIDDEN, Count, Printed, Share, printed_as
 from occmap.types import UInt8
 
 LATTICE_TOLERANCE = 0.05

@@ -50,6 +50,8 @@ def describe_build(
         A file cannot be read any more.
     """
     chosen = {name: value for name, value in write_value(options).items() if name not in UNRECORDED}
+    if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
+        del chosen["clouds"]
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:

@@ -13,7 +13,7 @@ from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
 from occmap.grid.spec import find_unit
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
-from occmap.plain import Count
+from occmap.report.printed import Count
 
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""

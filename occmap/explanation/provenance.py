@@ -16,8 +16,8 @@ from occmap.choices import drop_none
 from occmap.errors import LogError, MapError, OccmapError, PoseError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.options import BuildOptions
+from occmap.report.words import join_names
 from occmap.sensor.models import parse_model
-from occmap.wording import join_names
 
 Value = TypeVar("Value")
 
@@ -170,6 +170,10 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
     model_text = plain.get("model")
     try:
         chosen = {name: value for name, value in plain.items() if name != "model"}
+        # Clouds were once flattened between two heights over the sensor.
+        reading = chosen.get("reading", {}).items()
+        gone = ("min_height", "max_height")
+        chosen["reading"] = {name: value for name, value in reading if name not in gone}
         return make_group(BuildOptions, chosen, model=parse_model(str(model_text)))
     except (OccmapError, TypeError, ValueError, AttributeError, OverflowError) as error:
         found = f"the options of a build in it cannot be read ({error})"

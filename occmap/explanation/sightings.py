@@ -8,8 +8,8 @@ import numpy as np
 from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.options import BuildOptions
-from occmap.plain import Count
 from occmap.readers import Log, open_log, read_scans
+from occmap.report.printed import Count
 from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret

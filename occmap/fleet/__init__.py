@@ -1,7 +1,7 @@
 """A build by many workers, on this machine or on a cluster: the tasks of a build, and their order.
 
-Evidence adds up in any order, so parts of logs are traced anywhere, and blocks of the map are added
-up anywhere. What workers observe goes through files that all of them share; the driver gets only
+Evidence adds up in any order, so logs are traced anywhere, and blocks of the map are added up
+anywhere. What workers observe goes through files that all of them share; the driver gets only
 counts and notes.
 """
 
@@ -12,25 +12,42 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import reduce
 from importlib.metadata import version
-from itertools import chain
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
+from occmap.cells import Manifest
 from occmap.errors import OutputError
-from occmap.evidence.manifest import UNRECORDED, list_files, write_value
+from occmap.evidence.manifest import (
+    UNRECORDED,
+    describe_build,
+    list_doubts,
+    list_files,
+    plan_manifest,
+    write_value,
+)
+from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.runs import BlockJob, Job, Piece, Setting, add_up, reduce_block
-from occmap.fleet.settling import trace_logs
-from occmap.fleet.tasks import survey_log
+from occmap.fleet.tasks import BlockJob, Job, Piece, Setting
+from occmap.grid.framing import Framing
+from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.spec import WINDOW_CELLS
 from occmap.options import BuildOptions
+from occmap.pipeline import build, list_inputs, make_report
+from occmap.report.doubts import list_notes
+from occmap.report.results import MapFacts, Report
+from occmap.steps.alignment import settle_align
 from occmap.steps.observing import Keep, Observed, Progress, Remarks
-from occmap.steps.tally import Tally
-from occmap.store.blocks import Block
+from occmap.steps.tally import Tally, refuse_unseen, refuse_unused
+from occmap.store.blocks import Block, BlockRecord, list_blocks
+from occmap.store.writing import create_store, finish_store
+from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
+from occmap.writers.outputs import check_outputs
 
-SLICE_BYTES = 256_000_000
-"""Small enough for any worker, and large enough that the same tiles are seldom touched again"""
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
 WINDOW_CELL_BYTES = 20
@@ -44,10 +61,19 @@ class Work(NamedTuple):
 
     cluster: Cluster
     setting: Setting
+    jobs: list[Job]
+    """One for each log"""
     tally: Tally
     remarks: Remarks
     blocks: dict[Block, dict[int, list[Piece]]]
     """Of each block of the map, by the places of logs on the command line"""
+
+    def list_reductions(self) -> list[BlockJob]:
+        """List the blocks that are to be added up, each with all that was observed in it."""
+        return [
+            replace(BlockJob.of(self.setting, block), pieces=tuple(chain(*found.values())))
+            for block, found in sorted(self.blocks.items())
+        ]
 
 
 @dataclass(frozen=True)
@@ -58,10 +84,31 @@ class Fleet:
     """Of a Dask scheduler, or `local`"""
     scratch: Path
     """A folder that all workers share"""
-    slice_bytes: int = SLICE_BYTES
-    """About how much of a log is one task"""
     describe: Callable[[str], None] = lambda _text: None
     """Told how far the work is"""
+
+    def build(
+        self,
+        paths: Sequence[Path],
+        options: BuildOptions,
+        outputs: Sequence[Path],
+        progress: Progress,
+    ) -> Report:
+        """Build one map by many workers, as `occmap.pipeline.build` does in one process.
+
+        Where a store of all that was observed is the only output, the workers write it, block by
+        block. For all else this process puts the map together.
+
+        Raises
+        ------
+        OccmapError
+            As there, or the workers cannot do it.
+        """
+        is_part = options.min_passes is not None or options.framing != Framing()
+        is_added = options.resume is not None or options.resume_if_there is not None
+        if [each.suffix.lower() for each in outputs] == [".zarr"] and not (is_part or is_added):
+            return self._build_store(paths, options, outputs[0], progress)
+        return build(paths, options, outputs, progress, self.observe).report
 
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
@@ -74,9 +121,37 @@ class Fleet:
             As there, or the workers cannot do it.
         """
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
-            pieces = work.cluster.run("reduce", reduce_block, list_reductions(work))
+            pieces = work.cluster.run("reduce", tasks.reduce_block, work.list_reductions())
             work.remarks.notes += work.cluster.list_losses()
-            return Observed(*add_up(work.setting, pieces), work.tally, work.remarks)
+            return Observed(*tasks.add_up(work.setting, pieces), work.tally, work.remarks)
+
+    def _build_store(
+        self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
+    ) -> Report:
+        """Build a store of which this process never holds the map; raises as `build`."""
+        check_outputs([output], list_inputs(paths, options))
+        options, unaligned = settle_align(paths, options)
+        with self.work(paths, options, Keep(slices=True), progress) as work:
+            tally, remarks = work.tally, work.remarks
+            refuse_unused(paths, tally)
+            refuse_unseen(paths, tally, work.blocks)
+            with tally.time("fold"):
+                hashed = work.cluster.run("hash", tasks.hash_log, work.jobs)
+                known = dict(zip(paths, hashed, strict=True))
+                made = describe_build(paths, options, tally.to_json(), known)
+                manifest = plan_manifest(options, [made])
+                store = open_target(work, output, manifest)
+                records = write_blocks(work, store, [len(files) for files in hashed])
+            with tally.time("render"):
+                facts = paint_blocks(work, store, records)
+            remarks.notes += work.cluster.list_losses()
+            with tally.time("write"):
+                finish_store(store, manifest, records)
+                with refuse_unwritable(output):
+                    publish_folder(store, follow_links(output))
+        remarks.notes += [*unaligned, *list_doubts(manifest)]
+        remarks.notes += list_notes(paths, options, [output], tally, facts)
+        return replace(make_report(options, tally, remarks, facts), files=(str(output),))
 
     @contextmanager
     def work(
@@ -93,35 +168,37 @@ class Fleet:
         remarks = Remarks([str(path) for path in paths])
         with (
             open_cluster(self.address, options.jobs, self.describe) as cluster,
-            open_scratch(self, paths, options, keep) as folder,
+            open_scratch(self.scratch, paths, options, keep) as folder,
         ):
             remarks.notes += [
                 f"{other}: of a build with another log, option or version of occmap, which this "
                 "build does not go on from; remove the folder if nobody will"
-                for other in sorted(self.scratch.absolute().glob("build-*"))
+                for other in sorted(folder.parent.glob("build-*"))
                 if other != folder
             ]
             # A log that is not here either is refused when it is opened.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
             window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, WINDOW_CELLS)
-            sizes = self.slice_bytes, window, spare
-            setting = Setting(options, keep, folder, *sizes, logs=len(paths))
+            setting = Setting(options, keep, folder, len(paths), window, spare)
+            jobs = [Job(setting, f"log{place:05}", str(each)) for place, each in enumerate(paths)]
             with tally.time("open"):
-                surveys = cluster.run("open", survey_log, list_surveys(setting, paths))
-            blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(lambda: defaultdict(list))
-            for place, log in enumerate(trace_logs(cluster, setting, surveys, progress)):
-                remarks.note(log.survey.path, log.parts[0].log_notes, log.list_findings())
-                for part in log.parts:
-                    tally.add(part.tally)
-                    for block, pieces in part.pieces.items():
-                        blocks[block][place] += pieces
-            yield Work(cluster, setting, tally, remarks, blocks)
+                total = sum(cluster.run("open", tasks.survey_log, jobs))
+            traced = cluster.run(
+                "trace", tasks.trace_log, jobs, lambda one: progress(one.tally.scans_read, total)
+            )
+            blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(dict)
+            for place, (path, log) in enumerate(zip(paths, traced, strict=True)):
+                remarks.note(path, log.log_notes, log.notes)
+                tally.add(log.tally)
+                for block, pieces in log.pieces.items():
+                    blocks[block][place] = pieces
+            yield Work(cluster, setting, jobs, tally, remarks, blocks)
 
 
 @contextmanager
 def open_scratch(
-    fleet: Fleet, paths: Sequence[Path], options: BuildOptions, keep: Keep
+    scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep
 ) -> Iterator[Path]:
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
@@ -140,30 +217,62 @@ def open_scratch(
         version("occmap"),
         {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
         keep,
-        fleet.slice_bytes,
         [str(path) for path in inputs],
         [[state.st_size, state.st_mtime_ns] for state in states],
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
-    folder = fleet.scratch.absolute() / f"build-{digest}"
+    folder = scratch.absolute() / f"build-{digest}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(f"cannot be made ({error.strerror})", where=fleet.scratch) from None
+        raise OutputError(f"cannot be made ({error.strerror})", where=scratch) from None
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):  # another build may have something in it
-        fleet.scratch.rmdir()
+        scratch.rmdir()
 
 
-def list_surveys(setting: Setting, paths: Sequence[Path]) -> list[Job]:
-    """List the logs that are to be opened."""
-    return [Job(setting, f"log{place:05}", str(path)) for place, path in enumerate(paths)]
+def open_target(work: Work, output: Path, manifest: Manifest) -> Path:
+    """Create a store that only a rename puts in its place, or find the one that was begun."""
+    target, folder = follow_links(output), work.setting.folder
+    begun = folder / "store.begun"
+    is_near = folder.stat().st_dev == target.parent.stat().st_dev
+    store = (folder if is_near else target.parent) / f".occmap-{folder.name}.tmp"
+    if not (begun.exists() and store.exists()):
+        shutil.rmtree(store, ignore_errors=True)
+        for done in folder.glob(f"*.{tasks.store_block.__name__}"):
+            done.unlink()
+        create_store(store, manifest, work.blocks)
+        begun.touch()
+    return store
 
 
-def list_reductions(work: Work) -> list[BlockJob]:
-    """List the blocks that are to be added up, each with all that was observed in it."""
-    return [
-        replace(BlockJob.of(work.setting, block), pieces=tuple(chain.from_iterable(found.values())))
-        for block, found in sorted(work.blocks.items())
+def write_blocks(work: Work, store: Path, files: Sequence[int]) -> list[BlockRecord]:
+    """Write all blocks of a store; each log consists of so many files."""
+    ends = accumulate(files)
+    of_logs = [range(end - size, end) for end, size in zip(ends, files, strict=True)]
+    jobs = []
+    for job in work.list_reductions():
+        logs = tuple(chain.from_iterable(of_logs[log] for log in work.blocks[job.block]))
+        jobs.append(replace(job, logs=logs, store=store))
+    return work.cluster.run("reduce", tasks.store_block, jobs)
+
+
+def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
+    """Paint the pictures of all blocks, and sum up what the report tells of them.
+
+    Blocks beside those that are written are looked at, too: hits speak for the cells around them.
+    """
+    written = {record.block: record.logs for record in records}
+    around = {block for record in records for block in list_blocks(record.reach.grow(1))}
+    jobs = [
+        replace(BlockJob.of(work.setting, block), logs=written.get(block, ()), store=store)
+        for block in sorted(around)
     ]
+    measured = work.cluster.run("paint", tasks.measure_block, jobs)
+    reaches, cells, hits = zip(*measured, strict=True)
+    box = reduce(CellBox.join, filter(None, reaches))
+    agreeing, met = np.sum(hits, axis=0).tolist()
+    lattice = Lattice(work.setting.options.resolution)
+    where = lattice.resolution, lattice.measure(box), box.shape
+    return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.runs import AnyJob, Job, Result
+from occmap.fleet.tasks import AnyJob, Job, Result
 from occmap.plugins import need_extra
-from occmap.wording import count
+from occmap.report.words import count
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -100,8 +100,7 @@ class Cluster:
             return error
         limit = f", which had {self.memory >> 20} MiB of memory" if self.memory else ""
         found = f"killed its workers {error.allowed_failures + 1} times{limit}"
-        fix = "give workers more memory, or build with a smaller `slice`"
-        return FleetError(found, where=job.where, fix=fix)
+        return FleetError(found, where=job.where, fix="give workers more memory")
 
     def list_losses(self) -> Iterator[str]:
         """Say how often a worker was lost, and how many tasks ran again for it."""

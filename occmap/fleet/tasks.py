@@ -1,175 +1,178 @@
-"""What workers do with logs: plain functions of plain values, which may run anywhere and again.
+"""What workers do: plain functions of plain values, which may run anywhere and again.
 
-Each leaves its result in the scratch folder and gives it at once where it is there already.
+A task leaves its result in the scratch folder, and gives it at once where it is there already. What
+a log observed lies in run files, block by block and end to end; results say where. All files are
+renamed into place, and a result comes after the run files that it tells of.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import pickle
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import wraps
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self, TypeVar
 
-from occmap.errors import LogError, MapError, name_log
-from occmap.evidence.manifest import describe_files, list_files
-from occmap.fleet.runs import Job, Piece, once, read_mapped, write_mapped, write_run
-from occmap.posing.jumps import find_breaks
-from occmap.posing.leaps import Ends, Laser
-from occmap.readers import Note, open_log, read_scans, split_log
-from occmap.selection import Seam, Selector
-from occmap.sensor.no_return import RangeLimits
-from occmap.steps.engines import make_engine
+import zstandard
+
+from occmap.cells import Slices
+from occmap.errors import MapError, name_log
+from occmap.evidence.manifest import describe_files
+from occmap.grid.lattice import CellBox
+from occmap.grid.rendering import count_agreeing
+from occmap.grid.slices import unite
+from occmap.grid.tiles import TileGrid, stack_tiles, view_tiles
+from occmap.options import BuildOptions
+from occmap.readers import Note, open_log
+from occmap.report.results import count_cells
+from occmap.steps.engines import make_engine, make_grid
+from occmap.steps.observing import Keep
 from occmap.steps.opening import count_scans
 from occmap.steps.tally import Tally
-from occmap.steps.tracing import Drive, open_drive, trace
-from occmap.store.blocks import Block, split_blocks
-from occmap.types import Float64, Rays
+from occmap.steps.tracing import AddRays, trace_logs
+from occmap.store.blocks import Block, BlockContent, BlockRecord, split_blocks
+from occmap.store.writing import paint_block, write_block
+from occmap.types import Int64, Rays
+from occmap.writers.atomic import open_atomic
 
+AnyJob = TypeVar("AnyJob", bound="Job")
+Result = TypeVar("Result")
 
-class LogSurvey(NamedTuple):
-    """What there is to know of a log before its scans are traced."""
-
-    name: str
-    """What files of it are called; a log that is given twice is two"""
-    path: Path
-    scans: int
-    """As the log announces them"""
-    parts: int
-    """How many parts it is traced in"""
-    bytes: int
-    notes: tuple[Note, ...]
-    first_ns: int | None
-    """The stamp of the first scan; None where there is none"""
+COMPRESSOR = zstandard.ZstdCompressor(write_checksum=True)
+"""Its checksum tells altered data from what was written"""
 
 
 @dataclass(frozen=True)
-class TraceJob(Job):
-    """A part of a log to be traced."""
+class Setting:
+    """What all tasks of a build share."""
 
-    survey: LogSurvey
-    part: int | None
-    """None: all of it"""
-    seam: Seam
-    limits: RangeLimits | None = None
-    """Those of the whole log, where they are known"""
+    options: BuildOptions
+    keep: Keep
+    folder: Path
+    """Where results go"""
+    logs: int
+    """How many logs the build has"""
+    window_cells: int
+    """The largest window of an engine"""
+    most_bytes: int
+    """How much evidence is kept in memory before it goes to a run file"""
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a task is given."""
+
+    setting: Setting
+    name: str
+    """What its files are called"""
+    where: str
+    """What it is about, as an error names it: the path of a log, or a block"""
+
+
+class Piece(NamedTuple):
+    """Where the part of a block lies."""
+
+    file: str
+    """The name of a run file"""
+    offset: int
+    size: int
+
+
+@dataclass(frozen=True)
+class BlockJob(Job):
+    """A block of the map to be added up, written or painted."""
+
+    block: Block
+    pieces: tuple[Piece, ...] = ()
+    """All that was observed in it"""
+    logs: tuple[int, ...] = ()
+    """Which files of logs observed something in it; none in a block that lies beside others"""
+    store: Path = Path()
+    """Where it is written"""
+
+    @classmethod
+    def of(cls, setting: Setting, block: Block) -> Self:
+        """Make a job of a block of which nothing is known yet."""
+        return cls(setting, f"block{block.row}_{block.col}", f"block {tuple(block)}", block)
 
 
 @dataclass(frozen=True, eq=False)
 class Traced:
-    """What a part of a log showed."""
+    """What a log showed."""
 
     tally: Tally
-    limits: RangeLimits
-    """The limits by which its ranges were read"""
-    notes: tuple[str, ...] = ()
-    """Notes on its poses and scans"""
-    log_notes: tuple[Note, ...] = ()
-    """Notes of the reader"""
-    depends: bool = False
-    """True where the rest of the log could change this: a message is damaged, a frame appears for
-    the first time, or a pose jumps"""
-    ends: dict[Laser, Ends] = field(default_factory=dict)
-    """Where the scans of each laser begin and end"""
-    bounds: dict[str, Float64] = field(default_factory=dict)
-    """(2, 3) around the sensor of each topic (m)"""
-    pieces: Mapping[Block, tuple[Piece, ...]] = field(default_factory=dict)
+    notes: list[str]
+    """On its poses, scans and ranges"""
+    log_notes: tuple[Note, ...]
+    """Those of its reader"""
+    pieces: dict[Block, list[Piece]]
 
 
-@once
-def survey_log(job: Job) -> LogSurvey:
-    """Open a log, read its poses, and cut it into parts.
+def once(task: Callable[[AnyJob], Result]) -> Callable[[AnyJob], Result]:
+    """Let a task keep its result, and give that at once where it is there already.
 
-    Raises
-    ------
-    LogError, PoseError
-        It cannot be read, has no scans, or its scans have no poses.
+    Then it also raises OutputError, where its result cannot be written.
     """
-    options = job.setting.options
-    path = Path(job.where)
-    log = open_log(path, options.reading)
-    scans = count_scans(log, options.selection.topics)
-    drive = open_drive(log, options)
-    parts = split_log(log, job.setting.slice_bytes)
-    if parts:
-        for chain in filter(None, drive.poser.chains.values()):
-            find_breaks(chain)  # so that every part is pickled with tracks that have cached steps
-        drives = [drive._replace(log=part) for part in parts]
-        write_mapped(job.setting.folder / f"{job.name}.parts", drives)
-    stamps = options.posing.stamps
-    firsts = (some.first for some in read_scans(log, drive.topics))
-    first_ns = next((stamps.choose(one.stamp_ns, one.record_ns) for one in firsts), None)
-    size = sum(each.stat().st_size for each in list_files(path))
-    return LogSurvey(job.name, path, scans, len(parts) or 1, size, tuple(log.notes), first_ns)
 
+    @wraps(task)
+    def do_once(job: AnyJob) -> Result:
+        stub = job.setting.folder / f"{job.name}.{task.__name__}"
+        if stub.exists():
+            known: Result = pickle.loads(stub.read_bytes())
+            return known
+        result = task(job)
+        with open_atomic(stub) as (file,):
+            pickle.dump(result, file)
+        return result
 
-def open_part(job: TraceJob) -> Drive:
-    """Open a part of a log as the survey left it, or all of it."""
-    if job.part is None:
-        options = job.setting.options
-        return open_drive(open_log(job.survey.path, options.reading), options)
-    parts: Sequence[Drive] = read_mapped(job.setting.folder / f"{job.survey.name}.parts")
-    return parts[job.part]._replace(seam=job.seam)
-
-
-def count_in_window(job: TraceJob) -> int:
-    """Count the scans of a part that lie in the time window, of which a stride takes every n-th."""
-    drive = open_part(job)
-    options = job.setting.options
-    selector = Selector(options.selection, options.posing.stamps, drive.seam)
-    for _ in selector.judge(read_scans(drive.log, drive.topics)):
-        pass
-    return selector.wanted
+    return do_once
 
 
 @once
-def trace_part(job: TraceJob) -> Traced:
-    """Trace a log or a part of one, and leave what it observed in run files.
+def survey_log(job: Job) -> int:
+    """Count the scans of a log; raises LogError if it cannot be read or has none."""
+    options = job.setting.options
+    return count_scans(open_log(Path(job.where), options.reading), options.selection.topics)
 
-    A part that depends on the rest of its log says so.
+
+@once
+def trace_log(job: Job) -> Traced:
+    """Trace all scans of a log, and leave what they observed in run files.
 
     Raises
     ------
     OccmapError
-        As `trace`, or the scratch folder cannot be written.
+        As `trace_logs`, or the scratch folder cannot be written.
     """
     setting, options = job.setting, replace(job.setting.options, jobs=1)
-    drive = open_part(job)
-    frames = set(drive.poser.chains)
-    limits = job.limits or RangeLimits(options.returns)
-    recorder = setting.keep.make_recorder(job.survey.scans, setting.logs, options.returns)
-    tally, sink = Tally(recorder=recorder), RunWriter(job)
-    try:
-        with name_log(job.survey.path):
-            odd = trace(drive, options, sink.add, limits, tally)
-            sink.flush()
-    except (LogError, MapError):
-        # Only the log as a whole shows if it can be read, and which ranges are no walls far away.
-        if job.part is not None:
-            return Traced(Tally(), limits, depends=True)
-        raise
-    poser, log_notes = drive.poser, tuple(drive.log.notes)
-    is_damaged, has_new_frames = log_notes != job.survey.notes, set(poser.chains) != frames
-    jumps = any(course.find_jumps() for course in poser.courses.values())
-    return Traced(
-        tally,
-        limits,
-        notes=(*poser.notes, *odd),
-        log_notes=log_notes,
-        depends=is_damaged or has_new_frames or jumps,
-        ends=poser.find_ends(),
-        bounds={topic: course.bounds for topic, course in poser.courses.items()},
-        pieces={key: tuple(pieces) for key, pieces in sink.pieces.items()},
-    )
+    log = open_log(Path(job.where), options.reading)
+    scans = count_scans(log, options.selection.topics)
+    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs, options.returns))
+    runs = RunWriter(job)
+    ((_, notes),) = trace_logs([log], options, runs.begin, tally)
+    with name_log(log.path):
+        runs.flush()
+    return Traced(tally, notes, tuple(log.notes), runs.pieces)
 
 
 class RunWriter:
-    """Observes rays, and writes a run file whenever memory holds enough tiles."""
+    """Observes the rays of a log, and writes a run file whenever memory holds enough tiles."""
 
-    def __init__(self, job: TraceJob) -> None:
+    def __init__(self, job: Job) -> None:
         self._job = job
         self._runs = 0
         self.pieces: dict[Block, list[Piece]] = {}
-        self._begin()
+        self._renew()
 
-    def _begin(self) -> None:
+    def begin(self) -> AddRays:
+        """Forget what was observed so far, as the log is read anew; return what takes its rays.
+
+        Names of run files are not used again: another worker may be at the same log.
+        """
+        self.pieces.clear()
+        self._renew()
+        return self.add
+
+    def _renew(self) -> None:
         setting = self._job.setting
         self._engine = make_engine(setting.options, setting.keep.slices, setting.window_cells)
 
@@ -183,18 +186,117 @@ class RunWriter:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
         parts = split_blocks(self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
-        for key, piece in write_run(self._job.setting.folder, name, parts).items():
-            self.pieces.setdefault(key, []).append(piece)
+        for block, piece in write_run(self._job.setting.folder, name, parts).items():
+            self.pieces.setdefault(block, []).append(piece)
         self._runs += 1
-        self._begin()
+        self._renew()
 
 
-def hash_log(job: Job) -> list[dict[str, Any]]:
-    """Name, size and SHA-256 of the files of a log.
+def write_run(
+    folder: Path, name: str, parts: Iterable[tuple[Block, BlockContent]]
+) -> dict[Block, Piece]:
+    """Write a run file; say where each block lies in it.
 
     Raises
     ------
-    LogError
-        A file cannot be read.
+    OutputError
+        It cannot be written.
     """
+    pieces, offset = {}, 0
+    with open_atomic(folder / name) as (file,):
+        for block, content in parts:
+            data = COMPRESSOR.compress(pickle.dumps(content, protocol=5))
+            file.write(data)
+            pieces[block] = Piece(name, offset, len(data))
+            offset += len(data)
+    return pieces
+
+
+def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[BlockContent]:
+    """Read parts of blocks, one after the other.
+
+    Raises
+    ------
+    MapError
+        A run file is not there any more, or is not as it was written.
+    """
+    for name, offset, size in pieces:
+        try:
+            with (folder / name).open("rb") as file:
+                file.seek(offset)
+                data = zstandard.decompress(file.read(size))
+        except (OSError, zstandard.ZstdError) as error:
+            found = f"cannot be read ({error})"
+            raise MapError(found, where=folder / name, fix="remove it, and build again") from None
+        yield pickle.loads(data)
+
+
+def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[Slices, ...]]:
+    """Add up parts of blocks: what was observed, and, where that is kept, when.
+
+    Raises
+    ------
+    MapError
+        A run file cannot be read.
+    """
+    grid = make_grid(setting.options)
+    layers: list[Slices] = []
+    for content in read_pieces(setting.folder, pieces):
+        low, high = content.cells.min(initial=0), content.cells.max(initial=0)
+        grid.add(view_tiles(content.tiles, content.cells), bound=max(-int(low), int(high)))
+        layers += content.slices
+    return grid, (unite(layers),) if setting.keep.slices else ()
+
+
+def add_up_block(job: BlockJob) -> BlockContent:
+    """Add up all that was observed in a block; raises MapError as `add_up`."""
+    grid, slices = add_up(job.setting, job.pieces)
+    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)
+
+
+@once
+def reduce_block(job: BlockJob) -> Piece:
+    """Add up a block, and leave it in a run file of its own.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the scratch folder cannot be written.
+    """
+    parts = [(job.block, add_up_block(job))]
+    return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
+
+
+@once
+def store_block(job: BlockJob) -> BlockRecord:
+    """Add up a block, and write it to the store.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the store cannot be written.
+    """
+    return write_block(job.store, job.block, add_up_block(job))
+
+
+def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
+    """Paint the pictures of a block, if it is one that was written, and measure it.
+
+    Returns a box around the cells that are observed, if there are any; numbers (4,) as
+    `count_cells` gives them; and the hits in cells called occupied, and all hits.
+
+    Raises
+    ------
+    OutputError
+        They cannot be written.
+    """
+    box = job.block.box
+    grid, made = paint_block(job.store, job.block, keep=bool(job.logs))
+    reach = CellBox.around(made.observed, box.row, box.col)
+    cells = count_cells(made, job.setting.options.writing)
+    return reach, cells, count_agreeing(grid, made.occupied, box)
+
+
+def hash_log(job: Job) -> list[dict[str, Any]]:
+    """Name, size and SHA-256 of the files of a log; raises LogError if one cannot be read."""
     return list(describe_files(Path(job.where)))

@@ -14,8 +14,8 @@ from occmap.choices.values import make_box_form
 from occmap.errors import MapError, require
 from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
 from occmap.grid.tiles import TILE, refuse_large
+from occmap.report.words import write_metres
 from occmap.types import Kind, Rays
-from occmap.wording import write_metres
 
 CELL_SLACK = 1e-6
 """In cells: 0.15 m is three cells of 0.05 m, whatever floats say."""

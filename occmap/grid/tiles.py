@@ -16,8 +16,8 @@ from occmap.cells import MOST_OBSERVED
 from occmap.errors import MapError
 from occmap.grid.kernels import units
 from occmap.grid.lattice import CellBox, Lattice
+from occmap.report.words import write_metres
 from occmap.types import Bool, Float64, Int32, Int64
-from occmap.wording import write_metres
 
 TILE = units.TILE
 """Cells along the side of a tile."""

@@ -22,12 +22,12 @@ from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.readers import Log, open_log, read_scans
+from occmap.report.words import write_unused
 from occmap.sensor.models import Spreading
 from occmap.sensor.no_return import RangeLimits
 from occmap.steps.mounts import find_better
 from occmap.steps.opening import choose_topics, count_messages
 from occmap.steps.sampling import estimate_agreement
-from occmap.wording import write_unused
 
 __all__ = ["Inspection", "inspect"]
 
@@ -118,8 +118,7 @@ def describe_log(log: Log) -> LogFindings:
     return LogFindings(
         str(log.path),
         streams=tuple(log.streams),
-        notes=tuple(note.text for note in log.notes),
-        damage=tuple(note.text for note in log.notes if note.damage),
+        notes=tuple(log.notes),
     )
 
 

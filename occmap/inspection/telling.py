@@ -7,10 +7,16 @@ import math
 from collections.abc import Iterator
 
 from occmap.inspection import findings
-from occmap.remarks import hint_at_tune
-from occmap.wording import DATES_S, count, write_box, write_counts, write_duration, write_span
-
-Row = tuple[str, str]
+from occmap.report.results import hint_at_tune
+from occmap.report.words import (
+    DATES_S,
+    Row,
+    count,
+    write_box,
+    write_counts,
+    write_duration,
+    write_span,
+)
 
 
 def list_scan_facts(topic: findings.ScanFindings) -> Iterator[Row]:

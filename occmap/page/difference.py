@@ -11,7 +11,7 @@ from occmap.page.document import Block, Page, Section, Stage, describe_maker, wr
 from occmap.page.layers import CLASS_COLOURS, Layer, describe_rasters
 from occmap.page.plots import plot_map
 from occmap.page.raster import MOST_CELLS, Layers, Raster, pack, thin
-from occmap.wording import write_box
+from occmap.report.words import write_box
 
 CLASSES = ("unknown", "free", "occupied")
 

@@ -11,7 +11,7 @@ from platform import python_version
 from typing import Any, Literal
 
 from occmap.options import spell_flags
-from occmap.wording import join_names, name_stdin
+from occmap.report.words import join_names, name_stdin
 from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent

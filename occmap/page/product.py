@@ -12,7 +12,7 @@ from occmap.page.findings import tell_findings, tell_notes
 from occmap.page.layers import describe_rasters, name_layers
 from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
 from occmap.page.raster import Packed, Raster, make_raster, pack
-from occmap.summary import tell_beams, tell_map, tell_scans
+from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 
@@ -36,7 +36,7 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
         sections += [
             Section("The map", [Block("facts", tell_map(report.map))], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
-            tell_notes(report.notes, report.damage),
+            tell_notes(report),
         ]
     if product.inspect:
         sections += tell_findings(product.inspect())

@@ -25,8 +25,8 @@ from typing import NamedTuple, Self, TypeAlias
 import numpy as np
 
 from occmap.posing.options import DropReason
+from occmap.report.words import count
 from occmap.types import Attached, Bool, Float64, Int64, PosedScans
-from occmap.wording import count
 
 SLACK_M = 1.0
 """A shorter step is not a leap, however short the time: stamps are rounded, odometry corrected."""
@@ -70,15 +70,6 @@ class Moment(NamedTuple):
         return later.number - self.number <= MOST_SCANS and seconds <= SPARSE_S
 
 
-class Ends(NamedTuple):
-    """Where the scans of one laser begin and end."""
-
-    first: Moment
-    last: Moment
-    leaps: int
-    """Leaps between its scans, including those for which no scan is left out"""
-
-
 @dataclass(slots=True)
 class Row:
     """Scans one after the other, without a leap or a pause between them."""
@@ -107,10 +98,6 @@ class LeapFilter:
     def __init__(self, max_speed: float) -> None:
         self._max_speed = max_speed
         self._paths: dict[Laser, _Path] = {}
-
-    def find_ends(self) -> dict[Laser, Ends]:
-        """Where the scans that were seen begin and end, by their laser."""
-        return {laser: path.ends for laser, path in self._paths.items() if path.ends}
 
     def sift(self, attached: Iterable[Attached]) -> Iterator[Attached]:
         """Leave out the outliers, and count them among the scans without a usable pose.
@@ -181,8 +168,8 @@ class _Path:
         """Of the part that goes on: from the row that is judged next to the one that grows"""
         self._begins_part = True
         """Whether the first of these is the first row of its part"""
-        self.ends: Ends | None = None
-        """Where the scans in order begin and end; None before there are any"""
+        self._last: Moment | None = None
+        """The last scan in order; None before there is any"""
         self.outliers = 0
         """How many scans are known to be outliers"""
         self.first_outlier = 0, ""
@@ -241,8 +228,8 @@ class _Path:
     def _go_on(self, stamp_ns: Int64, place: Float64) -> None:
         """Cut further scans, with stamps (S,) and places (S, 3), into rows, and judge these."""
         first = 0
-        if self.ends:  # the step from the last scan so far may be a leap, too
-            first, stamp, known = self.ends.last
+        if self._last:  # the step from the last scan so far may be a leap, too
+            first, stamp, known = self._last
             stamp_ns, place = np.append([stamp], stamp_ns), np.concatenate([[known], place])
         metres: Float64 = np.linalg.norm(np.diff(place, axis=0), axis=1)
         seconds = np.diff(stamp_ns) / 1e9
@@ -264,8 +251,7 @@ class _Path:
                 self._end_part()
             self._rows.append(row)
         self._judge(is_over=False)
-        start, leaps = (self.ends.first, self.ends.leaps) if self.ends else (rows[0].first, 0)
-        self.ends = Ends(start, rows[-1].last, leaps + int(np.count_nonzero(~pauses[cuts])))
+        self._last = rows[-1].last
 
     def _end_part(self) -> None:
         self._judge(is_over=True)

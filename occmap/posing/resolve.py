@@ -9,7 +9,7 @@ from occmap.posing.frames import FIXED_NAMES, Edge, FrameTree, Source, find_movi
 from occmap.posing.options import PosingOptions
 from occmap.posing.sources import Sources
 from occmap.posing.tracks import Track
-from occmap.wording import join_names
+from occmap.report.words import join_names
 
 GIVE_POSES = "give a trajectory: `poses=FILE`"
 Way: TypeAlias = tuple[str, list[Edge]]

@@ -17,8 +17,8 @@ from occmap.posing.frames import BASE_NAMES, FIXED_NAMES, Edge, FrameTree, Sourc
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
+from occmap.report.words import count, join_names
 from occmap.types import PoseBatch, PoseSample
-from occmap.wording import count, join_names
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""

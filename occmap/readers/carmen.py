@@ -21,9 +21,9 @@ from occmap.readers.carmen_lines import (
 from occmap.readers.probing import Probe
 from occmap.readers.text import Block, Line, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
+from occmap.report.words import count
 from occmap.types import Int64, PoseSample, Scan, ScanRun
 from occmap.values import shorten
-from occmap.wording import count
 
 # fmt: off
 OTHER_WORDS = frozenset({
@@ -111,7 +111,7 @@ class CarmenLog(TextLog):
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for block in read_blocks(self.path, self.notes, self._span):
+        for block in read_blocks(self.path, self.notes):
             for line in block.get_lines(_sort_lines(block).get("ODOM", NO_LINES)):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
@@ -122,7 +122,7 @@ class CarmenLog(TextLog):
         if self._kept is not None:
             yield from self._kept
             return
-        for block in read_blocks(self.path, self.notes, self._span):
+        for block in read_blocks(self.path, self.notes):
             yield from self._parse_block(block, _pick_scans(_sort_lines(block)), LineTally())
 
     def _survey(self) -> None:

@@ -27,9 +27,18 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.readers.tables import ANY, NUMBER, RANGE, SAME, SECONDS, Pattern, Table
 from occmap.readers.text import Line
-from occmap.readers.text_log import make_planar, stack_planar
+from occmap.readers.text_log import (
+    ANY,
+    NUMBER,
+    RANGE,
+    SAME,
+    SECONDS,
+    Pattern,
+    Table,
+    make_planar,
+    stack_planar,
+)
 from occmap.types import UNKNOWN_POSE, Float64, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import Role, Span, Stream, csv_rows
+from occmap.readers import Role, Stream, csv_rows
 from occmap.readers.probing import Probe
-from occmap.readers.text import ALL, Block, Line, is_heading, read_blocks
+from occmap.readers.text import Block, Line, is_heading, read_blocks
 from occmap.readers.text_log import LineTally, TextLog
 from occmap.types import Int64, PoseSample, Scan, ScanRun
 
@@ -111,23 +111,23 @@ class CsvLog(TextLog):
 
     def _read(self) -> Iterator[Scan | ScanRun]:
         tally = LineTally()
-        for scans in self._parse_rows(self._span, tally):
+        for scans in self._parse_rows(tally):
             if tally.malformed and not self._is_judged:
                 self._judge()
             yield from scans
 
-    def _parse_rows(self, span: Span, tally: LineTally) -> Iterator[Sequence[Scan | ScanRun]]:
-        """Parse the rows of a part of the file, a block at a time."""
-        header = 1 if span.start == 0 else 0
-        for block in read_blocks(self.path, self.notes, span):
+    def _parse_rows(self, tally: LineTally) -> Iterator[Sequence[Scan | ScanRun]]:
+        """Parse the rows of the file, a block at a time."""
+        header = 1
+        for block in read_blocks(self.path, self.notes):
             rows, _ = _sort_lines(block)
             yield self._parse_block(block, {csv_rows.TOPIC: rows[header:]}, tally)
             header = 0 if rows.size else header
 
     def _judge(self) -> None:
-        """Tell damage from a file that is not a log, by all its rows, even if this is one part."""
+        """Tell damage from a file that is not a log, by all its rows."""
         tally = LineTally()
-        for _ in self._parse_rows(ALL, tally):
+        for _ in self._parse_rows(tally):
             pass
         self._rows = tally.total - tally.malformed
         fix = "correct or delete this row" if self._rows else "correct the header or these rows"

@@ -17,9 +17,19 @@ from pathlib import Path
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers.tables import ANY, NANOSECONDS, NUMBER, RANGE, SAME, SECONDS, Pattern, Table
 from occmap.readers.text import Line
-from occmap.readers.text_log import make_planar, stack_planar
+from occmap.readers.text_log import (
+    ANY,
+    NANOSECONDS,
+    NUMBER,
+    RANGE,
+    SAME,
+    SECONDS,
+    Pattern,
+    Table,
+    make_planar,
+    stack_planar,
+)
 from occmap.types import Float32, Float64, Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 

@@ -1,4 +1,4 @@
-"""Decimal numbers and times in text, parsed as fast as the text can be read.
+"""Decimal numbers and times in text, parsed many at a time.
 
 A number of up to 15 digits is an integer divided by a power of ten. Both are exact in the 53 bits
 of a float and their quotient is rounded once, so it is what Python's `float` gives. Every other
@@ -7,35 +7,29 @@ word is left to the caller.
 Offsets are unsigned: numba need not look whether one of them counts from the end of an array.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.readers.tables import ANY, NUMBER, RANGE, SAME, SECONDS
-from occmap.types import Bool, Float32, Float64, Int64, UInt8, UInt64
+from occmap.readers.text import Block
+from occmap.readers.text_log import ANY, NUMBER, RANGE, SAME, SECONDS, Pattern, Table
+from occmap.types import Bool, Float32, Float64, Int64, UInt8
+from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
+NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
+"""What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
 MOST_TIME_DIGITS = 19
 """Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _QUOTE, _END = map(ord, '09.- "\n')
-
-# Eight bytes of text as one number, the first byte lowest.
-_INF, _NAN = (np.uint64(int.from_bytes(word, "little")) for word in (b"inf", b"nan"))
-_THREE_BYTES = np.uint64(0xFFFFFF)
-_DIGIT_BITS = np.uint64(0x1010101010101010)
-"""Every digit has this bit; dots, commas, blanks and line ends have not."""
-_UPPER, _LOWER = np.uint64(0xF0F0F0F0F0F0F0F0), np.uint64(0x0F0F0F0F0F0F0F0F)
-_SIXES = np.uint64(0x0606060606060606)
-"""Added to the lower halves of bytes, it sets a digit bit where they are above nine."""
-_PAIRS, _FIRST_PAIRS, _LAST_PAIRS = (
-    np.uint64(0x000000FF000000FF),
-    np.uint64(100 + (1000000 << 32)),
-    np.uint64(1 + (10000 << 32)),
-)
-_NONE, _ONE, _EIGHT, _TEN, _SIXTEEN, _HALF, _BYTE = map(np.uint64, (0, 1, 8, 10, 16, 32, 0xFF))
+_INF, _NAN = (np.frombuffer(word, np.uint8) for word in (b"inf", b"nan"))
+_NONE, _ONE = np.uint64(0), np.uint64(1)
+_READ, _LEFT, _UNLIKE = range(3)
+"""What becomes of a word: it is left to the caller, or its line is not like the others."""
 
 
 class Lines(NamedTuple):
@@ -43,16 +37,18 @@ class Lines(NamedTuple):
 
     text: UInt8
     """(L,) bytes: lines, each with its end, and `PADDING`"""
-    eights: UInt64
-    """(L - 7,) the eight bytes from each byte on, the first one lowest"""
     starts: Int64
     """(S,) where the lines begin that are parsed"""
     separator: int
     """What stands between two words: one comma, or any number of blanks"""
     kinds: UInt8
     """(N,) what each word of a line is"""
-    same: UInt8
-    """Bytes: the words that are the same in every line, each with a separator behind it"""
+    words: UInt8
+    """The words of a line like these, one behind the other"""
+    ends: Int64
+    """(N,) where each of them ends"""
+    places: Int64
+    """(N,) which beam each word is, counted from 0, where it is one"""
 
 
 class Filled(NamedTuple):
@@ -74,33 +70,67 @@ class Word(NamedTuple):
     """A word as far as it reads like a decimal number."""
 
     start: np.uint64
-    first: np.uint64
-    """Where it goes on behind a minus"""
     end: np.uint64
     number: np.int64
     """That all its digits make"""
-    digits: int
-    """How many these are; 0 where anything but digits and one dot is in the word"""
-    dots: int
-    decimals: int
+    digits: np.uint64
+    """How many these are; 0 where anything but a minus, digits and a dot is in the word"""
+    decimals: np.uint64
     """How many of the digits stand behind the dot"""
-    has_quote: bool
 
 
-class Form(NamedTuple):
-    """How short numbers are written, such as 12.34 and a comma, in up to eight bytes."""
+def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
+    """Parse those of some lines, by their indices (S,), that are of a pattern."""
+    words, separator, kinds = pattern
+    rows = rows[: len(block.text) // len(kinds)]  # no more lines can have so many words
+    values = np.empty((len(kinds), len(rows)))
+    filled = Filled(
+        ranges=np.empty((len(rows), np.count_nonzero(kinds == RANGE)), np.float32),
+        values=values,
+        times=values.view(np.int64),
+        alike=np.zeros(len(rows), np.bool_),
+        # With more words than this for the caller, lines are parsed as quickly one by one.
+        left=np.empty((values.size // 8 + 64, 4), np.int64),
+    )
+    lines = Lines(
+        text=np.frombuffer(block.text, np.uint8),
+        starts=block.starts[rows],
+        separator=ord(separator),
+        kinds=kinds,
+        words=np.frombuffer(b"".join(words), np.uint8),
+        ends=np.cumsum([len(word) for word in words]),
+        places=np.cumsum(kinds == RANGE) - 1,
+    )
+    left = parse_rows(lines, filled)
+    _parse_left(block.text, lines, filled, left)
+    alike, ranges = filled.alike, filled.ranges
+    if not alike.all():
+        rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
+    return Table(rows, ranges, values, values.view(np.int64))
 
-    bits: np.uint64
-    """All bits of the dot and of the separator, and those that tell that a byte may be a digit"""
-    usual: np.uint64
-    """What these bits are"""
-    before_dot: np.uint64
-    behind_dot: np.uint64
-    """The lower halves of the digits' bytes; those behind the dot, moved up by one place"""
-    width: np.uint64
-    """Of a word without its separator (bytes)"""
-    power: float
-    """The eight digits, with zeros behind the last, make so many times the number"""
+
+def _parse_left(text: bytearray, lines: Lines, filled: Filled, left: int) -> None:
+    """Parse the words that the kernel left, so many; a line with a malformed one is not alike."""
+    for row, col, start, end in filled.left[:left].tolist():
+        word, kind = bytes(text[start:end]), lines.kinds[col]
+        try:
+            if kind == RANGE:
+                filled.ranges[row, lines.places[col]] = as_float32(_parse_number(word))
+            elif kind == NUMBER:
+                filled.values[col, row] = _parse_number(word)
+            else:
+                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
+                filled.times[col, row] = parse(word.decode("utf-8", "replace"))
+        except ValueError:
+            filled.alike[row] = False
+
+
+@lru_cache(maxsize=64)
+def _parse_number(word: bytes) -> float:
+    """Parse a number that the kernel leaves; cached, as many logs repeat a few in every line."""
+    if word.translate(None, NUMBER_CHARACTERS):
+        raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
+    return float(word.strip() or "nan")
 
 
 @kernel
@@ -114,89 +144,44 @@ def parse_rows(lines: Lines, filled: Filled) -> int:
     int
         How many words are left to the caller.
     """
-    text, eights, starts, separator, kinds, same = lines
-    ranges, values, times, alike, left = filled
-    lefts = 0
-    # Most ranges are written in the form of those before them: one comparison tells that a word has
-    # it, and all its digits are taken at once. A form that no word has comes first.
-    form, others = Form(_NONE, _ONE, _NONE, _NONE, _NONE, 1.0), 0
-    for row in range(len(starts)):
-        at, same_at, beam = np.uint64(starts[row]), _NONE, 0
-        for col in range(len(kinds)):
-            if col > 0 and text[at] == _END:
-                break
-            at = _skip_blanks(text, at + np.uint64(col > 0), separator)
-            kind = kinds[col]
-            has_form, digits = _match_form(eights[at], form)
-            if has_form and kind == RANGE:
-                ranges[row, beam] = _join_digits(digits) / form.power
-                at += form.width
-                beam += 1
-                others = 0
-                continue
-            size = _measure_same(text, at, same, same_at, separator) if kind == SAME else _NONE
-            if kind == SAME and size == _NONE:
-                break
-            if kind == SAME:
-                at += size - _ONE
-                same_at += size
-                continue
+    text, separator, left, lefts = lines.text, lines.separator, filled.left, 0
+    for row in range(len(lines.starts)):
+        at = _skip_blanks(text, np.uint64(lines.starts[row]), separator)
+        for col in range(len(lines.kinds)):
             word = _scan_word(text, at, separator)
-            at = word.end
-            # A quote may hold a separator; between blanks no word is empty.
-            if word.has_quote or (at == word.start and separator == _BLANK):
+            outcome = _read_word(lines, filled, word, row, col)
+            if outcome == _UNLIKE or (outcome == _LEFT and lefts == len(left)):
                 break
-            is_read = True
-            if kind == RANGE:
-                is_read, ranges[row, beam] = _to_float(word, eights[word.first])
-                beam += 1
-                others += 1
-                is_short = word.first == word.start and 0 < word.digits < 8 - word.dots
-                if others > 1 and is_short and text[at] == separator:
-                    form, others = _find_form(word, eights[word.start]), 0
-            elif kind == NUMBER:
-                is_read, values[col, row] = _to_float(word, eights[word.first])
-            elif kind != ANY:
-                is_read, times[col, row] = _to_ns(word, kind, text[word.first])
-            if is_read:
-                continue
-            if lefts == len(left):
+            if outcome == _LEFT:
+                left[lefts, 0], left[lefts, 1] = row, col
+                left[lefts, 2], left[lefts, 3] = word.start, word.end
+                lefts += 1
+            if text[word.end] == _END:
+                filled.alike[row] = col == len(lines.kinds) - 1
                 break
-            left[lefts, 0], left[lefts, 1] = row, col
-            left[lefts, 2], left[lefts, 3] = word.start, at
-            lefts += 1
+            at = _skip_blanks(text, word.end + _ONE, separator)
         else:
-            alike[row] = text[_skip_blanks(text, at, separator)] == _END
+            filled.alike[row] = separator == _BLANK and text[at] == _END
     return lefts
 
 
 @step
-def _match_form(word: np.uint64, form: Form) -> tuple[bool, np.uint64]:
-    """Whether eight bytes begin with a word of a form, and its digits, each in a byte."""
-    digits = (word & form.before_dot) | ((word >> _EIGHT) & form.behind_dot)
-    is_like = word & form.bits == form.usual and (digits + _SIXES) & _DIGIT_BITS == _NONE
-    return is_like, digits
-
-
-@step
-def _join_digits(digits: np.uint64) -> np.int64:
-    """The number of eight digits, of which the first is the lowest byte."""
-    digits = digits * _TEN + (digits >> _EIGHT)
-    odd_pairs, even_pairs = digits & _PAIRS, (digits >> _SIXTEEN) & _PAIRS
-    return np.int64((odd_pairs * _FIRST_PAIRS + even_pairs * _LAST_PAIRS) >> _HALF)
-
-
-@step
-def _find_form(word: Word, eight: np.uint64) -> Form:
-    """The form of a short word without a sign, given its eight bytes."""
-    whole = word.digits - word.decimals
-    dot_at, end_at = np.uint64(8 * whole), np.uint64(8 * (word.digits + word.dots))
-    word_bits = (_ONE << end_at) - _ONE
-    before_dot = ((_ONE << dot_at) - _ONE) & _LOWER
-    behind_dot = (word_bits >> _EIGHT) & _LOWER & ~before_dot
-    bits = word_bits & _UPPER | np.uint64(255 * word.dots) << dot_at | _BYTE << end_at
-    width = np.uint64(word.digits + word.dots)
-    return Form(bits, eight & bits, before_dot, behind_dot, width, POWERS[8 - whole])
+def _read_word(lines: Lines, filled: Filled, word: Word, row: int, col: int) -> int:
+    """Put a word where its line and its kind say; tell whether it is read."""
+    text, kind, is_read = lines.text, lines.kinds[col], True
+    if word.start == word.end and lines.separator == _BLANK:
+        return _UNLIKE  # the line has no more words
+    if kind == RANGE:
+        is_read, filled.ranges[row, lines.places[col]] = _to_float(text, word)
+    elif kind == NUMBER:
+        is_read, filled.values[col, row] = _to_float(text, word)
+    elif kind == SAME:
+        return _READ if _is_same(lines, word, col) else _UNLIKE
+    elif kind == ANY:
+        return _UNLIKE if _has_quote(text, word) else _READ  # it may hold a separator
+    else:
+        is_read, filled.times[col, row] = _to_ns(text, word, kind)
+    return _READ if is_read else _LEFT
 
 
 @step
@@ -208,62 +193,82 @@ def _skip_blanks(text: UInt8, at: np.uint64, separator: int) -> np.uint64:
 
 
 @step
-def _measure_same(
-    text: UInt8, at: np.uint64, same: UInt8, same_at: np.uint64, separator: int
-) -> np.uint64:
-    """How long a word is with its separator if it is the one of every line, and else 0."""
-    size = _NONE
-    while same[same_at + size] != separator and same[same_at + size] == text[at + size]:
-        size += _ONE
-    ends = text[at + size] == separator or text[at + size] == _END
-    return size + _ONE if same[same_at + size] == separator and ends else _NONE
-
-
-@step
-def _scan_word(text: UInt8, at: np.uint64, separator: int) -> Word:
+def _scan_word(text: UInt8, start: np.uint64, separator: int) -> Word:
     """Read a word up to its separator or the end of its line."""
-    start = at
-    if text[at] == _MINUS:
-        at += _ONE
-    first, number, dots, decimals = at, np.int64(0), 0, 0
-    while True:
-        if _ZERO <= text[at] <= _NINE:
-            number *= 10
-            number += text[at] - _ZERO
-            decimals += dots
-        elif text[at] == _DOT and dots == 0:
-            dots = 1
-        else:
-            break
-        at += _ONE
-    digits, has_quote = int(at - first) - dots, False
+    first = start + np.uint64(text[start] == _MINUS)
+    at, number = _scan_digits(text, first, np.int64(0))
+    digits, decimals = at - first, _NONE
+    if text[at] == _DOT:
+        dot = at
+        at, number = _scan_digits(text, dot + _ONE, number)
+        decimals = at - dot - _ONE
+        digits += decimals
     while text[at] != separator and text[at] != _END:
-        digits = 0
-        has_quote |= text[at] == _QUOTE
+        digits = _NONE
         at += _ONE
-    return Word(start, first, at, number, digits, dots, decimals, has_quote)
+    return Word(start, at, number, digits, decimals)
 
 
 @step
-def _to_float(word: Word, name: np.uint64) -> tuple[bool, float]:
-    """Whether a word is a number that is read here, and which; `name` is its eight bytes."""
-    is_read, value, size = True, np.nan, np.int64(word.end - word.first)
-    name &= _THREE_BYTES
-    if 0 < word.digits <= MOST_DIGITS:
+def _scan_digits(text: UInt8, at: np.uint64, number: np.int64) -> tuple[np.uint64, np.int64]:
+    """Go on behind some digits, given and giving the number that all before make."""
+    while _ZERO <= text[at] <= _NINE:
+        number = number * 10 + (text[at] - _ZERO)
+        at += _ONE
+    return at, number
+
+
+@step
+def _is_same(lines: Lines, word: Word, col: int) -> bool:
+    """Whether a word is the one of every line."""
+    start, end = np.uint64(lines.ends[col - 1] if col else 0), np.uint64(lines.ends[col])
+    size = end - start
+    at = _NONE
+    while at < size and lines.text[word.start + at] == lines.words[start + at]:
+        at += _ONE
+    return bool(at == size and word.end - word.start == size)
+
+
+@step
+def _has_quote(text: UInt8, word: Word) -> bool:
+    at = word.start
+    while at < word.end and text[at] != _QUOTE:
+        at += _ONE
+    return bool(at < word.end)
+
+
+@step
+def _to_float(text: UInt8, word: Word) -> tuple[bool, float]:
+    """Whether a word is a number that is read here, and which."""
+    is_negative = text[word.start] == _MINUS
+    value = np.nan
+    if _NONE < word.digits <= MOST_DIGITS:
         value = word.number / POWERS[word.decimals]
-    elif size == 3 and name == _INF:
+    elif _is_name(text, word, is_negative, _INF):
         value = np.inf
-    elif size != 3 or name != _NAN:
-        is_read = word.end == word.start  # an empty cell
-    return is_read, -value if word.start < word.first else value
+    elif word.start < word.end and not _is_name(text, word, is_negative, _NAN):
+        return False, value
+    return True, -value if is_negative else value
 
 
 @step
-def _to_ns(word: Word, kind: int, first: np.uint8) -> tuple[bool, np.int64]:
-    """Whether a word is a time that is read here, and which (ns); `first` is its first digit."""
-    number, more = word.number, 9 - word.decimals if kind == SECONDS else 0
-    is_plain = word.start == word.first and more >= 0 and (kind == SECONDS or word.dots == 0)
-    is_read = is_plain and 0 < word.digits <= MOST_TIME_DIGITS - more - (first == _NINE)
+def _is_name(text: UInt8, word: Word, is_negative: bool, name: UInt8) -> bool:
+    """Whether a word is a name such as inf, behind a minus or without."""
+    at, size = word.start + np.uint64(is_negative), 0
+    while size < len(name) and text[at + np.uint64(size)] == name[size]:
+        size += 1
+    return bool(size == len(name) and word.end - at == size)
+
+
+@step
+def _to_ns(text: UInt8, word: Word, kind: int) -> tuple[bool, np.int64]:
+    """Whether a word is a time that is read here, and which (ns)."""
+    number, size = word.number, np.int64(word.digits)
+    more = 9 - np.int64(word.decimals) if kind == SECONDS else 0
+    has_sign = text[word.start] == _MINUS
+    is_whole = kind == SECONDS or word.end - word.start == word.digits
+    most = MOST_TIME_DIGITS - more - (text[word.start] == _NINE)
+    is_read = bool(is_whole and not has_sign and more >= 0 and 0 < size <= most)
     for _ in range(more if is_read else 0):
         number *= 10
     return is_read, number

@@ -23,8 +23,9 @@ from occmap.readers.options import Echo, ReaderOptions
 from occmap.types import IDENTITY, Cloud, Float32, Float64, Int64, Pose, PoseSample, Scan
 from occmap.values import as_number, as_stamp, as_text
 
-ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan | Cloud]
+ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
 """From what the user chose, a decoded message, its topic and its record time in ns."""
+ToCloud: TypeAlias = Callable[[Any, str, int], Cloud]
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
@@ -44,6 +45,7 @@ class MessageType(NamedTuple):
     role: Role
     to_scan: ToScan | None = None
     to_poses: ToPoses | None = None
+    to_cloud: ToCloud | None = None
 
 
 class PoseFields(NamedTuple):
@@ -204,7 +206,7 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
     return [] if sample.pose == IDENTITY else [sample._replace(child=child)]
 
 
-def convert_cloud(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Cloud:
+def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert a sensor_msgs/PointCloud2.
 
     Raises
@@ -315,7 +317,7 @@ _TF = PoseFields(
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, to_cloud=convert_cloud),
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
 } | {
     name: MessageType(Role.POSE, to_poses=fields.read)

@@ -21,11 +21,11 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Role, Stream
 from occmap.readers.containers.inflate import Buffer
 from occmap.readers.containers.source import Channel, RawMessage, Source
-from occmap.readers.message_types import TYPES, ToScan, find_type
+from occmap.readers.message_types import TYPES, ToCloud, ToScan, find_type
 from occmap.readers.messages import make_reader
 from occmap.readers.options import ReaderOptions
 from occmap.readers.stacks import Stacked, read_scan_run, read_transforms
-from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
 Many = TypeVar("Many")
@@ -66,20 +66,11 @@ class RosLog:
         self.notes = source.notes
         self._options = options
         self._source = source
-        self._is_whole = True
         self._types = {channel: find_type(channel) for channel in source.channels}
         for channel, kind in self._types.items():
             if channel.count and kind is None and channel.kind in TYPES:
                 found = f"{channel.count} messages on {channel.topic} are {channel.type}"
                 self.notes.add_damage(f"{found} in {channel.encoding!r}: they are not used")
-
-    def split(self, size: int) -> Sequence["RosLog"]:
-        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        scans = [channel for channel, kind in self._types.items() if kind and kind.to_scan]
-        parts = [RosLog(part, self._options) for part in self._source.split(size, scans)]
-        for part in parts:
-            part._is_whole = len(parts) == 1
-        return parts
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -104,6 +95,20 @@ class RosLog:
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
         return self._read_stacked(self._make_scan_readers(topics), read_scan_run, 1)
+
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds of points of these topics, in file order."""
+
+        def make_convert(to_cloud: ToCloud) -> Convert[Cloud]:
+            return lambda *message: [to_cloud(*message)]
+
+        return self._read(
+            self._make_readers(
+                (channel, make_convert(kind.to_cloud))
+                for channel, kind in self._types.items()
+                if kind and kind.to_cloud and channel.topic in topics
+            )
+        )
 
     def _make_pose_readers(self) -> "_Readers[PoseSample]":
         return self._make_readers(
@@ -182,7 +187,7 @@ class RosLog:
         """Say what of the messages was lost or damaged."""
         for channel, reader in readers.items():
             topic, announced = channel.topic, channel.count
-            if self._is_whole and reader.messages != announced:
+            if reader.messages != announced:
                 text = f"{reader.messages} messages are read on {topic}"
                 self.notes.add_damage(f"{text}, where the log announces {announced}")
             if reader.uses_standard:

@@ -1,17 +1,15 @@
-"""Text files, plain or gzip: their lines in blocks, or by parts."""
+"""Text files, plain or gzip: their lines in blocks."""
 
-import sys
 from codecs import BOM_UTF8
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import NoteList, Span
+from occmap.readers import NoteList
 from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 from occmap.types import Int64, UInt64
 
@@ -29,8 +27,6 @@ BLOCK_BYTES = 1 << 20
 
 PADDING = b"\n" * 16
 """What must follow the last line: words are looked at up to sixteen bytes at a time."""
-ALL = Span(0, sys.maxsize)
-"""The span of a whole file, however long"""
 NO_LOG = "this is not a text log; check what the file is"
 
 
@@ -106,40 +102,16 @@ def is_heading(line: bytes) -> bool:
 
 
 def _has_mac_ends(head: bytes) -> bool:
-    """Whether a text that begins like this has CR alone at the end of a line, as Macs wrote it."""
-    return b"\r" in head[:-1] and b"\n" not in head
+    """Whether a text that begins like this has CR alone at the end of a line, as Macs wrote it.
 
-
-def split_lines(path: Path, size: int) -> list[Span]:
-    """Cut a text file into spans of whole lines, of about `size` bytes.
-
-    The first span holds the head of the file and one line more, which may be a header row. Gzip
-    cannot be cut, and the file of an old Mac is not.
-
-    Raises
-    ------
-    LogError
-        The file cannot be read.
+    A program of today may have ended the last line of it.
     """
-    with refuse_unreadable(path), path.open("rb") as file:
-        head = file.read(BLOCK_BYTES)
-        if head.startswith(MAGIC) or _has_mac_ends(head):
-            return [ALL]
-        file.seek(0)
-        while (line := file.readline(MAX_LINE_BYTES)) and is_heading(line):
-            pass
-        heading, length = file.tell(), file.seek(0, 2)
-        cuts = [0]
-        for start in range(max(size, heading), length, size):
-            file.seek(start - 1)
-            file.readline(MAX_LINE_BYTES)
-            if cuts[-1] < file.tell() < length:
-                cuts.append(file.tell())
-    return [Span(*ends) for ends in pairwise([*cuts, length])]
+    lines = head.rstrip(b"\r\n")
+    return b"\r" in lines and b"\n" not in lines
 
 
-def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block]:
-    """Yield the lines of a UTF-8 text file, plain or gzip, or of a part of it, in blocks.
+def read_blocks(path: Path, notes: NoteList) -> Iterator[Block]:
+    """Yield the lines of a UTF-8 text file, plain or gzip, in blocks.
 
     Where gzip data is cut or corrupt, every complete line before the damage is given, and a note
     says what is lost.
@@ -155,7 +127,7 @@ def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block
         size = path.stat().st_size
     limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
     try:
-        for piece in _read_lines(path, span):
+        for piece in _read_lines(path):
             begun, filled, total = filled, filled + len(piece), total + len(piece)
             if filled + len(PADDING) > len(text):
                 text = text + bytes(filled + len(PADDING))
@@ -179,23 +151,23 @@ def read_blocks(path: Path, notes: NoteList, span: Span = ALL) -> Iterator[Block
         notes.add_damage(f"the gzip data is {reason}; all after line {number - 1} is lost")
 
 
-def _read_lines(path: Path, span: Span) -> Iterator[bytes | memoryview]:
+def _read_lines(path: Path) -> Iterator[bytes | memoryview]:
     """Yield the content of a file as `_read_pieces` does, with the line ends of today."""
     has_mac_ends = False
-    for number, piece in enumerate(_read_pieces(path, span)):
-        if number == 0 and span.start == 0:
+    for number, piece in enumerate(_read_pieces(path)):
+        if number == 0:
             has_mac_ends = _has_mac_ends(bytes(piece))
         yield bytes(piece).replace(b"\r", b"\n") if has_mac_ends else piece
 
 
-def _read_pieces(path: Path, span: Span) -> Iterator[bytes | memoryview]:
+def _read_pieces(path: Path) -> Iterator[bytes | memoryview]:
     """Yield the content of a file, unpacked; a piece is valid until the next one is read."""
     with refuse_unreadable(path), path.open("rb", 0) as file:
         if file.read(len(MAGIC)) == MAGIC:
             file.seek(0)
             yield from gunzip(file)
             return
-        file.seek(span.start)
+        file.seek(0)
         piece = memoryview(bytearray(BLOCK_BYTES))
-        while size := file.readinto(piece[: span.end - file.tell()]):
+        while size := file.readinto(piece):
             yield piece[:size]

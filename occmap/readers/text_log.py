@@ -6,7 +6,7 @@ The way of a line from the file to a `Scan`:
 2. `_read` of the format says which lines of a block are scans, and of which kind.
 3. `_parse_together` lets the format's `parse` make a `Scan` of the first sound line of each kind.
    From that line, `find_pattern` says what each word of lines like it is.
-4. `tables.parse_table` has all lines of that pattern parsed by a kernel, and `make_run`
+4. `decimals.parse_table` has all lines of that pattern parsed by a kernel, and `make_run`
    makes a `ScanRun` of the table.
 5. `_parse_block` gives every line that does not fit the pattern to `parse`, one by one.
 
@@ -20,22 +20,48 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol, Self, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from occmap.errors import LogError
-from occmap.readers import NoteList, make_part
-from occmap.readers.tables import Pattern, Table, parse_table
-from occmap.readers.text import ALL, Block, Line, split_lines
-from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun
+from occmap.readers import NoteList
+from occmap.readers.text import Block, Line
+from occmap.types import UNKNOWN_POSE, Float32, Float64, Int64, Pose, Scan, ScanRun, UInt8
 
 Parsed = TypeVar("Parsed")
 
+ANY, SAME, SECONDS, NANOSECONDS, NUMBER, RANGE = range(6)
+"""What a word of a line is: nothing that is asked for, the same in every line, a time in either
+unit, a number, or the range of a beam."""
 MALFORMED_SHARE = 0.05
 """A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
 SOUND_START = 20
 """A file that begins with this many sound lines is a log, whatever follows."""
+
+
+class Pattern(NamedTuple):
+    """What lines that are parsed together have in common."""
+
+    words: Sequence[bytes]
+    """The words of one of them, N"""
+    separator: bytes
+    """What stands between two words: one comma, or any number of blanks"""
+    kinds: UInt8
+    """(N,) what each word is, ANY, SAME or another"""
+
+
+class Table(NamedTuple):
+    """The values of S lines of N words that share a pattern."""
+
+    rows: Int64
+    """(S,) which lines of the block they are"""
+    ranges: Float32
+    """(S, B) in the order in which they stand; NaN where nothing stands between two commas"""
+    values: Float64
+    """(N, S) other numbers, likewise, by word"""
+    times: Int64
+    """(N, S) ns, by word; only the rows of times mean anything, as in `values` only the others"""
 
 
 class LineForm(Protocol):
@@ -95,13 +121,12 @@ class TextLog(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes = NoteList()
-        self._span = ALL
         self._kept: list[Scan | ScanRun] | None = None
         """The scans of a log that were read when it was opened"""
 
     @abstractmethod
     def _read(self) -> Iterator[Scan | ScanRun]:
-        """Yield all scans of the log, or of this part of it.
+        """Yield all scans of the log.
 
         Raises
         ------
@@ -125,12 +150,6 @@ class TextLog(ABC):
         for some in self._read():
             if some.first.topic in topics and some.first.ranges.size:
                 yield some
-
-    def split(self, size: int) -> Sequence[Self]:
-        """Cut the log into parts of about `size` bytes, as `occmap.readers.Splittable` says."""
-        damaged = any(note.damage for note in self.notes)
-        spans = [ALL] if damaged else split_lines(self.path, size)
-        return [make_part(self, _span=span, _kept=None) for span in spans]
 
     def _parse_block(
         self, block: Block, lines: Mapping[str, Int64], tally: LineTally
@@ -159,13 +178,15 @@ class TextLog(ABC):
 
         None: there is no sound one, or its lines are of no pattern.
         """
+        from occmap.readers import decimals  # noqa: PLC0415  late: it brings numba
+
         if len(rows) < 2 or (sound := self._find_sound(block, rows)) is None:
             return None
         at, first = sound
         rows = rows[at:]  # those before it are malformed
         with suppress(ValueError):  # of lines that state no times, or of which one is malformed
             pattern = self.form.find_pattern(block.get_line(int(rows[0])))
-            table = parse_table(block, rows, pattern)
+            table = decimals.parse_table(block, rows, pattern)
             # The kernel leaves out a few lines that `parse` takes; the first must not be one.
             if table.rows.size and table.rows[0] == rows[0]:
                 return table.rows, self.form.make_run(first, table)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.plain import Count, Finite, Share
+from occmap.report.printed import Count, Finite, Share
 from occmap.types import Float64, Rays
 from occmap.workers import Workers
 

@@ -11,7 +11,7 @@ from occmap.cells import OccupancyMap
 from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
-from occmap.plain import HIDDEN, IN_PLACE, Count, Finite, Share
+from occmap.report.printed import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scoring.score import Gain, Score, score_map
 from occmap.scoring.variants import Variant, shorten_model
 from occmap.steps.engines import make_engine

@@ -8,12 +8,11 @@ ranges, far more of them than of the ranges just below.
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
 from occmap.sensor.returns import ReturnOptions, read_limits
-from occmap.types import Cloud, Float32, Int64, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, Float32, Int64, Recorded, Scan, ScanBatch, ScanRun
 from occmap.values import as_float32
 
 BAND = 0.025
@@ -87,15 +86,6 @@ class RangeTally:
         if (far := far[(far >= self._floor) & (far < limit)]).size:
             self._keep(*np.unique(round_down(far), return_counts=True))
 
-    def merge(self, other: Self) -> None:
-        """Count what another tally counted, as if this one had seen it, too."""
-        self.total += other.total
-        self.stated = max(self.stated, other.stated)
-        self.above += other.above
-        self.largest = max(self.largest, other.largest)
-        self._different |= other._different
-        self._keep(other._values, other._counts)
-
     def _keep(self, values: Float32, counts: Int64) -> None:
         """Add to the counts of values (N,), all different, and forget what no band can reach."""
         every = np.concatenate([self._counts, counts])
@@ -161,7 +151,7 @@ class RangeLimits:
             if range_max != first.range_max:
                 self._senseless.setdefault(first.topic, first.range_max)
 
-    def watch(self, scans: Iterable[Scan | ScanRun | Cloud]) -> Iterator[Scan | ScanRun | Cloud]:
+    def watch(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass scans on, and count their ranges."""
         for some in scans:
             if not isinstance(some, Cloud):
@@ -178,20 +168,10 @@ class RangeLimits:
 
     def settle(self) -> bool:
         """Say whether the limits so far are the whole log's, and apply those from now on."""
-        right = self.agrees_with(self)
+        right = all(limit == self._find(topic) for topic, limit in self._applied.items())
         self._settled = True
         self._applied.clear()
         return right
-
-    def merge(self, other: Self) -> None:
-        """Count what was seen of a later part of the same log."""
-        for topic, tally in other._tallies.items():
-            self._tallies.setdefault(topic, RangeTally()).merge(tally)
-        self._senseless = {**other._senseless, **self._senseless}
-
-    def agrees_with(self, whole: Self) -> bool:
-        """Whether the limits applied here are those of `whole`, which saw more scans."""
-        return all(limit == whole._find(topic) for topic, limit in self._applied.items())
 
     def _find(self, topic: str) -> float:
         tally = self._tallies.get(topic)  # of this topic alone: there may be very many

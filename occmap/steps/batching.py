@@ -11,7 +11,7 @@ from occmap.posing.options import Stamps
 from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Cloud, Int64, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
@@ -35,7 +35,7 @@ def find_geometry(scan: Scan) -> Geometry:
 
 
 def batch_scans(
-    scans: Iterable[Scan | ScanRun | Cloud], selector: Selector, limits: RangeLimits
+    scans: Iterable[Recorded], selector: Selector, limits: RangeLimits
 ) -> Iterator[ScanBatch]:
     """Batch the scans of a log that are used; from its limit on, a range means "no return".
 
@@ -45,7 +45,7 @@ def batch_scans(
     return map(limits.apply, stack(used, selector.stamps))
 
 
-def stack(scans: Iterable[Scan | ScanRun | Cloud], stamps: Stamps) -> Iterator[ScanBatch]:
+def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
     held: dict[Geometry, dict[int, Scan]] = {}
     beams = 0

@@ -12,7 +12,8 @@ from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
-from occmap.readers import Log, Note, open_log
+from occmap.readers import Log, open_log
+from occmap.report.notes import Note
 from occmap.sensor.returns import ReturnOptions
 from occmap.steps.engines import make_cloud_engine, make_engine, make_grid
 from occmap.steps.journey import SHOWN_SCANS, JourneyRecorder
@@ -57,12 +58,10 @@ class Remarks:
 
     logs: list[str]
     notes: list[str] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)
 
     def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
         """Keep the notes of a log's reader, and the notes of others on it."""
-        self.notes += [f"{log}: {text}" for text in (*others, *(note.text for note in notes))]
-        self.damage += [f"{log}: {note.text}" for note in notes if note.damage]
+        self.notes += [note.placed(log) for note in (*map(Note, others), *notes)]
 
 
 class Observed(NamedTuple):

@@ -1,14 +1,15 @@
 """What is known of a log before its scans are read: its topics, and where the robot went."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 from occmap.errors import LogError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
-from occmap.readers import Log, Role, read_poses
-from occmap.types import Scan, Update
+from occmap.readers import HoldingClouds, Log, Role, read_poses
+from occmap.types import Cloud, Scan, Update
 
 
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
@@ -102,7 +103,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     return poser
 
 
-def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions) -> None:
+def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:
     """Refuse to put lasers that have frames of their own at one place.
 
     Raises
@@ -120,10 +121,13 @@ def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions)
     raise UsageError(found, where=log.path, fix=fix)
 
 
-def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
-    """Read the first scan of each topic, and stop reading when all are found."""
-    first: dict[str, Scan] = {}
-    for scan in log.scans(set(topics)):
+def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
+    """Read the first scan or cloud of each topic, and stop reading when all are found."""
+    first: dict[str, Scan | Cloud] = {}
+    scans: Iterator[Scan | Cloud] = log.scans(set(topics))
+    if isinstance(log, HoldingClouds):
+        scans = chain(scans, log.clouds(set(topics)))
+    for scan in scans:
         first.setdefault(scan.topic, scan)
         if len(first) == len(topics):
             break

@@ -8,12 +8,12 @@ from time import perf_counter
 from typing import Any, TypeVar
 
 from occmap.errors import LogError, MapError, PoseError
-from occmap.plain import Count
 from occmap.posing.options import DropReason
+from occmap.report.printed import Count
+from occmap.report.words import write_counts, write_unused
 from occmap.selection import LeftOut, count_wanted
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.journey import JourneyRecorder
-from occmap.wording import write_counts, write_unused
 
 Item = TypeVar("Item")
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))

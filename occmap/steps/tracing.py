@@ -9,8 +9,8 @@ from occmap.grid.framing import Reach
 from occmap.grid.lattice import Lattice
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.readers import Log, read_scans
-from occmap.selection import FROM_THE_START, Seam, Selector
+from occmap.readers import Log, read_recorded
+from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnCounts, interpret
 from occmap.steps.batching import batch_scans, list_oddities, stack
@@ -29,14 +29,12 @@ AddRays = Callable[[Any], None]
 
 
 class Drive(NamedTuple):
-    """A log, or a part of one, and all that its scans need of the rest of it."""
+    """A log, which of its scans are used, and where they were taken."""
 
     log: Log
     topics: Sequence[str]
     """The topics whose scans are used"""
     poser: Poser
-    seam: Seam = FROM_THE_START
-    """What is carried over from the parts before this one"""
 
 
 def open_drive(log: Log, options: BuildOptions) -> Drive:
@@ -100,8 +98,8 @@ def find_ground(
     finder = GroundFinder()
     for log in logs:
         drive = open_drive(log, options)
-        selector = Selector(options.selection, options.posing.stamps, drive.seam)
-        scans = selector.select(read_scans(log, drive.topics))
+        selector = Selector(options.selection, options.posing.stamps)
+        scans = selector.select(read_recorded(log, drive.topics))
         batches = filter(finder.wants, stack(scans, selector.stamps))
         with name_log(log.path), Workers(finder.add, options.jobs) as workers:
             for _, posed, _ in drive.poser.attach(batches):
@@ -113,14 +111,14 @@ def find_ground(
 def trace(
     drive: Drive, options: BuildOptions, add_rays: AddRays, limits: RangeLimits, tally: Tally
 ) -> list[str]:
-    """Trace the scans of a log, or of a part of one, as a stream; say what is odd about them.
+    """Trace the scans of a log as a stream; say what is odd about them.
 
     Parameters
     ----------
     limits, tally
         Learn from the scans, and count them; the notes of the poser grow as well.
     """
-    selector = Selector(options.selection, options.posing.stamps, drive.seam)
+    selector = Selector(options.selection, options.posing.stamps)
     reach = Reach(Lattice(options.resolution), options.max_cells)
     odd: dict[str, None] = {}
 
@@ -129,7 +127,7 @@ def trace(
             add_rays(seen)
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
-        batches = batch_scans(read_scans(drive.log, drive.topics), selector, limits)
+        batches = batch_scans(read_recorded(drive.log, drive.topics), selector, limits)
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
         for attached in pose_scans(drive, batches, selector, tally):
             odd |= dict.fromkeys(list_oddities(attached.batch))
@@ -151,7 +149,7 @@ def trace(
 def pose_scans(
     drive: Drive, batches: Iterator[ScanBatch], selector: Selector, tally: Tally
 ) -> Iterator[Attached]:
-    """Pose the scans of a log, or of a part of one, as a stream; count what becomes of them.
+    """Pose the scans of a log as a stream; count what becomes of them.
 
     Parameters
     ----------

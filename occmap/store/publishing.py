@@ -14,8 +14,8 @@ from occmap.evidence.manifest import BuildRecord, list_doubts
 from occmap.evidence.persistence import check_passes, render_lasting
 from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
-from occmap.remarks import list_disagreement, list_unreached
-from occmap.report import Build, MapFacts, MapSummary, Report, describe_map
+from occmap.report.doubts import list_disagreement, list_unreached
+from occmap.report.results import Build, MapFacts, MapSummary, Report, describe_map
 from occmap.sensor.models import MODEL, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.tally import ScanCounts

@@ -14,7 +14,7 @@ from occmap.grid.framing import Framing, choose_box
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
-from occmap.report import MapFacts, count_cells
+from occmap.report.results import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision
 from occmap.store.blocks import Block, list_blocks
 from occmap.store.reading import Blocks, Store, read_part

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from occmap.options import BuildOptions, compose_build
-from occmap.plain import HIDDEN, Count, Finite, Share
 from occmap.readers import open_log
-from occmap.remarks import LEAST_AGREEMENT
+from occmap.report.printed import HIDDEN, Count, Finite, Share
+from occmap.report.results import LEAST_AGREEMENT
+from occmap.report.words import count
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.scoring.score import Gain
 from occmap.steps.observing import Progress, Remarks, ignore_progress
@@ -19,7 +20,6 @@ from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.search import Correction, Finding, Knob, Scorer, Verdict
 from occmap.types import Pose, Rays
-from occmap.wording import count
 
 USUAL_SCORINGS = 35
 """About how many maps a search scores, for the progress bar"""

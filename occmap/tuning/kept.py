@@ -11,7 +11,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.posing.rotations import to_quaternions
 from occmap.readers import Log, read_scans
-from occmap.remarks import list_frames
+from occmap.report.doubts import list_frames
 from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.steps.batching import list_oddities, stack

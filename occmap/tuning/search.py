@@ -12,8 +12,8 @@ from typing import NamedTuple
 from occmap.choices.values import to_rpy
 from occmap.evidence import render
 from occmap.options import BuildOptions
-from occmap.plain import Finite
 from occmap.posing.options import PosingOptions
+from occmap.report.printed import Finite
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import SMALL, Gain, Trial
 from occmap.scoring.trials import Trials

@@ -137,7 +137,7 @@ class Bench:
     def _measure_texts(self, office: Workload) -> None:
         rounds, rows = 2 * self._settings.rounds, self.results.rows
         for name, write in (("CSV", write_csv), ("CARMEN", write_carmen)):
-            rows.append(limits.compare_loadtxt(write(office, self._folder), name, 1 / 3, rounds))
+            rows.append(limits.compare_loadtxt(write(office, self._folder), name, 0.4, rounds))
         if FREIBURG.exists():
             log = self._folder / "freiburg-079.log"
             log.write_bytes(gzip.decompress(FREIBURG.read_bytes()))

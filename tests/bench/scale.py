@@ -18,8 +18,7 @@ from distributed import Client, LocalCluster
 
 from occmap.fleet import Fleet
 from occmap.fleet.cluster import ALLOCATOR
-from occmap.fleet.storing import build_store
-from occmap.fleet.tasks import survey_log, trace_part
+from occmap.fleet.tasks import survey_log, trace_log
 from occmap.options import BuildOptions
 from occmap.steps.observing import Keep, ignore_progress
 from occmap.store.layout import import_zarr
@@ -37,7 +36,6 @@ APART = np.array([60.0, 50.0, 0.0])
 """Metres between two offices that lie beside each other in x, and in y"""
 ROW = 5
 """Offices that lie beside each other in x"""
-SLICE = 8_000_000
 MEMORY = "1GB"
 OPTIONS = BuildOptions(jobs=1)
 
@@ -99,17 +97,17 @@ def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
     start = perf_counter()
     with start_workers(workers) as (client, address):
         started = perf_counter() - start, measure_workers(client)[0] / workers
-        fleet = Fleet(address, output.with_suffix(".scratch"), SLICE)
+        fleet = Fleet(address, output.with_suffix(".scratch"))
         shuffled, told = measure_shuffle(fleet, logs[:FIRST])
         first = output.with_suffix(".first.zarr")
-        build_store(fleet, logs[:FIRST], OPTIONS, first, ignore_progress)
+        fleet.build(logs[:FIRST], OPTIONS, [first], ignore_progress)
         before = measure_workers(client)[0]
         start, own = perf_counter(), measure_process()[0]
-        build_store(fleet, logs, OPTIONS, output, ignore_progress)
+        fleet.build(logs, OPTIONS, [output], ignore_progress)
         seconds = perf_counter() - start
         spent, peak = measure_workers(client)
         spent += measure_process()[0] - before - own
-        flags = ["--dask", address, "--slice", f"{SLICE}B", "-q"]
+        flags = ["--dask", address, "-q"]
         again = run([OCCMAP, "build", *logs, "-o", output.with_suffix(".again.zarr"), *flags])
         return Cost(started, seconds, spent, peak, again.peak_bytes, shuffled, told)
 
@@ -124,7 +122,7 @@ def measure_shuffle(fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
     """Bytes in the run files of logs, and in the stubs, which are what the driver is told."""
     with fleet.work(logs, OPTIONS, Keep(slices=True), ignore_progress) as work:
         files = list(work.setting.folder.iterdir())
-        stubs = [f".{task.__name__}" for task in (survey_log, trace_part)]
+        stubs = [f".{task.__name__}" for task in (survey_log, trace_log)]
         shuffled = sum(each.stat().st_size for each in files if each.suffix == ".run")
         told = sum(each.stat().st_size for each in files if each.suffix in stubs)
         return shuffled, told

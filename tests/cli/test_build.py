@@ -7,8 +7,8 @@ from threading import Event
 
 import pytest
 
-from occmap.cli import progress
-from occmap.cli.commands.build import read_request
+from occmap.cli import console as printing
+from occmap.cli.build import build_command, read_request
 from occmap.cli.console import Console, Verbosity
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
@@ -26,9 +26,7 @@ DRIVE = SAMPLE_LOGS / "drive.csv"
 
 def parse(*words: str) -> BuildOptions:
     """Read a command line without running it."""
-    from occmap.cli.commands.build import command  # noqa: PLC0415
-
-    context = command.make_context("build", [*words, "x.log", "-o", "m.pgm"], obj=Console())
+    context = build_command.make_context("build", [*words, "x.log", "-o", "m.pgm"], obj=Console())
     values = dict(context.params)
     _, options = read_request(values.pop("words"), values)
     return options
@@ -235,11 +233,10 @@ def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
 
 def test_options_of_a_build_by_workers_are_noted_without_workers(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
-    words = ["build", log, "-o", tmp_path / "m.pgm", "--slice", "1MB", "--scratch", tmp_path]
+    words = ["build", log, "-o", tmp_path / "m.pgm", "--scratch", tmp_path]
     told = occmap(*words, "--json")
-    notes = ["--scratch does nothing without --dask", "--slice does nothing without --dask"]
-    assert json.loads(told.out)["notes"] == notes
-    assert told.err == "".join(f"note: {note}\n" for note in notes)
+    assert json.loads(told.out)["notes"] == ["--scratch does nothing without --dask"]
+    assert told.err == "note: --scratch does nothing without --dask\n"
 
 
 def test_quiet_prints_nothing(tmp_path: Path) -> None:
@@ -261,8 +258,8 @@ def test_a_bar_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> N
 
     def show(verbosity: Verbosity) -> str:
         terminal = Terminal()
-        monkeypatch.setattr(progress.sys, "stderr", terminal)  # type: ignore[attr-defined]
-        with progress.show_progress(Console(verbosity)) as advance:
+        monkeypatch.setattr("sys.stderr", terminal)
+        with printing.show_progress(Console(verbosity)) as advance:
             advance(5, 10)
             advance(5, 10)
         return terminal.text
@@ -297,9 +294,9 @@ def test_a_bar_moves_while_nothing_is_reported_and_never_passes_its_total(
             drawn.set()
 
     monkeypatch.setattr("tqdm.tqdm", Bar)
-    monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True, raising=False)  # type: ignore[attr-defined]
-    assert progress.REDRAW_S <= 1
-    with progress.show_progress(Console()) as advance:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    assert printing.REDRAW_S <= 1
+    with printing.show_progress(Console()) as advance:
         assert drawn.wait(30)
         for scans in (5, 5, -10, 5, 7):
             advance(scans, 10)

@@ -6,7 +6,7 @@ from importlib.metadata import version
 import pytest
 
 from occmap import cli
-from occmap.cli import COMMANDS, listing
+from occmap.cli import COMMANDS, lists
 from occmap.errors import LogError, OccmapError, UsageError
 from occmap.options import DEFAULT_UPDATE
 from tests.cli.runner import find_command, occmap, read_error
@@ -58,7 +58,7 @@ def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(listing, "load_plugins", fail)
+    monkeypatch.setattr(lists, "load_plugins", fail)
 
 
 @pytest.mark.parametrize(("error", "code"), [(OccmapError, 1), (LogError, 1), (UsageError, 2)])
@@ -106,7 +106,7 @@ def test_a_fault_of_occmap_is_one_line_and_with_v_a_traceback(
 ) -> None:
     fail_with(KeyError("oh\nno"), monkeypatch)
     line = read_error(occmap("readers"), 1)
-    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/listing.py:")
+    assert line.startswith("KeyError: 'oh\\nno' (at occmap/cli/lists.py:")
     assert "please report it" in line
     told = occmap("readers", "-v")
     assert told.code == 1

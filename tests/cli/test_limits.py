@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from occmap.gates import BUILD, CHECK, COMPARE, COUNT, DIFF, SAVED, Measures
+from occmap.report.limits import BUILD, CHECK, COMPARE, COUNT, DIFF, SAVED, Measures
 from tests.cli.runner import occmap, read_error
 from tests.samples import PLAIN_WORDS, write_csv
 

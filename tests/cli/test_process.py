@@ -65,7 +65,7 @@ def test_a_name_that_no_encoding_knows_can_be_printed(tmp_path: Path) -> None:
 ANNOUNCED_BUILD = """
 import sys
 from occmap import cli
-from occmap.cli.commands import build
+from occmap.cli import build
 
 build_map = build.build
 

@@ -10,7 +10,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from occmap.cli import COMMANDS
-from occmap.cli.commands.schema import NAMES
+from occmap.cli.lists import NAMES
 from tests.cli.runner import find_command, occmap, read_error
 from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv

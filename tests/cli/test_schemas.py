@@ -8,8 +8,8 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from occmap.cells import Box
-from occmap.cli.commands.schema import make_schema
-from occmap.plain import HIDDEN, Count, Finite, Share, printed_as, to_plain
+from occmap.cli.lists import make_schema
+from occmap.report.printed import HIDDEN, Count, Finite, Share, printed_as, to_plain
 
 
 class Colour(StrEnum):

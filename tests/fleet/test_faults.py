@@ -11,15 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 
-import numpy as np
 import pytest
 from distributed import Client
 
 from occmap.errors import FleetError, LogError, MapError, UsageError
 from occmap.fleet import Fleet, cluster, open_scratch
 from occmap.fleet.cluster import open_cluster
-from occmap.fleet.runs import Job, Setting
-from occmap.fleet.storing import build_store
+from occmap.fleet.tasks import Job, Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
@@ -31,7 +29,6 @@ from tests.samples import DRIVES
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")
 LOGS = [DRIVES[0], DRIVES[4]]
 OPTIONS = BuildOptions(jobs=1)
-SLICE = 60_000
 PATIENCE_S = 60
 
 
@@ -68,43 +65,17 @@ def kill_worker(address: str, scratch: Path, phase: str) -> Iterator[None]:
     killer.join()
 
 
-@pytest.mark.parametrize("phase", ["*.survey_log", "*.trace_part", "*.reduce_block"])
+@pytest.mark.parametrize("phase", ["*.survey_log", "*.trace_log", "*.reduce_block"])
 def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase: str) -> None:
     scratch = tmp_path / "scratch"
     with kill_worker(address, scratch, phase):
-        observe = Fleet(address, scratch, SLICE).observe
+        observe = Fleet(address, scratch).observe
         build(LOGS, OPTIONS, [tmp_path / "map.npz"], observe=observe)
     assert (tmp_path / "map.npz").read_bytes() == expected
 
 
-def test_a_part_that_makes_too_large_a_map_by_the_limit_of_its_log_is_not_lost(
-    address: str, tmp_path: Path
-) -> None:
-    """The first half shows a band at 79.9 m, beyond which the second half measures walls."""
-    random = np.random.default_rng(1)
-    lines = []
-    for scan in range(600):
-        ranges = 3 + 8 * random.random(360)
-        if scan < 290:
-            ranges[random.random(360) < 0.2] = 79.9
-        elif scan > 305:
-            ranges[178:182] = random.uniform(100, 102, 4)
-        words = " ".join(f"{value:.2f}" for value in ranges)
-        pose, time_s = f"{scan * 0.02:.2f} 0 0", f"{100 + scan / 10:.1f}"
-        lines.append(f"FLASER 360 {words} {pose} {pose} {time_s} host {time_s}\n")
-    log = tmp_path / "bands.log"
-    log.write_text("".join(lines))
-    options = replace(OPTIONS, max_cells=4_500_000)
-    with pytest.raises(MapError):
-        build([log], options)
-    fleet = Fleet(address, tmp_path / "scratch", log.stat().st_size // 2 + 2000)
-    with pytest.raises(MapError) as caught:
-        build([log], options, observe=fleet.observe)
-    assert caught.value.where == str(log)
-
-
 def test_a_map_that_is_too_large_names_the_log(address: str, tmp_path: Path) -> None:
-    fleet = Fleet(address, tmp_path / "scratch", SLICE)
+    fleet = Fleet(address, tmp_path / "scratch")
     with pytest.raises(MapError) as caught:
         build(LOGS, replace(OPTIONS, max_cells=1000), observe=fleet.observe)
     assert caught.value.where == str(LOGS[0])
@@ -116,9 +87,9 @@ def test_a_worker_is_killed_while_it_writes_a_store(
 ) -> None:
     logs, options = DRIVES[:1], replace(OPTIONS, resolution=0.01)
     build(logs, options, [tmp_path / "alone.zarr"])
-    fleet = Fleet(address, tmp_path / "scratch", SLICE)
+    fleet = Fleet(address, tmp_path / "scratch")
     with kill_worker(address, fleet.scratch, phase):
-        build_store(fleet, logs, options, tmp_path / "fleet.zarr", ignore_progress)
+        fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
     one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
     assert read_all(one).tiles.size
     assert one.digest == digest_evidence(read_all(other))
@@ -126,7 +97,7 @@ def test_a_worker_is_killed_while_it_writes_a_store(
         assert (one.root["classes"][level][:] == other.root["classes"][level][:]).all()
 
 
-@pytest.mark.parametrize("phase", ["*.survey_log", "*.trace_part", "*.reduce_block"])
+@pytest.mark.parametrize("phase", ["*.survey_log", "*.trace_log", "*.reduce_block"])
 def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     address: str,
     tmp_path: Path,
@@ -136,13 +107,13 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
 ) -> None:
     scratch, output = tmp_path / "scratch", tmp_path / "map.npz"
     line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
-    line += ["--dask", address, "--scratch", str(scratch), "--slice", "60kB"]
+    line += ["--dask", address, "--scratch", str(scratch)]
     with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
         done = {path: path.stat().st_mtime_ns for path in wait_for(scratch, phase)}
         first.kill()
     assert not output.exists()
     monkeypatch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
-    observe = Fleet(address, scratch, SLICE).observe
+    observe = Fleet(address, scratch).observe
     build(LOGS, OPTIONS, [output], observe=observe)
     assert output.read_bytes() == expected
     assert {path: path.stat().st_mtime_ns for path in done} == done
@@ -177,7 +148,7 @@ def die(_job: Job) -> int:
 
 
 def test_a_task_that_kills_its_workers_is_named(address: str) -> None:
-    job = Job(Setting(OPTIONS, Keep(), Path(), SLICE, 0, 0), "log", "drive.mcap")
+    job = Job(Setting(OPTIONS, Keep(), Path(), 1, 0, 0), "log", "drive.mcap")
     with (
         open_cluster(address, 2, lambda _: None) as found,
         pytest.raises(FleetError, match=r"drive.mcap: killed its workers 4 times, which had \d+ M"),
@@ -243,7 +214,10 @@ def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def interrupt(fleet: Fleet, options: BuildOptions) -> Path:
     """The folder of a build that was interrupted."""
-    with pytest.raises(KeyboardInterrupt), open_scratch(fleet, LOGS, options, Keep()) as folder:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        open_scratch(fleet.scratch, LOGS, options, Keep()) as folder,
+    ):
         raise KeyboardInterrupt
     return folder
 

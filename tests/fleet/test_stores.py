@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from occmap.fleet import Fleet
-from occmap.fleet.storing import build_store
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.selection import Selection
@@ -34,8 +33,8 @@ def test_it_holds_what_one_process_writes(
 ) -> None:
     logs = [DRIVES[0], DRIVES[4], DRIVES[0]]
     alone = build(logs, options, [tmp_path / "alone.zarr"]).report
-    fleet = Fleet(address, tmp_path / "scratch", 200_000)
-    together = build_store(fleet, logs, options, tmp_path / "fleet.zarr", ignore_progress)
+    fleet = Fleet(address, tmp_path / "scratch")
+    together = fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
     assert replace(together, seconds={}, files=()) == replace(alone, seconds={}, files=())
     one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
     assert one.digest == other.digest

@@ -14,7 +14,7 @@ from occmap.readers.carmen_lines import (
     parse_front_offset,
     parse_odometry,
 )
-from occmap.readers.tables import parse_table
+from occmap.readers.decimals import parse_table
 from occmap.readers.text import PADDING, Block
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 

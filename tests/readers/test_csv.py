@@ -59,12 +59,13 @@ FULL = Scan(
         f"{HEADER}\n{ROW}\n",
         f"{HEADER}\r\n{ROW}\r\n",
         f"# by hand\r{HEADER}\r{ROW}\r",
+        f"# by hand\r{HEADER}\r{ROW}\n",
         f"\ufeff{HEADER}\n\n# a comment: of no meaning\n{ROW}\n\n",
         f"{HEADER}\n{ROW}".replace(",", ", "),
         f"{HEADER}\n{ROW}\n".replace(",1.5,", ',"1.5",').replace("r1", '"r1"'),
         gzip.compress(f"{HEADER}\n{ROW}\n".encode(), mtime=0),
     ],
-    ids=["plain", "crlf", "cr", "bom", "blanks", "quotes", "gzip"],
+    ids=["plain", "crlf", "cr", "cr and a last lf", "bom", "blanks", "quotes", "gzip"],
 )
 def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
     log = open_text(tmp_path, content)

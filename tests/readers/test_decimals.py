@@ -9,7 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.tables import (
+from occmap.readers.decimals import parse_table
+from occmap.readers.text import PADDING, Block
+from occmap.readers.text_log import (
     ANY,
     NANOSECONDS,
     NUMBER,
@@ -18,9 +20,7 @@ from occmap.readers.tables import (
     SECONDS,
     Pattern,
     Table,
-    parse_table,
 )
-from occmap.readers.text import PADDING, Block
 from occmap.types import Float64
 from occmap.values import as_float32, parse_seconds
 

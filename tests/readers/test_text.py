@@ -8,7 +8,7 @@ import pytest
 
 from occmap.errors import LogError
 from occmap.readers import Note, NoteList, text
-from occmap.readers.text import Block, Line, read_blocks, split_lines
+from occmap.readers.text import Block, Line, read_blocks
 
 
 def list_lines(block: Block) -> list[Line]:
@@ -46,11 +46,6 @@ def test_lines_of_an_old_mac_are_lines(
     assert [line.number for line in lines] == list(range(1, 14))
     assert [line.ended for line in lines] == [True] * 12 + [False]
     assert notes == []
-
-
-def test_a_file_of_an_old_mac_is_not_cut(tmp_path: Path) -> None:
-    (tmp_path / "log").write_bytes(b"a line\r" * 100)
-    assert len(split_lines(tmp_path / "log", 50)) == 1
 
 
 @pytest.mark.parametrize("size", [4, 5, 6])

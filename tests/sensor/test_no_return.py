@@ -18,7 +18,7 @@ from occmap.sensor.returns import ReturnOptions
 from occmap.steps import batching
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
-from tests.samples import PLAIN
+from tests.samples import PLAIN, write_late
 
 MEASURED = [1 + beam / 100 for beam in range(2000)]
 """1.00 to 20.99 m, each once"""
@@ -301,7 +301,7 @@ def test_what_was_found_is_said(ranges: list[float], stated: float, expected: li
 
 
 @pytest.mark.parametrize(
-    ("parts", "expected"),
+    ("scans", "expected"),
     [
         (
             [
@@ -321,36 +321,17 @@ def test_what_was_found_is_said(ranges: list[float], stated: float, expected: li
     ],
     ids=["band", "above"],
 )
-def test_parts_of_a_log_tell_together_what_the_whole_tells(
-    parts: list[Scan], expected: str
+def test_several_scans_tell_together_what_none_tells_alone(
+    scans: list[Scan], expected: str
 ) -> None:
-    """Neither part of the first log shows a band: each has too few readings and too few ranges."""
-    for order in (parts, parts[::-1]):
-        merged, whole = RangeLimits(ReturnOptions()), RangeLimits(ReturnOptions())
-        for part in order:
-            seen = RangeLimits(ReturnOptions())
-            seen.see(part)
-            merged.merge(seen)
-            whole.see(part)
-        for limits in (merged, whole):
-            assert list(limits.list_notes()) == [
-                f"{expected}, taken as no return: `range_max` overrides"
-            ]
-
-
-def write_late(path: Path, scans: int, marked_from: int) -> Path:
-    """A log whose laser writes 30 m where nothing came back, though not before some scan."""
-    beams = 60
-    names = ",".join(f"r{beam}" for beam in range(beams))
-    head = f"# angle_min: 0\n# angle_increment: 0.02\nstamp,x,y,yaw,{names}\n"
-    rows = []
-    for number in range(scans):
-        ranges = [2 + 0.05 * beam + 0.01 * (number % 7) for beam in range(beams)]
-        if number >= marked_from:
-            ranges[::5] = [30.0] * len(ranges[::5])
-        rows.append(f"{number},0,{0.01 * number},0,{','.join(f'{r:.2f}' for r in ranges)}\n")
-    path.write_text(head + "".join(rows))
-    return path
+    """No scan of the first log shows a band: each has too few readings and too few ranges."""
+    for order in (scans, scans[::-1]):
+        limits = RangeLimits(ReturnOptions())
+        for some in order:
+            limits.see(some)
+        assert list(limits.list_notes()) == [
+            f"{expected}, taken as no return: `range_max` overrides"
+        ]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -32,7 +32,7 @@ def find_column(blocks: Blocks, row: int, col: int) -> int:
     up, right = (row >> BLOCK_BITS) - blocks.corner[0], (col >> BLOCK_BITS) - blocks.corner[1]
     if up < 0 or right < 0 or up >= blocks.table.shape[0] or right >= blocks.table.shape[1]:
         return -1
-    block = blocks.table[up, right]
+    block: int = blocks.table[up, right]
     if block < 0:
         return -1
     return (block << 2 * BLOCK_BITS) | ((row & (BLOCK - 1)) << BLOCK_BITS) | (col & (BLOCK - 1))
@@ -41,15 +41,15 @@ def find_column(blocks: Blocks, row: int, col: int) -> int:
 @step
 def place_row(blocks: Blocks, at: int) -> int:
     """The row of a column by where it lies."""
-    return (blocks.places[at >> 2 * BLOCK_BITS, 0] << BLOCK_BITS) | (
-        (at >> BLOCK_BITS) & (BLOCK - 1)
-    )
+    block: int = blocks.places[at >> 2 * BLOCK_BITS, 0]
+    return (block << BLOCK_BITS) | ((at >> BLOCK_BITS) & (BLOCK - 1))
 
 
 @step
 def place_col(blocks: Blocks, at: int) -> int:
     """The column of a column by where it lies."""
-    return (blocks.places[at >> 2 * BLOCK_BITS, 1] << BLOCK_BITS) | (at & (BLOCK - 1))
+    block: int = blocks.places[at >> 2 * BLOCK_BITS, 1]
+    return (block << BLOCK_BITS) | (at & (BLOCK - 1))
 
 
 class Peaks(NamedTuple):

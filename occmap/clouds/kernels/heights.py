@@ -194,4 +194,5 @@ def find_reach(cloud: Cloud) -> float:
     away = 0.0
     for axis in range(3):
         away += (poses[0, axis, 3] - origin[axis]) ** 2
-    return np.sqrt(farthest) + np.sqrt(away)
+    reach: float = np.sqrt(farthest) + np.sqrt(away)
+    return reach

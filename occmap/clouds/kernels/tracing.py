@@ -12,6 +12,8 @@ from occmap.types import Int16, Int32, Int64, UInt8
 
 NONE = -(1 << 15)
 """A cell without ground."""
+STEP_MM = 80
+"""The ground is bilinear between columns that differ by no more."""
 HIT, MISS = 1, 2
 """Bits of a cell in one cloud."""
 SECTORS_OF_QUARTER = 180
@@ -48,16 +50,17 @@ def ground_at(blocks: Blocks, height: Int32, x: float, y: float) -> int:
         return NO_GROUND
     col, row = int(np.floor(across - 0.5)), int(np.floor(along - 0.5))
     right, up = across - 0.5 - col, along - 0.5 - row
-    low, high, total = height[own], height[own], 0.0
+    level: int = height[own]
+    low, high, total = level, level, 0.0
     for i in range(2):
         for j in range(2):
             at = find_column(blocks, row + i, col + j)
             if at < 0 or height[at] == NO_GROUND:
-                return height[own]
+                return level
             low, high = min(low, height[at]), max(high, height[at])
             total += height[at] * (up if i else 1 - up) * (right if j else 1 - right)
-    if high - low > 80:
-        return height[own]
+    if high - low > STEP_MM:
+        return level
     return int(np.rint(total))
 
 
@@ -125,7 +128,7 @@ def find_cell(canvas: Canvas, row: int, col: int) -> int:
     up, right = (row >> TILE_BITS) - canvas.corner[0], (col >> TILE_BITS) - canvas.corner[1]
     if up < 0 or right < 0 or up >= canvas.table.shape[0] or right >= canvas.table.shape[1]:
         return -1
-    tile = canvas.table[up, right]
+    tile: int = canvas.table[up, right]
     if tile < 0:
         return -1
     inside = (1 << TILE_BITS) - 1

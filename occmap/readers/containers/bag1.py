@@ -127,7 +127,6 @@ class Bag1Source(ChunkedSource):
         is_closed = index.is_closed(len(channels))
         problem = index.find_problem() if is_closed else UNCLOSED
         if not problem:
-            self._chunks = index.chunks
             return channels, index.count_at_end()
         if not self.notes:
             self.notes.add_damage(problem)

@@ -17,7 +17,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import NoteList, make_part
+from occmap.readers import NoteList
 from occmap.readers.containers.bag1 import Bag1Source
 from occmap.readers.containers.inflate import inflate_message, unzip_file
 from occmap.readers.containers.mcap import McapSource
@@ -92,15 +92,6 @@ class Bag2Source:
                 for channel, record_ns, data in part.messages(inner):
                     yield channel, record_ns, inflate_message(data) if self._zipped else data
             self._gather_notes()
-
-    def split(self, size: int, wanted: Collection[Channel]) -> Sequence["Bag2Source"]:
-        """Cut each storage file; give no part where one is unpacked in a folder that goes away."""
-        if self._scratch is not None:
-            return ()
-        if self.notes:
-            return [self]
-        parts = (part for source in self._parts for part in source.split(size, wanted))
-        return [make_part(self, _parts=[part]) for part in parts]
 
     def _find_files(self, names: Sequence[str]) -> list[Path]:
         """Find the storage files that the metadata names, or those that are there."""

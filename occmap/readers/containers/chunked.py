@@ -9,15 +9,14 @@ and rosbags needs an index, which the bags of robots that lost power do not have
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Container, Iterator, Sequence
+from collections.abc import Collection, Container, Iterator
 from dataclasses import replace
 from io import BytesIO
-from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, ClassVar, Self
+from typing import BinaryIO, ClassVar
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import NoteList, Span, make_part
+from occmap.readers import NoteList
 from occmap.readers.containers.records import (
     DESCRIPTION,
     Descriptions,
@@ -26,7 +25,7 @@ from occmap.readers.containers.records import (
     RecordBlock,
 )
 from occmap.readers.containers.source import Channel, RawMessage
-from occmap.wording import count
+from occmap.report.words import count
 
 LONGEST_RECORD = 2**32 - 1
 """Bytes of a record at most; one that states more is damaged."""
@@ -60,11 +59,8 @@ class ChunkedSource(ABC):
         self.notes = NoteList()
         self._has_doubles = False
         """Whether chunks may be there twice"""
-        self._chunks: Sequence[int] = ()
-        """Where chunks begin, in a file that can be cut between them"""
         with refuse_unreadable(path), path.open("rb") as file:
             self._size = file.seek(0, 2)
-            self._span = Span(len(self.magic), self._size)
             channels, counts = self._find_channels(file)
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
         self.channels = list(self._by_id.values())
@@ -89,19 +85,6 @@ class ChunkedSource(ABC):
             if known.description != other.description:
                 text = f"{self.unit} {key} is described in two ways: {known.topic}"
                 self.notes.add_damage(text)
-
-    def split(self, size: int, wanted: Collection[Channel]) -> Sequence[Self]:
-        """Cut the file between chunks; only those count that may hold what is wanted."""
-        if self.notes or not self._chunks:
-            return [self]
-        keys = {key for key, channel in self._by_id.items() if channel in wanted}
-        cuts, gathered = [self._span.start], 0
-        for start, end in pairwise(self._chunks):
-            gathered += end - start if self._may_hold(start, keys) else 0
-            if gathered >= size:
-                cuts.append(end)
-                gathered = 0
-        return [make_part(self, _span=Span(*ends)) for ends in pairwise([*cuts, self._span.end])]
 
     @abstractmethod
     def _find_channels(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
@@ -220,8 +203,8 @@ class ChunkedSource(ABC):
 
     def _walk(self, file: BinaryIO) -> Iterator[Record]:
         """Give the records of the file one by one, with the file at the record's body."""
-        position, before = self._span.start, None
-        while position < self._span.end:
+        position, before = len(self.magic), None
+        while position < self._size:
             record = self._read_record(file, position)
             is_whole = record is not None and record.end <= self._size
             if not is_whole and not (record and record.is_sure):

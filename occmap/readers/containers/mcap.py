@@ -18,7 +18,7 @@ from occmap.readers.containers.chunked import ChunkedSource
 from occmap.readers.containers.inflate import inflate
 from occmap.readers.containers.records import NEVER_NS, Descriptions, Record, RecordBlock
 from occmap.readers.containers.source import Channel
-from occmap.wording import count
+from occmap.report.words import count
 
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
@@ -85,8 +85,6 @@ class McapSource(ChunkedSource):
             if statistics and statistics.message_count != held.total():
                 text = f"{held.total()} messages are in it, its statistics have"
                 self.notes.add_damage(f"{text} {statistics.message_count}")
-        elif self._is_checked:
-            self._chunks = sorted(self._held)
         for channel in channels.values():
             if channel.encoding in {"cdr", "ros1"} and not channel.type:
                 self.notes.add_damage(f"the type of the messages on {channel.topic} is not stated")
@@ -101,9 +99,7 @@ class McapSource(ChunkedSource):
             if record.opcode == Opcode.CHUNK:
                 chunks.add(record.position)
             yield record
-        start, end = self._span
-        announced = {at for at in self._held if start <= at < end}
-        if lost := announced - chunks:
+        if lost := self._held.keys() - chunks:
             text = f"{len(lost)} chunks of its index are not there, the first at byte {min(lost)}"
             self.notes.add_damage(text)
 

@@ -58,9 +58,3 @@ class Source(Protocol):
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
-
-    def split(self, size: int, wanted: Collection[Channel]) -> Sequence["Source"]:
-        """Cut it into parts of about `size` bytes, as `occmap.readers.Splittable` says.
-
-        Where it is known which bytes hold messages of the channels that are wanted, these count.
-        """

@@ -14,10 +14,10 @@ from pathlib import Path
 import apsw
 
 from occmap.errors import LogError
-from occmap.readers import NoteList, make_part
+from occmap.readers import NoteList
 from occmap.readers.containers.source import Channel, RawMessage
 from occmap.readers.containers.sqlite_pages import Row, find_rows
-from occmap.wording import count
+from occmap.report.words import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
@@ -27,8 +27,8 @@ _WAL_HEAD, _FRAME_HEAD = 32, 24
 """Bytes at the start of a write-ahead log, and before each page in it"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
-_EVERY_ID = -(2**63), 2**63 - 1
-"""The first and the last id that a row can have"""
+_LEAST_ID = -(2**63)
+"""The least id that a row can have"""
 
 
 class SqliteSource:
@@ -43,8 +43,6 @@ class SqliteSource:
         # A recorder that died leaves its last rows in a write-ahead log beside the file.
         self._has_wal = self._wal.is_file() and self._wal.stat().st_size > 0
         self._is_sound = True
-        self._rows = _EVERY_ID
-        """Ids of the first row and the last that are read"""
         try:
             with closing(self._connect()) as database:
                 _refuse_imitations(database)
@@ -68,30 +66,18 @@ class SqliteSource:
                 if topic in by_id and data is not None:
                     yield by_id[topic], record_ns, memoryview(data)
 
-    def split(self, size: int, _wanted: Collection[Channel]) -> Sequence["SqliteSource"]:
-        """Cut the rows into runs of equally many ids, which have about `size` bytes on average."""
-        if self.notes or self._has_wal:
-            return [self]
-        with closing(self._connect()) as database:
-            ((first, last),) = database.execute("SELECT min(rowid), max(rowid) FROM messages")
-        first, end = first or 0, (last or 0) + 1
-        parts = -(-self.path.stat().st_size // size)
-        step = -(-(end - first) // parts)
-        starts = range(first, end, step)
-        return [make_part(self, _rows=(start, min(start + step, end) - 1)) for start in starts]
-
     def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
         """Give the rows of some topics; after damage, those of all topics."""
         query = (
             "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED"
             f" WHERE topic_id IN ({','.join('?' * len(topics))})"
             " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
-            " AND rowid BETWEEN ? AND ? ORDER BY rowid"
+            " ORDER BY rowid"
         )
-        last = _EVERY_ID[0]
+        last = _LEAST_ID
         if self._is_sound:
             try:
-                for row in database.execute(query, (*topics, *self._rows)):
+                for row in database.execute(query, tuple(topics)):
                     yield row
                     last = row[0]
                 return

@@ -15,12 +15,12 @@ from itertools import permutations
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from occmap.errors import UsageError
-from occmap.plain import HIDDEN
+from occmap.report.printed import HIDDEN
 
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
     from occmap.difference import MapDifference
     from occmap.inspection.findings import Inspection, ScanFindings
-    from occmap.report import Report
+    from occmap.report.results import Report
     from occmap.scoring.compare import Scored, VariantComparison
     from occmap.tuning import Tuning
 

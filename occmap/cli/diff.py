@@ -8,13 +8,12 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.answers import LIMITS, Answer, answering, fail_if
 from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.sections import join, option
+from occmap.cli.declaring import LIMITS, Answer, answering, fail_if, join, option
 from occmap.difference import MapDifference
-from occmap.gates import DIFF, Limit, parse_bound
-from occmap.pictures import compare_files
-from occmap.wording import count, write_metres
+from occmap.page.pictures import compare_files
+from occmap.report.limits import DIFF, Limit, parse_bound
+from occmap.report.words import count, write_metres
 from occmap.writers import WriteOptions
 
 
@@ -41,7 +40,7 @@ fail_above = option(
 @click.argument("after", type=options.PATH, metavar="B")
 @join(picture, options.thresholds, fail_above, fail_if(DIFF, "changed > 1%"))
 @options.printing
-def command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
+def diff_command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
     """Say what changed between two maps, and fail above a limit.
 
     A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as

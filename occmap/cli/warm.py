@@ -1,4 +1,4 @@
-"""Compile all kernels ahead, to ship them: `python -m occmap.warm`."""
+"""Compile all kernels ahead, to ship them: `python -m occmap.cli.warm`."""
 
 from itertools import product
 from pathlib import Path

@@ -1,6 +1,5 @@
 """`occmap build`: one map from one or more logs."""
 
-import re
 from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,34 +10,16 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.answers import Answer, answering, fail_if
-from occmap.cli.console import Console, label_first, write_rows
+from occmap.cli.console import Bar, Console, label_first, show_progress, write_rows
+from occmap.cli.declaring import Answer, answering, fail_if, join, option
 from occmap.cli.options import PATH, Values, collect_model
-from occmap.cli.progress import Bar, show_progress
-from occmap.cli.sections import join, option
 from occmap.cli.streams import gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
-from occmap.gates import BUILD
-from occmap.grid.framing import Framing
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
-from occmap.report import Report
-from occmap.summary import tell_beams, tell_map, tell_scans
+from occmap.report.limits import BUILD
+from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.types import Update
-
-SIZE = re.compile(r"(\d*\.?\d+)([KMGT]?)B?", re.IGNORECASE)
-UNITS = {"": 1, "K": 10**3, "M": 10**6, "G": 10**9, "T": 10**12}
-
-
-def parse_size(text: str) -> int:
-    """Read a number of bytes such as 256MB; raises UsageError where it is not 1 kB or more."""
-    found = SIZE.fullmatch(text)
-    size = round(float(found[1]) * UNITS[found[2].upper()]) if found else 0
-    if size < 1000:
-        fix = "write a size such as 256MB or 1GB"
-        raise UsageError("is not a size of 1 kB or more", where=f"--slice {text}", fix=fix)
-    return size
-
 
 strict = option(
     options.RUN,
@@ -64,15 +45,6 @@ fleet = join(
         help="With --dask: a folder for intermediate files, shared by all workers. A build that is "
         "killed and run again goes on where it was.",
     ),
-    option(
-        options.RUN,
-        "--slice",
-        "slice_bytes",
-        type=parse_size,
-        metavar="SIZE",
-        show_default="256MB",
-        help="With --dask: how much of a log is one task.",
-    ),
 )
 
 
@@ -83,7 +55,7 @@ fleet = join(
 @join(options.ranges, options.model, options.selection, options.posing)
 @join(fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
 @options.printing
-def command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
+def build_command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
     """Build one map from one or more logs.
 
     The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
@@ -138,9 +110,10 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
 
 def list_idle(values: Values) -> Iterator[str]:
     """Say which options do nothing, as they are for a build by many workers."""
-    for flag, value in (("--scratch", values["scratch"]), ("--slice", values["slice_bytes"])):
-        if value is not None and values["dask"] is None:
-            yield f"{flag} does nothing without --dask"
+    if values["dask"] is None and values["scratch"] is not None:
+        yield "--scratch does nothing without --dask"
+    if values["dask"] not in {None, "local"} and values["jobs"] is not None:
+        yield "--jobs does nothing with the workers of a Dask scheduler: start as many as you want"
 
 
 def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
@@ -172,15 +145,7 @@ def run_build(
     outputs = values["outputs"]
     if values["dask"] is None:
         return build(logs, chosen, outputs, progress).report
-    from occmap.fleet import SLICE_BYTES, Fleet  # noqa: PLC0415  late: few builds need it
+    from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
 
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
-    size = values["slice_bytes"] or SLICE_BYTES
-    fleet = Fleet(values["dask"], scratch, size, progress.describe)
-    is_store = [output.suffix.lower() for output in outputs] == [".zarr"]
-    past = chosen.resume or chosen.resume_if_there
-    if not is_store or past or chosen.min_passes or chosen.framing != Framing():
-        return build(logs, chosen, outputs, progress, fleet.observe).report
-    from occmap.fleet.storing import build_store  # noqa: PLC0415  late: likewise
-
-    return build_store(fleet, logs, chosen, outputs[0], progress)
+    return Fleet(values["dask"], scratch, progress.describe).build(logs, chosen, outputs, progress)

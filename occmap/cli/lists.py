@@ -1,12 +1,10 @@
-"""`occmap schema`: what programs may rely on in the JSON of a command.
-
-Schemas are worked out from the types of what is printed, with their texts as descriptions.
-"""
+"""What programs and people may look up: what is installed, and the schemas of JSON results."""
 
 import inspect
 import json
 import re
-from dataclasses import is_dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -14,10 +12,94 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import click
 
 from occmap.cli import COMMANDS, cli, options
-from occmap.cli.answers import Limited
-from occmap.cli.console import RESULT_VERSION, PrintedError, put_line, spell_all
-from occmap.cli.sections import SectionCommand, as_command
-from occmap.plain import list_printed, read_texts
+from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_line, spell
+from occmap.cli.declaring import Answer, Limited, SectionCommand, answering, as_command
+from occmap.plugins import Broken, Group, load_plugins
+from occmap.report.printed import Printed, list_printed, read_texts
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One plugin that works."""
+
+    name: str
+    """Its name"""
+    description: str
+    """What it does"""
+    parameters: dict[str, float | str | None]
+    """Those of a sensor model with their defaults; empty for readers and writers"""
+
+
+@dataclass(frozen=True)
+class Models(Printed):
+    """Sensor models: what occmap models prints."""
+
+    models: list[Listed]
+    """Sensor models"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+@dataclass(frozen=True)
+class Readers(Printed):
+    """Log formats: what occmap readers prints."""
+
+    readers: list[Listed]
+    """Log formats"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+@dataclass(frozen=True)
+class Writers(Printed):
+    """Map formats: what occmap writers prints."""
+
+    writers: list[Listed]
+    """Map formats"""
+    broken: list[Broken]
+    """Plugins that do not load"""
+
+
+KINDS: dict[str, tuple[Group, type[Models | Readers | Writers]]] = {
+    "models": ("occmap.models", Models),
+    "readers": ("occmap.readers", Readers),
+    "writers": ("occmap.writers", Writers),
+}
+"""Which plugins each of these commands lists, and what it prints"""
+
+
+def make_command(kind: str) -> click.Command:
+    """Make the command that lists the plugins of a kind."""
+    group, printed = KINDS[kind]
+
+    @answering(kind, printed)
+    @options.printing
+    def command(_console: Console, /) -> Answer:
+        loaded, broken = load_plugins(group)
+        working = []
+        for name, plugin in loaded.items():
+            parameters: Any = fields(plugin) if kind == "models" else ()
+            defaults = {each.name: each.default for each in parameters}
+            working.append(Listed(name, plugin.description, defaults))
+        return Answer(printed(working, broken), format_plugins(working, broken))
+
+    return command
+
+
+models_command, readers_command, writers_command = map(make_command, KINDS)
+
+
+def format_plugins(working: Sequence[Listed], broken: Sequence[Broken]) -> Iterator[str]:
+    """Write one line for each plugin, with its parameters below; last what does not load."""
+    width = max((len(plugin.name) for plugin in working), default=0) + 2
+    for plugin in working:
+        yield f"{plugin.name:<{width}}{plugin.description}"
+        if plugin.parameters:
+            pairs = (f"{key}={value}" for key, value in plugin.parameters.items())
+            yield f"{'':<{width}}{', '.join(pairs)}"
+    for fault in broken:
+        yield f"{fault.name} is installed but does not load: {' '.join(fault.reason.split())}"
+
 
 Schema = dict[str, Any]
 
@@ -37,7 +119,7 @@ NAMES = [*(name for name in COMMANDS if name != "schema"), "error"]
 @as_command("schema", click.Command)
 @click.argument("name", type=click.Choice(NAMES), metavar="COMMAND")
 @options.verbosity
-def command(name: str) -> None:
+def schema_command(name: str) -> None:
     """Print the JSON Schema of what a command prints with --json.
 
     It is of JSON Schema draft 2020-12; every field has a description with its unit. The field
@@ -47,7 +129,7 @@ def command(name: str) -> None:
       occmap schema build
       occmap schema error
     """
-    put_line(json.dumps(spell_all(make_schema(name, *list_printed_types(name))), indent=2))
+    put_line(spell(json.dumps(make_schema(name, *list_printed_types(name)), indent=2)))
 
 
 def list_printed_types(name: str) -> list[Any]:

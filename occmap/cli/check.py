@@ -8,16 +8,15 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.answers import Answer, answering, fail_if
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
-from occmap.cli.sections import join
+from occmap.cli.declaring import Answer, answering, fail_if, join
 from occmap.cli.streams import gather_logs
-from occmap.gates import CHECK
 from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
-from occmap.remarks import drop_damage
+from occmap.report.limits import CHECK
+from occmap.report.words import Row
 from occmap.writers.outputs import check_picture
 
 LABEL = 10
@@ -30,7 +29,7 @@ page = options.one_output("output", "FILE.html", "Write the findings as a page a
 @click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
 @join(page, options.resolution, options.max_cells, options.reading)
 @join(fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
-def command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
+def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say what is in logs, and what will go wrong with them.
 
     It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
@@ -68,7 +67,7 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
         yield from ("", write_command(inspection.command))
 
 
-def list_log(log: LogFindings) -> Iterator[telling.Row]:
+def list_log(log: LogFindings) -> Iterator[Row]:
     """List all about one log."""
     yield from label_first("topics", list_streams(log.streams))
     for topic in log.scans:
@@ -79,7 +78,7 @@ def list_log(log: LogFindings) -> Iterator[telling.Row]:
     if log.coverage:
         yield "", ""
     yield from label_first("sources", telling.tell_sources(log.coverage))
-    yield from label_first("note", drop_damage(log.notes, log.damage))
+    yield from label_first("note", log.other_notes)
 
 
 def list_streams(streams: Sequence[Stream]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
+from typing import TypeAlias
 
 MOST_NAMES = 6
 """How many names a list shows: people do not read longer ones"""
@@ -10,6 +11,9 @@ DATES_S = range(631_152_000, 4_102_444_800)
 """Stamps from 1990 to 2100 are dates; others count from some start"""
 STDIN_FOLDER = "occmap-stdin-"
 """How the temporary folder is called in which a log from stdin is kept while a command runs"""
+
+Row: TypeAlias = tuple[str, str]
+"""A label, "" where it is that of the row before, and a text"""
 
 
 def count(number: float, noun: str) -> str:

@@ -2,11 +2,11 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from occmap.options import BuildOptions
-from occmap.report import MapFacts
+from occmap.report.results import LEAST_AGREEMENT, MapFacts
 from occmap.selection import LeftOut
 from occmap.sensor.models import Clamped, SensorModel, find_decision
 from occmap.steps.mounts import list_misfits
@@ -16,12 +16,6 @@ from occmap.writers.outputs import list_idle
 
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
-LEAST_AGREEMENT = 0.55
-"""At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
-of the same logs leaves 0.27 to 0.56."""
-DOUBTFUL_AGREEMENT = 0.78
-"""Logs with corrected poses reach 0.80 to 0.87 at 5 cm. Those with odometry, below this, have walls
-that are doubled here and there, and `tune` takes a floor from 0.72 to 0.85."""
 
 
 def list_notes(
@@ -52,12 +46,6 @@ def list_notes(
     yield from list_misfits(paths, options, facts.agreement, tally)
 
 
-def drop_damage(notes: Iterable[str], damage: Iterable[str]) -> list[str]:
-    """List the notes that do not tell of damage, which a page shows apart."""
-    told = set(damage)
-    return [note for note in notes if note not in told]
-
-
 def list_frames(tally: Tally) -> Iterator[str]:
     """Say that logs are mapped in frames of different names, which may lie anywhere."""
     first: dict[str, str] = {}
@@ -71,17 +59,6 @@ def list_frames(tally: Tally) -> Iterator[str]:
             "other, choose one with `map_frame`, or build each log alone with its own `transform` "
             "and merge them"
         )
-
-
-def hint_at_tune(agreement: float) -> str:
-    """What to try where the agreement is poor, though it may be as good as it gets; else empty.
-
-    It stands beside the number and not among the notes, as nothing need be wrong. Where the
-    agreement is poorer still, a note says more.
-    """
-    if not LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT:
-        return ""
-    return "; walls may be doubled: `occmap tune LOG` looks for a wrong clock or mount"
 
 
 def list_disagreement(facts: MapFacts) -> Iterator[str]:

@@ -1,20 +1,23 @@
-"""Options under headings: what makes the --help of a command with many options readable."""
+"""What a command is: options under headings, notes, a result as text or JSON, and limits."""
 
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
 from itertools import zip_longest
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import click
 
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
-from occmap.errors import UsageError
-from occmap.plain import Printed
+from occmap.errors import OccmapError, UsageError
+from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
+from occmap.report.printed import Printed
 
 SHORT_EQUALS = re.compile("-[a-z]=")
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
 AnyCommand = TypeVar("AnyCommand", bound=click.Command)
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -43,7 +46,7 @@ class BareOption(SectionOption):
         filled = []
         for word, following in zip_longest(words, words[1:], fillvalue=""):
             filled.append(word)
-            if word in self.opts and following != self.bare and not is_number(following):
+            if word in self.opts and following != self.bare and not NUMBER.fullmatch(following):
                 filled.append(self.bare)
         return filled
 
@@ -54,21 +57,19 @@ class ConfigOption(SectionOption):
     def handle_parse_result(
         self, ctx: click.Context, opts: Mapping[str, Any], args: list[str]
     ) -> tuple[Any, list[str]]:
-        """Find and read the file, named or not; from then on errors name it.
+        """Find and read the file, named or not.
 
         Raises
         ------
         UsageError
             The file is wrong.
         """
-        from occmap.cli.config import find_config, place_error  # noqa: PLC0415  late: for few commands
+        from occmap.cli.config import find_config  # noqa: PLC0415  late: for few commands
 
-        config = None if ctx.resilient_parsing else find_config(ctx.command, opts)
+        config = None if ctx.resilient_parsing else find_config(ctx, opts)
         if config:
             ctx.default_map = config.values
-            console = ctx.ensure_object(Console)
-            console.place = partial(place_error, config, ctx.command)
-            console.announced.append(config.note)
+            ctx.ensure_object(Console).announced.append(config.note)
         return super().handle_parse_result(ctx, opts, args)
 
 
@@ -119,15 +120,6 @@ def option(section: str, *names: str, **settings: Any) -> Callable[[Command], Co
     return click.option(*names, **{"cls": SectionOption} | settings, section=section)
 
 
-def is_number(word: str) -> bool:
-    """Whether a word of a command line is a decimal number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def join(*options: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Make one decorator of several, which are then listed in this order."""
 
@@ -135,5 +127,87 @@ def join(*options: Callable[[Command], Command]) -> Callable[[Command], Command]
         for each in reversed(options):
             command = each(command)
         return command
+
+    return decorate
+
+
+LIMITS = "Limits"
+LIMIT_BROKEN = 3
+
+
+class Answer(NamedTuple):
+    """What a command found."""
+
+    result: Printed
+    """What --json prints"""
+    lines: Iterable[str]
+    """The same for people"""
+    failure: Exception | None = None
+    """What ends the command with an exit code of its own, once all is printed"""
+    limits: Sequence[Limit] = ()
+    """Those that are set beside --fail-if"""
+
+
+@dataclass(frozen=True)
+class Limited(Printed):
+    """What a command adds to its result that takes limits."""
+
+    failed: list[Failed]
+    """The limits of `limits` that the result does not keep to; any of them makes the exit code 3"""
+
+
+def fail_if(measures: Measures, example: str) -> Callable[[Command], Command]:
+    """Declare the option that sets limits on what a command measures."""
+    names = ", ".join(measure.name for measure in measures)
+    return option(
+        LIMITS,
+        "--fail-if",
+        "limits",
+        type=lambda text: parse_limit(text, measures),
+        multiple=True,
+        metavar='"NAME > NUMBER"',
+        help=f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. '
+        f"May repeat. Names: {names}.",
+    )
+
+
+def answering(
+    name: str, printed: type[Printed], cls: type[SectionCommand] = SectionCommand
+) -> Callable[[Callable[..., Answer]], SectionCommand]:
+    """Declare a command by a function that takes the console and the options, and answers.
+
+    Its notes are told, then its result is printed, and then a line for each limit that it does not
+    keep to, which makes the exit code 3 where nothing weighs more.
+
+    Parameters
+    ----------
+    printed
+        The type of the result.
+    """
+
+    def decorate(function: Callable[..., Answer]) -> SectionCommand:
+        @click.pass_obj
+        @wraps(function)
+        def run(console: Console, /, as_json: bool, **values: Any) -> None:
+            console.note(*console.announced)  # what the file of options states
+            limits = values.pop("limits", None)  # None: the command takes no limits
+            answer = function(console, **values)
+            failed = judge([*answer.limits, *(limits or ())], answer.result)
+            console.note(*getattr(answer.result, "notes", ()))
+            if as_json:
+                added = {} if limits is None else Limited(failed).to_json()
+                console.put_json(name, answer.result.to_json() | added)
+            else:
+                console.put(answer.lines)
+            for each in failed:
+                console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
+            if answer.failure:
+                raise answer.failure
+            if failed:
+                raise click.exceptions.Exit(LIMIT_BROKEN)
+
+        made = as_command(name, cls)(run)
+        made.printed = printed
+        return made
 
     return decorate

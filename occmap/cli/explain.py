@@ -9,18 +9,16 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.answers import Answer, answering
-from occmap.cli.console import Console, align, label_first, write_rows
-from occmap.cli.progress import show_progress
-from occmap.cli.saved import choose_saved_model
-from occmap.cli.sections import SectionCommand, join
+from occmap.cli.console import Console, align, label_first, show_progress, write_rows
+from occmap.cli.declaring import Answer, SectionCommand, answering, join
+from occmap.cli.options import choose_saved_model
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.inputs import keep_stdin
+from occmap.report.words import count, join_names, write_box, write_time
 from occmap.store.reading import open_saved
-from occmap.wording import count, join_names, write_box, write_time
 from occmap.writers import WriteOptions
 
 MOST_SCANS = 12
@@ -61,7 +59,7 @@ poses = options.paths(
 @click.argument("y", type=float)
 @join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
 @options.printing
-def command(console: Console, /, path: Path, **values: Any) -> Answer:
+def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say what was seen at a point of saved evidence, and by which scans.
 
     X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to

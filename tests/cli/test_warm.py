@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from occmap import jit
+from occmap.cli.warm import compile_kernels
 from occmap.grid.kernels.beams import trace_beams
 from occmap.grid.kernels.cast import cast_beams
 from occmap.grid.kernels.polygon import trace_polygons
@@ -20,7 +21,6 @@ from occmap.scoring.compare import compare
 from occmap.scoring.variants import combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
-from occmap.warm import compile_kernels
 
 KERNELS: list[Any] = [
     parse_rows,

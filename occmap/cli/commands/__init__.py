@@ -1,1 +1,0 @@
-"""The commands of `occmap`, one module each; what they share stands one level up."""

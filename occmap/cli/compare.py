@@ -1,0 +1,193 @@
+"""`occmap compare` and `occmap tune`: what suits logs better, as scored on held-out scans."""
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from occmap.choices import take
+from occmap.cli import options
+from occmap.cli.console import Console, align, show_progress, write_command
+from occmap.cli.declaring import Answer, answering, fail_if, join, option
+from occmap.cli.streams import gather_logs
+from occmap.options import OPTIONS, BuildOptions
+from occmap.page.pictures import compare_logs
+from occmap.report.limits import COMPARE, TUNE
+from occmap.report.words import count
+from occmap.scoring.compare import SCORES, VariantComparison, list_scores
+from occmap.scoring.variants import DEFAULT_MODELS, combine
+from occmap.sensor.models import parse_model
+from occmap.tuning import Tuning, tune
+from occmap.tuning.search import Correction, Finding, Verdict
+from occmap.types import Update
+
+VARIANTS = "What to compare"
+
+variants = join(
+    option(
+        VARIANTS,
+        "--update",
+        "updates",
+        type=click.Choice([update.value for update in Update]),
+        multiple=True,
+        show_default="all",
+        help="How a scan becomes observations. May repeat.",
+    ),
+    option(
+        VARIANTS,
+        "--model",
+        "model_texts",
+        multiple=True,
+        metavar=OPTIONS["model"].metavar,
+        show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
+        help=f"{OPTIONS['model'].declared.help} May repeat.",
+    ),
+)
+picture = options.one_output(
+    "picture",
+    "FILE",
+    "Write all maps here: .png is a picture with where they disagree, .html a page.",
+)
+
+
+@answering("compare", VariantComparison)
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
+@join(variants, picture, options.lattice, options.reading)
+@join(fail_if(COMPARE, "share < 70%"), options.jobs, options.config, options.printing)
+def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
+    """Say which update and sensor model suits logs best.
+
+    Every fifth scan is held out, and each map is scored on these scans: by the share of beams whose
+    first occupied cell is within two cells of the measured range, by the log-likelihood of the
+    range, and by the cross-entropy of the cells found free and found occupied. A share that is
+    behind the best by less than two standard errors, or by less than half a percent, counts as
+    equally good. Of those that are equally good the default is recommended. The one with the best
+    log-likelihood is named, too: its probabilities are the ones to plan and localise with.
+
+    A table says whether the probabilities of the recommended map mean what they say: for the cells
+    of each tenth of probability, the share that beams found occupied.
+
+      occmap compare drive.mcap
+      occmap compare intel.log.gz -o compare.png --resolution 0.1
+      occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
+    """
+    models = [parse_model(text) for text in values["model_texts"]]
+    chosen = combine([Update(text) for text in values["updates"]], models)
+    common = take(BuildOptions, values)
+    found = gather_logs(console, logs, common)
+    with show_progress(console) as progress:
+        comparison = compare_logs(found, chosen, common, values["picture"], progress)
+    return Answer(comparison, format_comparison(comparison))
+
+
+def format_comparison(comparison: VariantComparison) -> list[str]:
+    """Write the table, on what it rests, and the command line of the best."""
+    best, scans = comparison.recommended, comparison.scans
+    beams, held = count(best.score.beams, "beam"), count(scans.held_out, "held-out scan")
+    bins = best.score.reliability
+    reliability = [
+        ("predicted occupied", *(f"{each.predicted:.3f}" for each in bins)),
+        ("found occupied", *(f"{each.observed:.3f}" for each in bins)),
+        ("looks", *(f"{each.looks:,}" for each in bins)),
+    ]
+    lines = [
+        *align([SCORES, *map(list_scores, comparison.results)], labels=1),
+        "",
+        f"cells of {best.name}, as held-out beams look at them",
+        *align(reliability, labels=1),
+        "",
+        f"scored by {beams} of {held}; {scans.used:,} of {scans.read:,} used",
+        *(f"picture: {file}" for file in comparison.files),
+    ]
+    if comparison.preference:
+        lines.append(f"as good within the error: {comparison.preference}")
+    lines += [f"best: {best.name}", write_command(comparison.command)]
+    if comparison.likeliest is not best:
+        lines.append(f"where probabilities matter: {comparison.likeliest_name}")
+        lines.append(write_command(comparison.likeliest_command))
+    return lines
+
+
+@answering("tune", Tuning)
+@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
+@join(options.resolution, options.max_cells, options.reading)
+@join(fail_if(TUNE, "gain > 2%"), options.jobs, options.config, options.printing)
+def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
+    """Find the time offset and the mount that suit logs best.
+
+    A map is made of four fifths of the scans, a thousand at most, and asked what the others will
+    see: the share of beams whose first occupied cell is within two cells of the measured range. A
+    search from coarse to fine, some thirty maps, looks for the time offset by which that share is
+    largest, and then for yaw, x and y of the laser on its body. If an offset is found, some sixty
+    more maps look for the mount first, as one may make up for the other, and if the mount is off,
+    for all four together. A gain counts if it is more than two standard errors and half a percent,
+    and if both halves of the held-out scans show it. What is found is added to the --time-offset
+    and --sensor-pose that you give.
+
+      occmap tune drive.mcap
+      occmap tune room.bag --sensor-pose 0,0,3.14159
+      occmap tune drive.bag --fail-if "gain > 2%"
+    """
+    common = take(BuildOptions, values)
+    found = gather_logs(console, logs, common)
+    with show_progress(console) as progress:
+        tuning = tune(found, common, progress)
+    return Answer(tuning, format_tuning(tuning))
+
+
+def format_tuning(tuning: Tuning) -> Iterator[str]:
+    """Write what came of each search, what the result rests on, and the build line."""
+    gain = format_gain(tuning.gain, tuning.gain_error)
+    gained = f" -> {tuning.share:.4f}" if tuning.command else ""
+    rise = f", a gain of {gain}" if tuning.command else ""
+    held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
+    maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
+    yield f"time     {format_finding(tuning.time, ['time_s'])}"
+    yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
+    if tuning.together.verdict is Verdict.FOUND:
+        together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
+        yield f"together {together}"
+    yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
+    yield f"scored   by {held}, on {maps} each"
+    disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
+    unsure = disagree or tuning.is_doubtful
+    nothing = "nothing is recommended" if unsure else "nothing to gain"
+    yield write_command(tuning.command) or nothing
+
+
+def format_finding(finding: Finding, names: Sequence[str]) -> str:
+    """Write what came of the search for some numbers of a correction."""
+    if finding.verdict is Verdict.UNSEEN:
+        return "not searched"
+    if finding.verdict is Verdict.NOTHING:
+        return "nothing to gain"
+    (first, one), (second, other) = (
+        (describe(half.correction, names), format_gain(half.gain, half.gain_error))
+        for half in finding.halves
+    )
+    if finding.verdict is Verdict.FOUND:
+        gain = format_gain(finding.gain, finding.gain_error)
+        return f"{first} gains {gain}; the first half of the log gains {one}, the second {other}"
+    return (
+        "the halves of the log do not agree, so nothing is recommended: the first "
+        f"gains {one} by {first}, the second {other} by {second}"
+    )
+
+
+def describe(correction: Correction, names: Sequence[str]) -> str:
+    """Write some numbers of a correction, without those that are zero."""
+    written = {
+        "time_s": f"offset {correction.time_s:+.6g} s",
+        "yaw": f"yaw {math.degrees(correction.yaw):+.4g} deg",
+        "x": f"x {correction.x:+.6g} m",
+        "y": f"y {correction.y:+.6g} m",
+    }
+    changed = [written[name] for name in names if getattr(correction, name)]
+    return ", ".join(changed) or "no change"
+
+
+def format_gain(gain: float, error: float) -> str:
+    """Write a gain and its standard error, where that is known."""
+    return f"{gain:.4f} +- {error:.4f}" if math.isfinite(error) else f"{gain:.4f}"
