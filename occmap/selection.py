@@ -9,7 +9,7 @@ from enum import StrEnum
 from occmap.choices import option
 from occmap.errors import require
 from occmap.posing.options import Stamps
-from occmap.types import Scan, ScanRun
+from occmap.types import Cloud, Recorded, Scan
 
 
 class LeftOut(StrEnum):
@@ -54,8 +54,10 @@ class Selection:
         require(self.start_s < self.end_s, found, fix)
 
 
-def find_flaw(scan: Scan) -> LeftOut | None:
+def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
     """Say why nobody can use a scan; None where it can be used."""
+    if isinstance(scan, Cloud):
+        return None if len(scan.points) else LeftOut.NO_BEAMS
     if not len(scan.ranges):
         return LeftOut.NO_BEAMS
     if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
@@ -79,7 +81,7 @@ class Selector:
         self.left_out: Counter[LeftOut] = Counter()
         """How many of those read `select` left out, by reason"""
 
-    def select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+    def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass on the scans that are used, and count the others."""
         for some, reason in self.judge(scans):
             self.read += some.scans
@@ -88,18 +90,18 @@ class Selector:
             else:
                 self.left_out[reason] += 1
 
-    def judge(
-        self, scans: Iterable[Scan | ScanRun]
-    ) -> Iterator[tuple[Scan | ScanRun, LeftOut | None]]:
+    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
         """Give each scan and why it is not used, or None; a run stays whole if all is used."""
         for some in scans:
             # A run is taken whole where the user wants every scan, and these can be used.
-            if isinstance(some, Scan) or (self._wants_all and find_flaw(some.first) is None):
+            if isinstance(some, Scan | Cloud) or (
+                self._wants_all and find_flaw(some.first) is None
+            ):
                 yield some, self._judge_next(some.first)
             else:
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
 
-    def _judge_next(self, scan: Scan) -> LeftOut | None:
+    def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
         stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:

@@ -21,7 +21,8 @@ PACKAGE = Path(__file__).parent.parent / "occmap"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
-SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values", "report.words"}
+SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values"}
+SHARED |= {"report.notes", "report.printed", "report.words"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},

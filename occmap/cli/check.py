@@ -15,7 +15,6 @@ from occmap.inspection import inspect, telling
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
-from occmap.report.doubts import drop_damage
 from occmap.report.limits import CHECK
 from occmap.report.words import Row
 from occmap.writers.outputs import check_picture
@@ -79,7 +78,7 @@ def list_log(log: LogFindings) -> Iterator[Row]:
     if log.coverage:
         yield "", ""
     yield from label_first("sources", telling.tell_sources(log.coverage))
-    yield from label_first("note", drop_damage(log.notes, log.damage))
+    yield from label_first("note", log.other_notes)
 
 
 def list_streams(streams: Sequence[Stream]) -> Iterator[str]:

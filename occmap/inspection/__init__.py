@@ -118,8 +118,7 @@ def describe_log(log: Log) -> LogFindings:
     return LogFindings(
         str(log.path),
         streams=tuple(log.streams),
-        notes=tuple(note.text for note in log.notes),
-        damage=tuple(note.text for note in log.notes if note.damage),
+        notes=tuple(log.notes),
     )
 
 

@@ -7,6 +7,7 @@ from occmap.grid.lattice import CellBox
 from occmap.posing.frames import Source
 from occmap.posing.options import Concern, Stamps
 from occmap.readers import Stream
+from occmap.report.notes import Noted
 from occmap.report.printed import HIDDEN, Finite, Printed, Share
 from occmap.selection import count_wanted
 
@@ -244,7 +245,7 @@ class Coverage:
 
 
 @dataclass(frozen=True)
-class LogFindings:
+class LogFindings(Noted):
     """All about one log."""
 
     path: str
@@ -257,7 +258,7 @@ class LogFindings:
     """Sources of poses"""
     notes: tuple[str, ...] = ()
     """What a user should know, one sentence each, as on stderr"""
-    damage: tuple[str, ...] = ()
+    damage: tuple[str, ...] = field(init=False)
     """Those of the notes that tell of damage to a log"""
     concerns: tuple[Concern, ...] = field(default=(), metadata=HIDDEN)
     """What will spoil a map, or surprise its maker"""

@@ -36,7 +36,7 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
         tell_verdict(comparison),
         Section("Scores", [tell_scores(comparison)]),
         Section("Do probabilities mean what they say?", [tell_reliability(results)]),
-        tell_notes(comparison.notes, comparison.damage),
+        tell_notes(comparison),
         describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
     title = f"Comparison of maps of {name_logs(log.name for log in logs)}"

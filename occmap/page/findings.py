@@ -1,7 +1,7 @@
 """The page of `check`, and what commands say and find, as sections of any page."""
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from occmap.evidence.manifest import describe_files
@@ -9,7 +9,7 @@ from occmap.inspection import telling
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.page.document import Block, Page, Section, describe_maker, name_logs, write_page
 from occmap.readers import Role
-from occmap.report.doubts import drop_damage
+from occmap.report.notes import Noted
 from occmap.report.words import count
 
 MOST_LOGS = 20
@@ -57,7 +57,7 @@ def tell_findings(found: Inspection) -> Iterator[Section]:
 def list_log(log: LogFindings) -> Iterator[Block]:
     """All about one log."""
     yield Block("list", title="Damage", texts=log.damage, tone="problem")
-    yield Block("list", title="Notes", texts=drop_damage(log.notes, log.damage))
+    yield Block("list", title="Notes", texts=log.other_notes)
     streams = [
         (each.topic, each.type, f"{each.count:,}", each.role.replace(Role.OTHER, ""))
         for each in log.streams
@@ -76,8 +76,8 @@ def list_log(log: LogFindings) -> Iterator[Block]:
     yield Block("list", title="Pose sources", texts=telling.tell_sources(log.coverage))
 
 
-def tell_notes(notes: Sequence[str], damage: Sequence[str]) -> Section:
+def tell_notes(result: Noted) -> Section:
     """Say what the command said beside its numbers."""
-    plain = drop_damage(notes, damage) if notes else ["Nothing: no damage and no warnings."]
-    blocks = [Block("list", texts=damage, tone="problem"), Block("list", texts=plain)]
+    others = result.other_notes if result.notes else ["Nothing: no damage and no warnings."]
+    blocks = [Block("list", texts=result.damage, tone="problem"), Block("list", texts=others)]
     return Section("What the command said", blocks)

@@ -36,7 +36,7 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
         sections += [
             Section("The map", [Block("facts", tell_map(report.map))], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
-            tell_notes(report.notes, report.damage),
+            tell_notes(report),
         ]
     if product.inspect:
         sections += tell_findings(product.inspect())

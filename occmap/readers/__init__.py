@@ -6,7 +6,7 @@ message, from the file to a scan or a pose. Nothing here imports rosbags or mcap
 on use.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -15,7 +15,9 @@ from typing import Protocol, cast, runtime_checkable
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
-from occmap.types import Moments, PoseBatch, PoseSample, Scan, ScanRun
+from occmap.report.notes import Note as Note
+from occmap.report.notes import NoteList as NoteList
+from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 
 DEFAULT_OPTIONS = ReaderOptions()
 
@@ -25,7 +27,7 @@ class Role(StrEnum):
 
     SCAN = "scan"
     CLOUD = "cloud"
-    """Points that can be flattened into scans: used where a log has no scans, or on request."""
+    """Clouds of points: used where a log has no scans, or on request."""
     POSE = "pose"
     OTHER = "other"
 
@@ -42,38 +44,6 @@ class Stream:
     """Messages"""
     role: Role
     """What the topic can be used for"""
-
-
-@dataclass(frozen=True)
-class Note:
-    """Something about a log that its user should know: lines passed over, a limit found, damage."""
-
-    text: str
-    """One sentence, without the path."""
-    damage: bool = False
-    """True: the log is not as its recorder meant it; `text` says where, and what is lost."""
-
-
-class NoteList(list[Note]):
-    """Notes, each once however often the log is read; a damaged log may give very many."""
-
-    def __init__(self, notes: Iterable[Note] = ()) -> None:
-        super().__init__(notes)
-        self._known = set(self)
-
-    def append(self, note: Note) -> None:
-        """Add a note unless it is there."""
-        if note not in self._known:
-            super().append(note)
-            self._known.add(note)
-
-    def add(self, text: str) -> None:
-        """Add what the user should know, as one sentence."""
-        self.append(Note(text))
-
-    def add_damage(self, text: str) -> None:
-        """Add what is damaged, where, and what is lost."""
-        self.append(Note(text, damage=True))
 
 
 class Log(Protocol):
@@ -122,9 +92,25 @@ class Counting(Protocol):
     moments: Moments
 
 
+@runtime_checkable
+class HoldingClouds(Protocol):
+    """A log that may hold clouds of points, on topics of their own."""
+
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds of these topics, in file order, one at a time."""
+
+
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
     return log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
+
+
+def read_recorded(log: Log, topics: Collection[str]) -> Iterator[Recorded]:
+    """The scans of some topics of a log, or the clouds, in the way that is quickest for it."""
+    has_clouds = any(each.topic in topics and each.role is Role.CLOUD for each in log.streams)
+    if has_clouds and isinstance(log, HoldingClouds):
+        return log.clouds(topics)
+    return read_scans(log, topics)
 
 
 def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:

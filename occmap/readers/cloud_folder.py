@@ -15,7 +15,7 @@ from occmap.readers import NoteList, Role, Stream
 from occmap.readers.cloud_files import READERS, read_cloud
 from occmap.readers.cloud_messages import make_cloud
 from occmap.readers.probing import Probe
-from occmap.types import Cloud, Moments, PoseSample
+from occmap.types import Cloud, Moments, PoseSample, Scan
 from occmap.values import as_stamp
 
 TOPIC, FRAME = "clouds", "lidar"
@@ -32,9 +32,7 @@ class CloudFolderReader:
     """Folders of clouds."""
 
     name = "clouds"
-    description = (
-        "a folder of clouds with --poses FILE: .pcd, .ply, KITTI .bin or .npy, a file each"
-    )
+    description = "a folder of clouds, a file each (.pcd, .ply, KITTI .bin, .npy); poses apart"
 
     def recognises(self, probe: Probe) -> bool:
         """Whether a folder holds clouds, and nothing of a bag."""
@@ -72,7 +70,11 @@ class CloudFolder:
         """Give none: they are in a file of their own."""
         return iter(())
 
-    def scans(self, topics: Collection[str]) -> Iterator[Cloud]:
+    def scans(self, _topics: Collection[str]) -> Iterator[Scan]:
+        """Give none: it holds clouds."""
+        return iter(())
+
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds, in the order of their times; what cannot be read is noted and left out."""
         for file, stamp_ns in zip(self._files, self.moments.stamp_ns, strict=True):
             if TOPIC not in topics:

@@ -22,7 +22,6 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.options import ReaderOptions
 from occmap.types import Cloud, Float32, Int64, UInt8
 from occmap.values import as_text, shorten
 
@@ -54,7 +53,7 @@ class Camera(NamedTuple):
     cy: float
 
 
-def convert_cloud(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Cloud:
+def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert a sensor_msgs/PointCloud2; raises DamageError where it is not as it says."""
     order = ">" if get_whole(message, "is_bigendian") else "<"
     sizes = ("height", "width", "point_step", "row_step")
@@ -192,7 +191,7 @@ def parse_livox(data: memoryview, encoding: str) -> Mapping[str, Any]:
     return {"header": {"stamp": stamp, "frame_id": frame}, "points": columns}
 
 
-def convert_livox(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Cloud:
+def convert_livox(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert what `parse_livox` gives: its times are ns after the stamp."""
     stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
     columns = dict(message["points"])

@@ -42,9 +42,10 @@ from occmap.readers.options import Echo, ReaderOptions
 from occmap.types import IDENTITY, Cloud, Pose, PoseSample, Scan
 from occmap.values import as_number
 
-ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan | Cloud]
+ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
 """From what the user chose, a decoded message, its topic and its record time in ns."""
 Parse: TypeAlias = Callable[[memoryview, str], Any]
+ToCloud: TypeAlias = Callable[[Any, str, int], Cloud]
 ToDepth: TypeAlias = Callable[[Camera, Any, str, int], Cloud]
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 
@@ -55,8 +56,9 @@ class MessageType(NamedTuple):
     role: Role
     to_scan: ToScan | None = None
     to_poses: ToPoses | None = None
+    to_cloud: ToCloud | None = None
     to_depth: ToDepth | None = None
-    """In place of `to_scan`, for images: what makes clouds of them needs their camera"""
+    """In place of `to_cloud`, for images: what makes clouds of them needs their camera"""
     parse: Parse | None = None
     """Decodes a message of an encoding, in place of a library that would take too long"""
 
@@ -161,9 +163,7 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
     return [] if sample.pose == IDENTITY else [sample._replace(child=child)]
 
 
-def convert_foxglove_cloud(
-    _options: ReaderOptions, message: Any, topic: str, record_ns: int
-) -> Cloud:
+def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert a foxglove.PointCloud, whose origin is stated as that of a scan."""
     stamp_ns = get_stamp(message, "timestamp")
     origin = convert_origin(message, topic, record_ns)
@@ -191,17 +191,19 @@ _TF = PoseFields(
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, to_cloud=convert_cloud),
     **{
         f"livox_ros_driver{version}/msg/CustomMsg": MessageType(
-            Role.CLOUD, convert_livox, parse=parse_livox
+            Role.CLOUD, to_cloud=convert_livox, parse=parse_livox
         )
         for version in ("", "2")
     },
     "sensor_msgs/msg/Image": MessageType(Role.CLOUD, to_depth=convert_depth),
     "sensor_msgs/msg/CompressedImage": MessageType(Role.CLOUD, to_depth=convert_compressed_depth),
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
-    "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
+    "foxglove.PointCloud": MessageType(
+        Role.CLOUD, to_cloud=convert_foxglove_cloud, to_poses=convert_origin
+    ),
 } | {
     name: MessageType(Role.POSE, to_poses=fields.read)
     for name, fields in {

@@ -27,6 +27,7 @@ from occmap.readers.message_types import (
     TYPES,
     MessageType,
     Parse,
+    ToCloud,
     ToDepth,
     ToScan,
     find_type,
@@ -102,11 +103,11 @@ class RosLog:
         """Every sample, as `poses` gives them, but many messages of transforms at once."""
         return self._read_stacked(self._make_pose_readers(), read_transforms, MOST_KINDS)
 
-    def scans(self, topics: Collection[str]) -> Iterator[Scan | Cloud]:
+    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
         return self._read(self._make_scan_readers(topics))
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun | Cloud]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
         return self._read_stacked(self._make_scan_readers(topics), read_scan_run, 1)
 
@@ -123,7 +124,7 @@ class RosLog:
             found = f"{channel.count} depth images on {channel.topic} are not used"
             self.notes.add(f"{found}: no CameraInfo comes on {name}; record it with them")
             return None
-        return MessageType(Role.CLOUD, lambda _options, *given: to_depth(camera, *given))
+        return MessageType(Role.CLOUD, to_cloud=partial(to_depth, camera))
 
     def _take_first(self, channel: Channel, read: Callable[[Any], T]) -> T | None:
         """Read the first message of a channel that can be read."""
@@ -135,6 +136,20 @@ class RosLog:
                     return found[0]
         return None
 
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds of points of these topics, in file order."""
+
+        def make_convert(to_cloud: ToCloud) -> Convert[Cloud]:
+            return lambda *message: [self._note_cloud(to_cloud(*message))]
+
+        return self._read(
+            self._make_readers(
+                (channel, make_convert(kind.to_cloud))
+                for channel, kind in self._types.items()
+                if kind and kind.to_cloud and channel.topic in topics
+            )
+        )
+
     def _make_pose_readers(self) -> "_Readers[PoseSample]":
         return self._make_readers(
             (channel, kind.to_poses)
@@ -142,9 +157,9 @@ class RosLog:
             if kind and kind.to_poses
         )
 
-    def _make_scan_readers(self, topics: Collection[str]) -> "_Readers[Scan | Cloud]":
-        def make_convert(to_scan: ToScan) -> Convert[Scan | Cloud]:
-            return lambda *message: [self._note_cloud(to_scan(self._options, *message))]
+    def _make_scan_readers(self, topics: Collection[str]) -> "_Readers[Scan]":
+        def make_convert(to_scan: ToScan) -> Convert[Scan]:
+            return lambda *message: [to_scan(self._options, *message)]
 
         return self._make_readers(
             (channel, make_convert(kind.to_scan))
@@ -152,14 +167,13 @@ class RosLog:
             if kind and kind.to_scan and channel.topic in topics
         )
 
-    def _note_cloud(self, some: Scan | Cloud) -> Scan | Cloud:
+    def _note_cloud(self, cloud: Cloud) -> Cloud:
         """Say how the times of points are read, and where there are no points."""
-        if isinstance(some, Cloud):
-            if some.times:
-                self.notes.add(f"{some.topic}: its points have the time {some.times}")
-            if not some.points.any():
-                self.notes.add(f"{some.topic}: clouds without a point among others")
-        return some
+        if cloud.times:
+            self.notes.add(f"{cloud.topic}: its points have the time {cloud.times}")
+        if not cloud.points.any():
+            self.notes.add(f"{cloud.topic}: clouds without a point among others")
+        return cloud
 
     def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T]]]) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from occmap.options import BuildOptions
@@ -44,12 +44,6 @@ def list_notes(
         yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
     yield from list_disagreement(facts)
     yield from list_misfits(paths, options, facts.agreement, tally)
-
-
-def drop_damage(notes: Iterable[str], damage: Iterable[str]) -> list[str]:
-    """List the notes that do not tell of damage, which a page shows apart."""
-    told = set(damage)
-    return [note for note in notes if note not in told]
 
 
 def list_frames(tally: Tally) -> Iterator[str]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.grid.tiles import TileGrid
-from occmap.report.printed import Count, Printed, Share
+from occmap.report.notes import Noted
+from occmap.report.printed import Count, Share
 from occmap.report.words import Row, count, write_box, write_counts
 from occmap.sensor.returns import ReturnCounts
 from occmap.steps.tally import ScanCounts
@@ -122,7 +123,7 @@ class MapSummary:
 
 
 @dataclass(frozen=True)
-class Report(Printed):
+class Report(Noted):
     """A map and how it came about: what occmap build, render and merge print."""
 
     logs: tuple[str, ...]
@@ -142,7 +143,7 @@ class Report(Printed):
     """The map"""
     notes: tuple[str, ...]
     """What a user should know, one sentence each, as on stderr"""
-    damage: tuple[str, ...] = ()
+    damage: tuple[str, ...] = field(init=False)
     """Those of the notes that tell of damage to a log"""
     files: tuple[str, ...] = ()
     """Files that were written"""

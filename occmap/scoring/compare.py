@@ -10,7 +10,8 @@ from occmap.errors import LogError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
 from occmap.readers import open_log
 from occmap.report.doubts import list_frames
-from occmap.report.printed import HIDDEN, Count, Printed, printed_as
+from occmap.report.notes import Noted
+from occmap.report.printed import HIDDEN, Count, printed_as
 from occmap.report.words import count
 from occmap.scoring.score import SMALL
 from occmap.scoring.trials import HoldOut, ScoredVariant, Trials
@@ -34,7 +35,7 @@ class HeldOutScans(ScanCounts):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scored(Printed):
+class Scored(Noted):
     """What is said of any run that scores maps on held-out scans."""
 
     logs: list[str]
@@ -45,7 +46,7 @@ class Scored(Printed):
     """Side of a cell (m)"""
     notes: list[str]
     """What a user should know, one sentence each, as on stderr"""
-    damage: list[str]
+    damage: tuple[str, ...] = field(init=False)
     """Those of the notes that tell of damage to a log"""
 
 

@@ -11,11 +11,14 @@ from occmap.posing.options import Stamps
 from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Int64, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
 seldom wait for Python's lock."""
+
+CLOUD_MOMENTS = 33
+"""Poses looked up for one cloud whose points have times of their own"""
 
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
@@ -32,7 +35,7 @@ def find_geometry(scan: Scan) -> Geometry:
 
 
 def batch_scans(
-    scans: Iterable[Scan | ScanRun], selector: Selector, limits: RangeLimits
+    scans: Iterable[Recorded], selector: Selector, limits: RangeLimits
 ) -> Iterator[ScanBatch]:
     """Batch the scans of a log that are used; from its limit on, a range means "no return".
 
@@ -42,11 +45,14 @@ def batch_scans(
     return map(limits.apply, stack(used, selector.stamps))
 
 
-def stack(scans: Iterable[Scan | ScanRun], stamps: Stamps) -> Iterator[ScanBatch]:
+def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
     held: dict[Geometry, dict[int, Scan]] = {}
     beams = 0
     for number, some in enumerate(scans):
+        if isinstance(some, Cloud):
+            yield make_cloud_batch(some, stamps)
+            continue
         if isinstance(some, Scan):
             held.setdefault(find_geometry(some), {})[number] = some
             beams += len(some.ranges)
@@ -82,6 +88,22 @@ def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> Sca
     stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
     differing = stamp_ns, run.ranges, run.time_increment, run.pose
     return ScanBatch(*shape, *differing, first.topic, number)
+
+
+def make_cloud_batch(cloud: Cloud, stamps: Stamps) -> ScanBatch:
+    """Make a batch of one cloud, which has a beam for each moment that its poses are looked up at.
+
+    It begins where its earliest point does.
+    """
+    start, stop, moments = 0, 0, 1
+    if cloud.offset_ns is not None:
+        start, stop, moments = int(cloud.offset_ns.min()), int(cloud.offset_ns.max()), CLOUD_MOMENTS
+    stamp_ns = stamps.choose(np.array([cloud.stamp_ns]), np.array([cloud.record_ns])) + start
+    pose = None if cloud.pose is None else np.array([cloud.pose])
+    ranges, step = np.zeros((1, moments), np.float32), (stop - start) / 1e9 / max(moments - 1, 1)
+    shape = cloud.frame, 0.0, math.tau / moments, 0.0, math.inf
+    times = stamp_ns, ranges, np.array([step])
+    return ScanBatch(*shape, *times, pose, cloud.topic, clouds=(cloud,))
 
 
 def list_oddities(batch: ScanBatch) -> Iterator[str]:

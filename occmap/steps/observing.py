@@ -2,24 +2,28 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
-from occmap.cells import Slices
+from occmap.cells import Ground, Slices
 from occmap.errors import name_log
 from occmap.evidence.fit import list_misfit
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
-from occmap.readers import Log, Note, open_log
+from occmap.readers import Log, open_log
+from occmap.report.notes import Note
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps.engines import make_engine, make_grid
+from occmap.steps.engines import make_cloud_engine, make_engine, make_grid
 from occmap.steps.journey import SHOWN_SCANS, JourneyRecorder
-from occmap.steps.opening import count_scans
+from occmap.steps.opening import count_scans, settle_update
 from occmap.steps.tally import Tally
-from occmap.steps.tracing import AddRays, trace_logs
+from occmap.steps.tracing import AddRays, find_ground, trace_logs
+from occmap.types import Update
 
 if TYPE_CHECKING:  # as in engines
+    from occmap.clouds.engine import CloudEngine
     from occmap.grid.engine import GridEngine
 
 Progress: TypeAlias = Callable[[int, int], None]
@@ -37,6 +41,8 @@ class Keep(NamedTuple):
     """In which slices of time cells were observed"""
     journey: bool = False
     """Where the robot went"""
+    ground: Ground | None = None
+    """What clouds are traced over, if it is known, or what it grows from"""
 
     def make_recorder(
         self, scans: int, logs: int, returns: ReturnOptions
@@ -52,12 +58,10 @@ class Remarks:
 
     logs: list[str]
     notes: list[str] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)
 
     def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
         """Keep the notes of a log's reader, and the notes of others on it."""
-        self.notes += [f"{log}: {text}" for text in (*others, *(note.text for note in notes))]
-        self.damage += [f"{log}: {note.text}" for note in notes if note.damage]
+        self.notes += [note.placed(log) for note in (*map(Note, others), *notes)]
 
 
 class Observed(NamedTuple):
@@ -68,6 +72,10 @@ class Observed(NamedTuple):
     """In which slices of time; none where they are not kept"""
     tally: Tally
     remarks: Remarks
+    ground: Ground | None = None
+    """What clouds were traced over"""
+    options: BuildOptions | None = None
+    """With the update that suits what the logs hold; None: as given"""
 
 
 class Observe(Protocol):
@@ -93,14 +101,20 @@ def observe(
     tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
+    options = settle_update(logs, options)
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
+    ground = keep.ground
+    if options.update is Update.CLOUD and options.clouds.file is None:
+        with tally.time("ground"):
+            ground, found = find_ground(logs, options, ground)
+        remarks.notes += found
     tiles = make_grid(options)
     slices: list[Slices] = []
     for log, scans in zip(logs, counts, strict=True):
         of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
-        engine, notes = observe_log(log, options, keep.slices, of_log)
+        engine, notes = observe_log(log, options, keep._replace(ground=ground), of_log)
         tally.add(of_log)
         with tally.time("fold"):
             seen = engine.finish()
@@ -111,18 +125,21 @@ def observe(
             slices += engine.read_slices()
         remarks.note(log.path, log.notes, notes)
     with tally.time("fold"):
-        return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
+        kept = (unite(slices),) if keep.slices else ()
+        return Observed(tiles, kept, tally, remarks, ground, options)
 
 
 def observe_log(
-    log: Log, options: BuildOptions, keep_slices: bool, tally: Tally
-) -> tuple["GridEngine", list[str]]:
+    log: Log, options: BuildOptions, keep: Keep, tally: Tally
+) -> tuple["GridEngine | CloudEngine", list[str]]:
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    engines: list[GridEngine] = []
+    engines: list[GridEngine | CloudEngine] = []
 
     def begin() -> AddRays:
         engines.clear()  # where the log is read once more, the first one is of no use
-        engines.append(make_engine(options, keep_slices))
+        over = keep.ground
+        make = partial(make_engine, options, keep.slices)
+        engines.append(make() if over is None else make_cloud_engine(options, over))
         return engines[-1].add
 
     traced = trace_logs([log], options, begin, tally)

@@ -11,7 +11,7 @@ from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.readers import Log, read_scans
+from occmap.readers import Log, read_recorded
 from occmap.selection import Selection, Selector
 from occmap.sensor.models import CountingModel
 from occmap.sensor.no_return import RangeLimits
@@ -61,7 +61,7 @@ def sample_scans(
     expected = expect_scans(count_messages(log, topics) // len(topics), options.selection)
     samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(expected))
     selector = Selector(options.selection, options.posing.stamps)
-    batches = batch_scans(read_scans(log, topics), selector, RangeLimits(options.returns))
+    batches = batch_scans(read_recorded(log, topics), selector, RangeLimits(options.returns))
     for _, posed, _ in poser.attach(batches):
         if posed is not None:
             samples[posed.batch.topic].take(posed)

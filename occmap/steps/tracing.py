@@ -1,30 +1,31 @@
 """Read, pose, interpret and trace the scans of a log, as a stream of batches."""
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from occmap.cells import Ground
 from occmap.errors import MountError, name_log
 from occmap.grid.framing import Reach
 from occmap.grid.lattice import Lattice
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.readers import Log, read_scans
+from occmap.readers import Log, read_recorded
 from occmap.selection import Selector
 from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import interpret
-from occmap.steps.batching import batch_scans, list_oddities
+from occmap.sensor.returns import ReturnCounts, interpret
+from occmap.steps.batching import batch_scans, list_oddities, stack
 from occmap.steps.mounts import name_mount
 from occmap.steps.opening import choose_topics, make_poser
 from occmap.steps.tally import Tally
-from occmap.types import Attached, Rays, ScanBatch
+from occmap.types import Attached, PosedScans, Rays, ScanBatch
 from occmap.workers import Workers
 
 HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
 threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
-AddRays = Callable[[Rays], None]
-"""Adds the rays of a batch to the evidence; any number of threads may call it."""
+AddRays = Callable[[Any], None]
+"""Adds the rays of a batch, or its posed clouds, to the evidence; any number of threads may."""
 
 
 class Drive(NamedTuple):
@@ -82,6 +83,31 @@ def trace_logs(
     return list(zip(logs, notes, strict=True))
 
 
+def find_ground(
+    logs: Sequence[Log], options: BuildOptions, known: Ground | None
+) -> tuple[Ground, list[str]]:
+    """Find the ground below all drives, in a pass of its own; say what there is to say of it.
+
+    Parameters
+    ----------
+    known
+        Ground of evidence that the build is added to; it stays as it is.
+    """
+    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+    finder = GroundFinder()
+    for log in logs:
+        drive = open_drive(log, options)
+        selector = Selector(options.selection, options.posing.stamps)
+        scans = selector.select(read_recorded(log, drive.topics))
+        batches = filter(finder.wants, stack(scans, selector.stamps))
+        with name_log(log.path), Workers(finder.add, options.jobs) as workers:
+            for _, posed, _ in drive.poser.attach(batches):
+                if posed is not None:
+                    workers.give(posed)
+    return finder.find(options.clouds, known)
+
+
 def trace(
     drive: Drive, options: BuildOptions, add_rays: AddRays, limits: RangeLimits, tally: Tally
 ) -> list[str]:
@@ -96,18 +122,21 @@ def trace(
     reach = Reach(Lattice(options.resolution), options.max_cells)
     odd: dict[str, None] = {}
 
-    def work(rays: Rays) -> None:
+    def work(seen: Rays | PosedScans) -> None:
         with tally.time("trace"):
-            add_rays(rays)
+            add_rays(seen)
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
-        batches = batch_scans(read_scans(drive.log, drive.topics), selector, limits)
+        batches = batch_scans(read_recorded(drive.log, drive.topics), selector, limits)
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
         for attached in pose_scans(drive, batches, selector, tally):
             odd |= dict.fromkeys(list_oddities(attached.batch))
             if tally.recorder:
                 tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
-            if attached.posed is not None:
+            if attached.posed is not None and attached.batch.clouds:
+                tally.use(len(attached.posed.batch.stamp_ns), ReturnCounts())
+                workers.give(attached.posed)
+            elif attached.posed is not None:
                 with tally.time("interpret"):
                     rays, beams = interpret(attached.posed, options.returns)
                 tally.use(len(rays.kind), beams)

@@ -14,6 +14,7 @@ import pytest
 
 from occmap import api
 from occmap.cli import run
+from occmap.inspection.findings import LogFindings
 from occmap.page.document import Block, Page, Section, compose, to_script
 from occmap.page.findings import tell_notes
 
@@ -172,7 +173,13 @@ def test_scripts_do_not_end_where_a_name_says_so() -> None:
     value = {"name": "</script><script>alert(1)</script>&"}
     assert "<" not in to_script(value)
     assert json.loads(to_script(value)) == value
-    page = compose(Page("</title><b>", "", [tell_notes(["</li><script>"], []), Section("<i>", [])]))
+    page = compose(
+        Page(
+            "</title><b>",
+            "",
+            [tell_notes(LogFindings("", notes=("</li><script>",))), Section("<i>", [])],
+        )
+    )
     assert Reader(page).kinds.isdisjoint({"b", "i"})
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from occmap.errors import DamageError, LogError
 from occmap.posing.trajectory import read_trajectory
-from occmap.readers import Role, open_log
+from occmap.readers import HoldingClouds, Role, open_log
 from occmap.readers.cloud_files import Points, read_bin, read_pcd, read_ply
 from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_time
 from occmap.readers.lzf import inflate
@@ -125,7 +125,7 @@ def test_a_file_that_is_no_cloud_is_left_out_and_named(
     (tmp_path / "b.pcd").write_bytes(pcd("binary", XYZ))
     log = CloudFolder(tmp_path)
 
-    assert [len(cloud.points) for cloud in log.scans({"clouds"})] == [3]
+    assert [len(cloud.points) for cloud in log.clouds({"clouds"})] == [3]
     (note,) = [note.text for note in log.notes if note.damage]
     assert name in note
     assert found in note
@@ -137,7 +137,7 @@ def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path
     (tmp_path / "3.ply").write_bytes(ply("binary_little_endian", FLOATS, XYZ[:12]))
     log = CloudFolder(tmp_path)
 
-    assert [len(cloud.points) for cloud in log.scans({"clouds"})] == [2, 2, 1]
+    assert [len(cloud.points) for cloud in log.clouds({"clouds"})] == [2, 2, 1]
     notes = [note.text for note in log.notes if note.damage]
     assert [note.split()[0] for note in notes] == ["1.pcd", "2.pcd", "3.ply"]
     assert all("of 3 points" in note for note in notes)
@@ -145,8 +145,9 @@ def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path
 
 def read(folder: Path) -> list[Cloud]:
     log = open_log(folder)
+    assert isinstance(log, HoldingClouds)
     assert [(s.topic, s.role) for s in log.streams] == [("clouds", Role.CLOUD)]
-    return list(log.scans({"clouds"}))  # type: ignore[arg-type]
+    return list(log.clouds({"clouds"}))
 
 
 def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
