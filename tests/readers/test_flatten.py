@@ -12,7 +12,7 @@ from occmap.errors import LogError
 from occmap.readers import Role, open_log, read_recorded
 from occmap.readers.message_types import convert_cloud, convert_multi_echo, find_offsets
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.steps.opening import choose_topics
+from occmap.scans.logs import choose_topics
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 
 ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
