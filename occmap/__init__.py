@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from occmap.api import build_map, check, compare, diff, merge, read_log, tune
+    from occmap.api.maps import Map
     from occmap.cells import OccupancyMap
     from occmap.errors import OccmapError
-    from occmap.maps import Map
     from occmap.options import BuildOptions
     from occmap.pipeline import build
     from occmap.readers import Log
@@ -41,7 +41,7 @@ _HOMES = {
     "Build": "occmap.report.results",
     "BuildOptions": "occmap.options",
     "Log": "occmap.readers",
-    "Map": "occmap.maps",
+    "Map": "occmap.api.maps",
     "OccmapError": "occmap.errors",
     "OccupancyMap": "occmap.cells",
     "build": "occmap.pipeline",

@@ -1,11 +1,12 @@
 """What a user may choose about a build, checked as a whole, and the line that types it."""
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from occmap.choices import list_options, list_values, option
+from occmap.choices import check_bounds, list_options, list_values, option
 from occmap.choices.values import write_values
 from occmap.clouds.options import CloudOptions
 from occmap.errors import require
@@ -15,19 +16,12 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
-from occmap.selection import Selection
 from occmap.sensor.models import MODEL, PARAMETERS, CountingModel, SensorModel
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
 from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
-MOST_OFFSET = 10
-"""The largest `hit_offset`: no hit lies deeper in a wall (cells)"""
-MOST_GAP = 1000
-"""The largest `border_gap` (cells)"""
-SHORTEST_GAP_S, LONGEST_GAP_S = 1e-3, 1e9
-"""The least and the largest `pass_gap_s`, by which slices of time are cut"""
 DEFAULT_UPDATE = Update.SURFACE
 
 
@@ -39,6 +33,32 @@ def choose_model(update: Update) -> SensorModel:
     if update is Update.CLOUD:
         return CountingModel(cut=0.05, spread=0.0, repeat_from=8.0)
     return CountingModel(cut=0.4, spread=0.0) if update is Update.POLYGON else CountingModel()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which scans of a log to use; two parts that end and start at one time share no scan.
+
+    Raises
+    ------
+    UsageError
+        The values leave no scan to use.
+    """
+
+    topics: tuple[str, ...] = option(
+        (), "Use the scans of this topic; by default of all.", metavar="TOPIC", flag="scan-topic"
+    )
+    start_s: float = option(-math.inf, "Use scans from this time after the first on.", unit="s")
+    end_s: float = option(math.inf, "Use scans before this time after the first.", unit="s")
+    stride: int = option(
+        1, "Use every N-th of these scans.", unit="scans", metavar="N", bounds=(1, math.inf)
+    )
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        found = f"`start_s={self.start_s}` is not before `end_s={self.end_s}`"
+        fix = "both are in seconds after the log's first scan"
+        require(self.start_s < self.end_s, found, fix)
 
 
 @dataclass(frozen=True)
@@ -65,14 +85,19 @@ class BuildOptions:
         0.1,
         "Two neighbouring beams meet one surface if their ranges differ by at most this.",
         unit="m",
+        bounds=(0, math.inf),
     )
     border_gap: int = option(
-        8, "polygon: join end cells on one surface up to this far apart.", unit="cells"
+        8,
+        "polygon: join end cells on one surface up to this far apart.",
+        unit="cells",
+        bounds=(0, 1000),
     )
     hit_offset: float = option(
         0.5,
         "Move each hit this far behind the measured point, which is on a surface.",
         unit="cells",
+        bounds=(0, 10),  # no hit lies deeper in a wall
     )
     max_cells: int = option(MAX_CELLS, "Refuse to make a larger map.", unit="cells", metavar="N")
     min_passes: int | None = option(
@@ -83,9 +108,12 @@ class BuildOptions:
         metavar="K",
     )
     pass_gap_s: float = option(
-        10.0, "Sightings of a cell at least this far apart are two visits.", unit="s"
+        10.0,
+        "Sightings of a cell at least this far apart are two visits.",
+        unit="s",
+        bounds=(1e-3, 1e9),  # slices of time are cut by it
     )
-    jobs: int = option(count_cores, "Threads.", unit="threads", metavar="N")
+    jobs: int = option(count_cores, "Threads.", unit="threads", metavar="N", bounds=(1, math.inf))
     resume: Path | None = option(
         None,
         "Add to the evidence in this file, which `outputs` may name again.",
@@ -104,17 +132,9 @@ class BuildOptions:
             object.__setattr__(self, "model", choose_model(self.update))
         Lattice(self.resolution)  # refuses one that is not possible
         check_passes(self.min_passes, self.model)
-        found = f"`pass_gap_s={self.pass_gap_s:g}` is not possible"
-        fix = f"give {SHORTEST_GAP_S:g} to {LONGEST_GAP_S:g} seconds"
-        require(SHORTEST_GAP_S <= self.pass_gap_s <= LONGEST_GAP_S, found, fix)
         both = bool(self.resume and self.resume_if_there)
         require(not both, "`resume` and `resume_if_there` are both given", "leave one out")
-        require(self.jobs >= 1, f"{self.jobs} jobs are not possible", "give `jobs=1` or more")
-        require(self.jump >= 0, f"a jump of {self.jump} m is not possible", "try `jump=0.1`")
-        found = f"a hit offset of {self.hit_offset} cells is not possible"
-        require(0 <= self.hit_offset <= MOST_OFFSET, found, f"give 0 to {MOST_OFFSET}")
-        found = f"a border gap of {self.border_gap} cells is not possible"
-        require(0 <= self.border_gap <= MOST_GAP, found, f"give 0 to {MOST_GAP}")
+        check_bounds(self)
 
     def list_idle(self) -> Iterator[str]:
         """Name the options that do nothing under the update."""
@@ -128,7 +148,7 @@ OPTIONS = list_options(BuildOptions)
 """All of them by name"""
 
 OTHER_FLAGS = {
-    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview", "slice")},
+    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview")},
     "limits": "--fail-if",
     "logs": "--log",
     "outputs": "-o",

@@ -15,10 +15,10 @@ from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report.doubts import list_notes
 from occmap.report.results import Build, MapFacts, MapSummary, Report, Resumed, describe_map
-from occmap.steps.alignment import settle_align
-from occmap.steps.observing import Keep, Observe, Progress, Remarks, ignore_progress
-from occmap.steps.observing import observe as observe_here
-from occmap.steps.tally import Tally, refuse_unseen, refuse_unused
+from occmap.scans.alignment import settle_align
+from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
+from occmap.scans.tracing import Keep, Observe, Progress, Remarks, ignore_progress
+from occmap.scans.tracing import observe as observe_here
 from occmap.store.merging import refuse_different
 from occmap.store.publishing import sum_scans
 from occmap.store.reading import open_saved, read_all

@@ -23,11 +23,10 @@ from occmap.cli.console import spell
 from occmap.clouds.options import CloudOptions
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.grid.framing import Framing
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.store.publishing import RenderOptions

@@ -168,7 +168,7 @@ def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
 
 
 def test_the_walk_sees_the_imports() -> None:
-    build = {met for path in list_modules("pipeline", "steps") for met in find_met(path)}
+    build = {met for path in list_modules("pipeline", "scans") for met in find_met(path)}
     assert set(LAYERS) <= build
     assert "tqdm.tqdm" in set(list_imports(PACKAGE / "cli" / "console.py"))
 

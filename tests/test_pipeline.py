@@ -11,9 +11,10 @@ import pytest
 from occmap.cells import Decision, OccupancyMap
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
+from occmap.scans import stream, tracing
+from occmap.scans.engines import make_engine
 from occmap.sensor.models import parse_model
 from occmap.sensor.returns import NoReturn, ReturnOptions
-from occmap.steps import batching, engines, observing
 from occmap.types import Bool, Update
 from tests.map_loaders import load_nav2
 from tests.samples import DRIVES, SAMPLE_LOGS
@@ -126,7 +127,7 @@ def test_the_size_of_batches_changes_nothing(
     tmp_path: Path, reference: Reference, monkeypatch: pytest.MonkeyPatch, beams: int
 ) -> None:
     update, model, expected = reference
-    monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
+    monkeypatch.setattr(stream, "BATCH_BEAMS", beams)
     assert write_map(tmp_path, DRIVES[:2], choose(update, model)) == expected
 
 
@@ -134,6 +135,6 @@ def test_the_size_of_windows_changes_nothing(
     tmp_path: Path, reference: Reference, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     update, model, expected = reference
-    small = partial(engines.make_engine, window_cells=20_000)
-    monkeypatch.setattr(observing, "make_engine", small)
+    small = partial(make_engine, window_cells=20_000)
+    monkeypatch.setattr(tracing, "make_engine", small)
     assert write_map(tmp_path, DRIVES[:2], choose(update, model)) == expected

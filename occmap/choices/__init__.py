@@ -4,6 +4,7 @@
 options and errors read what an option is called, does and takes from here, and from nowhere else.
 """
 
+import math
 import operator
 import textwrap
 from collections.abc import Iterator, Mapping
@@ -18,6 +19,8 @@ from occmap.errors import UsageError
 from occmap.plugins import suggest
 
 Options = TypeVar("Options")
+ABOVE_ZERO = math.ulp(0.0)
+"""The least bound of what has to be more than zero"""
 
 
 class Declared(NamedTuple):
@@ -33,6 +36,8 @@ class Declared(NamedTuple):
     """How it is typed, without dashes; "": like its name"""
     form: Form | None = None
     """What a value looks like, or each of several; None: as usual for the type"""
+    bounds: tuple[float, float] = (-math.inf, math.inf)
+    """The least and the largest value; nan is never within them"""
     none: tuple[str, str] = ("", "")
     """How None is typed and what it does, where it is a value of the option and not its default"""
 
@@ -137,6 +142,17 @@ def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
         elif is_dataclass(hint):
             made[name] = take(cast(type[Any], hint), values)
     return kind(**made)
+
+
+def check_bounds(options: Any) -> None:
+    """Refuse a value out of the bounds of its option; raises UsageError with what to give."""
+    for each in fields(options):
+        value = getattr(options, each.name)
+        low, high = each.metadata.get("option", Declared()).bounds
+        if isinstance(value, int | float) and not low <= value <= high:
+            least = "more than 0" if low == ABOVE_ZERO else f"{low:g}"
+            most = f" to {high:g}" if math.isfinite(high) else " or more" * (low != ABOVE_ZERO)
+            raise UsageError(f"`{each.name}={value}` is not possible", fix=f"give {least}{most}")
 
 
 def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Options:

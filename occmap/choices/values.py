@@ -9,7 +9,7 @@ from contextlib import suppress
 from enum import EnumType, StrEnum
 from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from occmap.errors import UsageError
 from occmap.plugins import suggest
@@ -70,7 +70,7 @@ def read_value(name: str, kind: Any, value: Any, form: Form | None = None) -> An
 
 def holds_several(kind: Any) -> bool:
     """Whether an option takes any number of values that each have a form."""
-    return str(kind).endswith(", ...]") and kind not in FORMS
+    return get_args(kind)[1:] == (Ellipsis,) and kind not in FORMS
 
 
 def parse_numbers(flag: str, form: Form, text: str) -> Any:

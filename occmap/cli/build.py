@@ -7,6 +7,7 @@ from time import perf_counter
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from occmap.choices import take
 from occmap.cli import options
@@ -112,7 +113,8 @@ def list_idle(values: Values) -> Iterator[str]:
     """Say which options do nothing, as they are for a build by many workers."""
     if values["dask"] is None and values["scratch"] is not None:
         yield "--scratch does nothing without --dask"
-    if values["dask"] not in {None, "local"} and values["jobs"] is not None:
+    usual = click.get_current_context().get_parameter_source("jobs") is ParameterSource.DEFAULT
+    if values["dask"] not in {None, "local"} and not usual:
         yield "--jobs does nothing with the workers of a Dask scheduler: start as many as you want"
 
 

@@ -17,6 +17,8 @@ from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
 from occmap.report.printed import Printed
 
 SHORT_EQUALS = re.compile("-[a-z]=")
+LIMITS = "Limits"
+LIMIT_BROKEN = 3
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
 AnyCommand = TypeVar("AnyCommand", bound=click.Command)
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -129,10 +131,6 @@ def join(*options: Callable[[Command], Command]) -> Callable[[Command], Command]
         return command
 
     return decorate
-
-
-LIMITS = "Limits"
-LIMIT_BROKEN = 3
 
 
 class Answer(NamedTuple):

@@ -16,8 +16,8 @@ from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits
 from occmap.explanation.sightings import add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.inputs import keep_stdin
 from occmap.report.words import count, join_names, write_box, write_time
+from occmap.scans.logs import keep_stdin
 from occmap.store.reading import open_saved
 from occmap.writers import WriteOptions
 

@@ -20,10 +20,9 @@ from occmap.clouds.options import CloudOptions
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.framing import Framing
-from occmap.options import DEFAULT_UPDATE, OPTIONS, choose_model, spell_flag
+from occmap.options import DEFAULT_UPDATE, OPTIONS, Selection, choose_model, spell_flag
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions
-from occmap.selection import Selection
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.writers import Shade

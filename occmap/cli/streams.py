@@ -13,9 +13,9 @@ import click
 
 from occmap.cli.console import Console
 from occmap.errors import UsageError
-from occmap.inputs import find_inputs, keep_stdin
 from occmap.options import BuildOptions, name_map
 from occmap.report.results import Report
+from occmap.scans.logs import find_inputs, keep_stdin
 from occmap.writers import FolderWriter
 from occmap.writers.outputs import find_writer
 

@@ -18,8 +18,8 @@ from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.report.printed import Count, Printed, Share, printed_as
 from occmap.report.words import count, join_names
+from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import SensorModel, describe_model
-from occmap.steps.observing import Progress, ignore_progress
 from occmap.store.reading import Saved, Store, read_part
 from occmap.store.rendering import open_map
 from occmap.writers import WriteOptions

@@ -8,17 +8,14 @@ import numpy as np
 from occmap.explanation.history import CellHistory, Numbers, Seen
 from occmap.explanation.provenance import Use
 from occmap.options import BuildOptions
-from occmap.readers import Log, open_log, read_scans
+from occmap.readers import Log, open_log
 from occmap.report.printed import Count
-from occmap.selection import Selector
-from occmap.sensor.no_return import RangeLimits
+from occmap.scans.engines import plan_grid
+from occmap.scans.logs import count_scans
+from occmap.scans.mounts import open_drive
+from occmap.scans.tally import Tally
+from occmap.scans.tracing import Progress
 from occmap.sensor.returns import interpret
-from occmap.steps.batching import batch_scans
-from occmap.steps.engines import plan_grid
-from occmap.steps.observing import Progress
-from occmap.steps.opening import count_scans
-from occmap.steps.tally import Tally
-from occmap.steps.tracing import open_drive, pose_scans
 from occmap.types import Int64, PosedScans
 
 
@@ -72,14 +69,7 @@ def find_sightings(
 
 def pose_again(log: Log, options: BuildOptions, tally: Tally) -> Iterator[PosedScans]:
     """Read and pose the scans of a log as a build does, by the limits that all of it shows."""
-    drive = open_drive(log, options)
-    limits = RangeLimits(options.returns)
-    for some in read_scans(log, drive.topics):
-        limits.see(some)
-    limits.settle()
-    selector = Selector(options.selection, options.posing.stamps)
-    batches = batch_scans(read_scans(log, drive.topics), selector, limits)
-    for attached in pose_scans(drive, batches, selector, tally):
+    for attached in open_drive(log, options).settle().read(tally):
         if attached.posed is not None:
             yield attached.posed
 

@@ -40,9 +40,9 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build, list_inputs, make_report
 from occmap.report.doubts import list_notes
 from occmap.report.results import MapFacts, Report
-from occmap.steps.alignment import settle_align
-from occmap.steps.observing import Keep, Observed, Progress, Remarks
-from occmap.steps.tally import Tally, refuse_unseen, refuse_unused
+from occmap.scans.alignment import settle_align
+from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
+from occmap.scans.tracing import Keep, Observed, Progress, Remarks
 from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable

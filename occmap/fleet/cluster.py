@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,14 +37,17 @@ new pages for the next take a third of a worker's time; and each thread would ke
 class Cluster:
     """Workers that are alike, and fit for the work."""
 
-    def __init__(self, client: "Client", describe: Callable[[str], None]) -> None:
+    def __init__(self, client: "Client", address: str, describe: Callable[[str], None]) -> None:
         self._client = client
+        self._address = address
         self._describe = describe
         workers = client.scheduler_info(n_workers=-1)["workers"]
         limits = [each["memory_limit"] for each in workers.values() if each["memory_limit"]]
         self.workers = len(workers)
         self.memory = min(limits, default=None)
         """What the smallest worker may take (bytes); None: no limit"""
+        link = client.dashboard_link
+        self._crew = f"{count(self.workers, 'worker')}{link and f', {link}'}"
         self._keys: set[str] = set()
 
     def run(
@@ -66,10 +69,12 @@ class Cluster:
         Raises
         ------
         OccmapError
-            Of the first job that failed, or its workers died.
+            Of the first job that failed, or its workers died, or the scheduler did.
         """
         from distributed import as_completed  # noqa: PLC0415  late: an extra
 
+        if self._client.status != "running":  # it would wait for ever
+            raise self._explain_loss(phase, task, jobs)
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
         self._keys.update(str(future.key) for future in futures)
@@ -81,13 +86,14 @@ class Cluster:
             if future.status == "finished":
                 results[place] = future.result()
                 tell(results[place])
+            elif future.status == "cancelled" and not failed:
+                raise self._explain_loss(phase, task, jobs)
             elif future.status == "error":
                 failed[place] = future.exception()
                 # What comes later does not matter any more; what comes earlier may fail, too.
                 self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
             future.release()
-            workers, link = count(self.workers, "worker"), self._client.dashboard_link
-            self._describe(f"{phase} {done}/{len(jobs)}, {workers}{link and f', {link}'}")
+            self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
         for place in sorted(failed):
             raise self._explain(failed[place], jobs[place])
         return [results[place] for place in range(len(jobs))]
@@ -102,9 +108,22 @@ class Cluster:
         found = f"killed its workers {error.allowed_failures + 1} times{limit}"
         return FleetError(found, where=job.where, fix="give workers more memory")
 
+    def _explain_loss(
+        self, phase: str, task: Callable[[AnyJob], Result], jobs: Sequence[AnyJob]
+    ) -> FleetError:
+        """Say that the scheduler is gone, what is done, and how to go on."""
+        folder = jobs[0].setting.folder
+        done = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
+        found = f"the scheduler is gone; {done} of {len(jobs)} tasks of phase {phase!r} are done"
+        fix = f"start it again, and type the same command: it goes on from {folder}"
+        return FleetError(found, where=self._address, fix=fix)
+
     def list_losses(self) -> Iterator[str]:
         """Say how often a worker was lost, and how many tasks ran again for it."""
-        events = [event for _, event in self._client.get_events("all")]
+        events: list[Any] = []
+        with suppress(OSError):  # the scheduler is gone, and all is done
+            if self._client.status == "running":
+                events += [event for _, event in self._client.get_events("all")]
         lost = [each for each in events if each["action"] == "remove-worker"]
         held = ({*each["processing-tasks"], *each["lost-computed-tasks"]} for each in lost)
         if again := sum(len(tasks & self._keys) for tasks in held):
@@ -135,7 +154,8 @@ def open_cluster(
     """
     with need_extra("dask", "`dask` needs the library distributed"):
         import distributed  # noqa: F401, PLC0415  late: an extra, and it takes half a second
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     workers = start_local(processes) if address == LOCAL else nullcontext(address)
     with workers as place, connect(place, address) as client:
         try:
@@ -143,7 +163,7 @@ def open_cluster(
         except TimeoutError:
             fix = f"start some: dask worker {address}"
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
-        cluster = Cluster(client, describe)
+        cluster = Cluster(client, address, describe)
         refuse_unfit(cluster)
         yield cluster
 

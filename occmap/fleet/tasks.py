@@ -24,11 +24,10 @@ from occmap.grid.tiles import TileGrid, stack_tiles, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
-from occmap.steps.engines import make_engine, make_grid
-from occmap.steps.observing import Keep
-from occmap.steps.opening import count_scans
-from occmap.steps.tally import Tally
-from occmap.steps.tracing import AddRays, trace_logs
+from occmap.scans.engines import make_engine, make_grid
+from occmap.scans.logs import count_scans
+from occmap.scans.tally import Tally
+from occmap.scans.tracing import AddRays, Keep, trace_logs
 from occmap.store.blocks import Block, BlockContent, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64, Rays

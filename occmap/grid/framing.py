@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occmap.cells import Box, OccupancyMap, to_log_odds
-from occmap.choices import option
+from occmap.choices import check_bounds, option
 from occmap.choices.values import make_box_form
 from occmap.errors import MapError, require
 from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
@@ -42,11 +42,12 @@ class Framing:
         metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
         form=make_box_form("(0, 0, 5, 4)"),
     )
-    margin: float = option(0.0, "Add unknown space around what was observed.", unit="m")
+    margin: float = option(
+        0.0, "Add unknown space around what was observed.", unit="m", bounds=(0, FARTHEST_M)
+    )
 
     def __post_init__(self) -> None:
-        found = f"a margin of {self.margin} m is not possible"
-        require(0 <= self.margin <= FARTHEST_M, found, f"give 0 to {FARTHEST_M:g}")
+        check_bounds(self)
         if self.extent is None:
             return
         found = "`margin` and `extent` exclude each other"

@@ -12,8 +12,8 @@ from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
 from occmap.posing.options import Concern, DropReason, Stamps
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.report.words import count, write_counts, write_unused
-from occmap.steps.batching import find_oddity
-from occmap.steps.mounts import warn_of_misfit
+from occmap.scans.mounts import warn_of_misfit
+from occmap.scans.stream import find_oddity
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""

@@ -9,7 +9,7 @@ from occmap.posing.options import Concern, Stamps
 from occmap.readers import Stream
 from occmap.report.notes import Noted
 from occmap.report.printed import HIDDEN, Finite, Printed, Share
-from occmap.selection import count_wanted
+from occmap.scans.tally import count_wanted
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ from occmap.posing.chain import Status
 from occmap.posing.options import Stamps
 from occmap.posing.sources import Sources
 from occmap.readers import Log, read_poses
-from occmap.steps.mounts import guess_place
-from occmap.steps.opening import refuse_shared_mount, take_first
-from occmap.steps.sampling import sample_scans
+from occmap.scans.logs import refuse_shared_mount, take_first
+from occmap.scans.mounts import guess_place, sample_scans
 from occmap.types import IDENTITY, Pose
 
 WELL_POSED = 0.9

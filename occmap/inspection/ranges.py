@@ -13,9 +13,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from occmap.inspection.findings import RangeFindings, Repeated, Special
+from occmap.scans.mounts import encode_cells
 from occmap.sensor.no_return import DOMINANCE, MIN_READINGS, MIN_VALUES, SICK_CODES
 from occmap.sensor.returns import NoReturn, ReturnOptions, interpret
-from occmap.steps.sampling import encode_cells
 from occmap.types import Bool, Float32, Float64, Kind, PosedScans, ScanBatch
 from occmap.values import as_float32
 

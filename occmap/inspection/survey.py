@@ -18,11 +18,11 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.selection import NOT_ASKED_FOR, Selector
+from occmap.scans.mounts import Sample, expect_scans
+from occmap.scans.stream import Selector, stack
+from occmap.scans.tally import NOT_ASKED_FOR
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret, read_limits
-from occmap.steps.batching import stack
-from occmap.steps.sampling import Sample, expect_scans
 from occmap.types import Cloud, Float64, Kind, Rays, Recorded, ScanBatch
 
 MAX_SHAPES = 1000

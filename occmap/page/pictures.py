@@ -7,9 +7,9 @@ from pathlib import Path
 from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.options import BuildOptions
+from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import VariantComparison, compare
 from occmap.scoring.variants import Variant
-from occmap.steps.observing import Progress, ignore_progress
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import check_picture, refuse_input
 
@@ -33,7 +33,7 @@ def compare_logs(
     if picture is None:
         return comparison
     if picture.suffix.lower() == ".html":
-        from occmap.page.comparison import write_comparison  # noqa: PLC0415  late: it brings Bokeh
+        from occmap.page.compared import write_comparison  # noqa: PLC0415  late: it brings Bokeh
 
         write_comparison(picture, comparison)
     else:
@@ -65,7 +65,7 @@ def compare_files(
         return difference
     refuse_input(picture, [each.image for each in maps if each.image])
     if picture.suffix.lower() == ".html":
-        from occmap.page.difference import write_difference  # noqa: PLC0415  late: it brings Bokeh
+        from occmap.page.compared import write_difference  # noqa: PLC0415  late: it brings Bokeh
 
         write_difference(picture, difference, (before, after))
     else:

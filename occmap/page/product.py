@@ -9,9 +9,15 @@ from occmap.cells import Evidence
 from occmap.evidence.manifest import list_inputs
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs
 from occmap.page.findings import tell_findings, tell_notes
-from occmap.page.layers import describe_rasters, name_layers
-from occmap.page.plots import WAY_COLOURS, add_scan, add_way, plot_map
 from occmap.page.raster import Packed, Raster, make_raster, pack
+from occmap.page.views import (
+    WAY_COLOURS,
+    add_scan,
+    add_way,
+    describe_rasters,
+    name_layers,
+    plot_map,
+)
 from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions

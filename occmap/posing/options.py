@@ -1,11 +1,12 @@
 """What a user may choose about poses, why a scan is left out, and what spoils a map."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple, TypeVar
 
-from occmap.choices import option
+from occmap.choices import ABOVE_ZERO, check_bounds, option
 from occmap.choices.values import MOUNT, PLANAR, TRANSFORM
 from occmap.errors import require
 from occmap.types import Pose, PoseSample
@@ -114,13 +115,22 @@ class PosingOptions:
         2.0,
         "Leave out scans in a longer gap between poses.",
         unit="s",
+        bounds=(ABOVE_ZERO, math.inf),
         none=("inf", "to interpolate across any gap"),
     )
     # The fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50.
     max_speed: float = option(
-        50.0, "Leave out scans whose poses leap away faster than this, and back.", unit="m/s"
+        50.0,
+        "Leave out scans whose poses leap away faster than this, and back.",
+        unit="m/s",
+        bounds=(ABOVE_ZERO, math.inf),
     )
-    time_offset_s: float = option(0.0, "Add this to the stamps of scans.", unit="s")
+    time_offset_s: float = option(
+        0.0,
+        "Add this to the stamps of scans.",
+        unit="s",
+        bounds=(-MAX_OFFSET_S, MAX_OFFSET_S),
+    )
     stamps: Stamps = option(
         Stamps.HEADER, "Use the times that the driver wrote, or the recorder's."
     )
@@ -132,6 +142,7 @@ class PosingOptions:
         "Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
         "angle that brings its walls along the axes.",
         unit="degrees",
+        bounds=(-360, 360),
         none=("auto", "so that walls run along the axes"),
     )
 
@@ -139,19 +150,10 @@ class PosingOptions:
         for name in ("map_frame", "base_frame", "poses"):
             found = f"`{name}` is empty"
             require(getattr(self, name) != "", found, "give a name, or leave it out")
-        found = f"the time offset is {self.time_offset_s} s"
-        fix = f"give at most {MAX_OFFSET_S:g} s either way"
-        require(abs(self.time_offset_s) <= MAX_OFFSET_S, found, fix)
-        gap = self.max_pose_gap_s
-        require(gap is None or gap > 0, f"the longest pose gap is {gap} s", "give more than 0 s")
-        found = f"a largest speed of {self.max_speed} m/s is not possible"
-        require(self.max_speed > 0, found, "give more than 0")
+        check_bounds(self)
         if self.transform:
             is_near = all(abs(value) <= MAX_PLACE_M for value in self.transform)
             require(is_near, f"no log lies at {self.transform[:3]}", "give metres and radians")
-        if self.align is not None:
-            found = f"no map is turned by {self.align} degrees"
-            require(abs(self.align) <= 360, found, "give -360 to 360")
         if self.sensor_pose is not None:
             _check_pose(self.sensor_pose, "the sensor's pose")
         for sample in self.static_transforms:

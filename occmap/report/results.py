@@ -11,8 +11,8 @@ from occmap.grid.tiles import TileGrid
 from occmap.report.notes import Noted
 from occmap.report.printed import Count, Share
 from occmap.report.words import Row, count, write_box, write_counts
+from occmap.scans.tally import ScanCounts
 from occmap.sensor.returns import ReturnCounts
-from occmap.steps.tally import ScanCounts
 from occmap.types import Int64, Update
 from occmap.writers import WriteOptions
 

@@ -13,13 +13,12 @@ from occmap.report.doubts import list_frames
 from occmap.report.notes import Noted
 from occmap.report.printed import HIDDEN, Count, printed_as
 from occmap.report.words import count
+from occmap.scans.logs import count_scans
+from occmap.scans.tally import ScanCounts, Tally, refuse_unused
+from occmap.scans.tracing import Progress, Remarks, ignore_progress, trace_logs
 from occmap.scoring.score import SMALL
 from occmap.scoring.trials import HoldOut, ScoredVariant, Trials
 from occmap.scoring.variants import Variant
-from occmap.steps.observing import Progress, Remarks, ignore_progress
-from occmap.steps.opening import count_scans
-from occmap.steps.tally import ScanCounts, Tally, refuse_unused
-from occmap.steps.tracing import trace_logs
 from occmap.types import Update
 
 FEW_SCANS = 10

@@ -12,9 +12,9 @@ from occmap.evidence import render
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.report.printed import HIDDEN, IN_PLACE, Count, Finite, Share
+from occmap.scans.engines import make_engine
 from occmap.scoring.score import Gain, Score, score_map
 from occmap.scoring.variants import Variant, shorten_model
-from occmap.steps.engines import make_engine
 from occmap.types import Float64, Kind, Rays, Update
 from occmap.workers import Workers
 

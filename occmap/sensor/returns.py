@@ -17,7 +17,7 @@ from typing import NamedTuple, Self, TypeAlias
 import numpy as np
 
 from occmap.cells import Box
-from occmap.choices import option
+from occmap.choices import ABOVE_ZERO, check_bounds, option
 from occmap.choices.values import SECTOR, make_box_form
 from occmap.errors import require
 from occmap.types import (
@@ -70,6 +70,7 @@ class ReturnOptions:
         None,
         "Ranges at or beyond this count as no return; by default the limit that the log states.",
         unit="m",
+        bounds=(ABOVE_ZERO, math.inf),
     )
     no_return: NoReturn = option(
         NoReturn.IGNORE, "A beam without return clears the space up to the limit, or says nothing."
@@ -103,8 +104,7 @@ class ReturnOptions:
         found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
         fix = "they must satisfy 0 <= min < max"
         require(0 <= self.min_range < self.max_range, found, fix)
-        found = f"a sensor limit of {self.range_max} m is not possible"
-        require(self.range_max is None or self.range_max > 0, found, "try `range_max=30`")
+        check_bounds(self)
 
 
 class ReturnCounts(NamedTuple):

@@ -16,9 +16,9 @@ from occmap.grid.framing import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report.doubts import list_disagreement, list_unreached
 from occmap.report.results import Build, MapFacts, MapSummary, Report, describe_map
+from occmap.scans.tally import ScanCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnCounts
-from occmap.steps.tally import ScanCounts
 from occmap.store import rendering
 from occmap.store.reading import Blocks, Saved, Store, as_blocks, read_all
 from occmap.store.writer import ZarrWriter

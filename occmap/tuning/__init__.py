@@ -11,11 +11,11 @@ from occmap.readers import open_log
 from occmap.report.printed import HIDDEN, Count, Finite, Share
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.report.words import count
+from occmap.scans.logs import count_scans
+from occmap.scans.tally import Tally
+from occmap.scans.tracing import Progress, Remarks, ignore_progress
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.scoring.score import Gain
-from occmap.steps.observing import Progress, Remarks, ignore_progress
-from occmap.steps.opening import count_scans
-from occmap.steps.tally import Tally
 from occmap.tuning import search
 from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
 from occmap.tuning.search import Correction, Finding, Knob, Scorer, Verdict

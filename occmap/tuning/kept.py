@@ -10,14 +10,11 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.posing.rotations import to_quaternions
-from occmap.readers import Log, read_scans
+from occmap.readers import Log
 from occmap.report.doubts import list_frames
-from occmap.selection import Selector
-from occmap.sensor.no_return import RangeLimits
-from occmap.steps.batching import list_oddities, stack
-from occmap.steps.observing import Remarks
-from occmap.steps.tally import Tally, refuse_unused
-from occmap.steps.tracing import open_drive, pose_scans
+from occmap.scans.mounts import open_drive
+from occmap.scans.tally import Tally, refuse_unused
+from occmap.scans.tracing import Remarks
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, ScanBatch
 
 MOST_SCANS = 1000
@@ -83,24 +80,18 @@ def keep_logs(
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    drive = open_drive(log, options)
-    selector = Selector(options.selection, options.posing.stamps)
-    limits = RangeLimits(options.returns)
-    used = selector.select(limits.watch(read_scans(log, drive.topics)))
-    odd: dict[str, None] = {}
+    drive = open_drive(log, options).settle()
     kept: list[ScanBatch] = []
     seen, every = 0, 1
-    for batch, posed, _ in pose_scans(drive, stack(used, selector.stamps), selector, tally):
-        odd |= dict.fromkeys(list_oddities(batch))
+    for _, posed, _ in drive.read(tally):
         if posed is not None:
             kept += take_every([posed.batch], every, -seen % every)
             seen += len(posed.batch.stamp_ns)
         while sum(len(part.stamp_ns) for part in kept) > most:
             kept, every = take_every(kept, 2), 2 * every
     tally.scans_used += seen
-    limits.settle()  # only the whole log shows the limit, which then holds for all of it
-    remarks.note(log.path, log.notes, [*drive.poser.notes, *odd, *limits.list_notes()])
-    return KeptLog(str(log.path), drive.poser, tuple(limits.apply(each) for each in kept))
+    remarks.note(log.path, log.notes, drive.list_notes())
+    return KeptLog(str(log.path), drive.poser, tuple(kept))
 
 
 def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[ScanBatch]:

@@ -11,9 +11,9 @@ from occmap.grid.lattice import CellBox
 from occmap.grid.rendering import paint
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions
+from occmap.scans.engines import make_engine
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.steps.engines import make_engine
 from occmap.types import Int64, PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import open_log, read_scans
-from occmap.steps.opening import choose_topics
+from occmap.scans.logs import choose_topics
 from occmap.types import Scan, ScanRun, Update
 from tests.bench.engine import COUNTS, trace
 from tests.bench.measuring import Times, time_in_turn

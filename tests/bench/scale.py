@@ -20,7 +20,7 @@ from occmap.fleet import Fleet
 from occmap.fleet.cluster import ALLOCATOR
 from occmap.fleet.tasks import survey_log, trace_log
 from occmap.options import BuildOptions
-from occmap.steps.observing import Keep, ignore_progress
+from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store.layout import import_zarr
 from tests.bench.limits import Row
 from tests.bench.logs import write_mcap

@@ -10,10 +10,9 @@ import pytest
 from occmap.cli import console as printing
 from occmap.cli.build import build_command, read_request
 from occmap.cli.console import Console, Verbosity
-from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update

@@ -120,7 +120,6 @@ def test_the_picture_shows_every_map_and_the_disagreement(log: Path, tmp_path: P
         ([DRIVE, "--model", "simpel"], "did you mean 'simple'?"),
         ([DRIVE, "--model", "counting:p_hit=0.7"], "has no parameter 'p_hit'"),
         ([DRIVE, "--resolution", "0"], "a resolution of 0.0 m is not possible"),
-        ([DRIVE, "--jobs", "0"], "0 jobs are not possible"),
     ],
 )
 def test_wrong_usage(words: list[object], found: str) -> None:

@@ -1,12 +1,15 @@
 """Texts from below the command line name options by their fields; here they become flags."""
 
+import math
+
 import click
 import pytest
 
+from occmap.choices import Declared, take
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
-from occmap.options import OPTIONS, OTHER_FLAGS, spell_flag, spell_flags
+from occmap.options import OPTIONS, OTHER_FLAGS, BuildOptions, spell_flag, spell_flags
 from tests.cli.runner import find_command
 
 
@@ -67,3 +70,36 @@ def test_every_option_says_what_it_does(name: str) -> None:
     command = find_command(name)
     options = [each for each in command.params if isinstance(each, click.Option)]
     assert all(each.help for each in options)  # shells show it, too, where they complete a word
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "bounds"),
+    [
+        ("jump", -0.1, "0 or more"),
+        ("border_gap", 1001, "0 to 1000"),
+        ("hit_offset", 10.5, "0 to 10"),
+        ("pass_gap_s", math.inf, "0.001 to 1e+09"),
+        ("jobs", 0, "1 or more"),
+        ("stride", 0, "1 or more"),
+        ("margin", 1e9, "0 to 1e+08"),
+        ("range_max", 0.0, "more than 0"),
+        ("max_pose_gap_s", math.nan, "more than 0"),
+        ("max_speed", -1.0, "more than 0"),
+        ("time_offset_s", -5e9, "-4e+09 to 4e+09"),
+        ("align", 361.0, "-360 to 360"),
+    ],
+)
+def test_a_value_beyond_its_bounds_is_refused_with_the_flag(
+    name: str, value: float, bounds: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        take(BuildOptions, {name: value})
+    refused = f"{OPTIONS[name].flag} {value} is not possible; give {bounds}"
+    assert spell_flags(str(caught.value)) == refused
+
+
+def test_every_option_with_bounds_is_held_to_them() -> None:
+    for name, known in OPTIONS.items():
+        if known.declared.bounds != Declared().bounds:
+            with pytest.raises(UsageError, match=f"`{name}=nan`"):
+                take(BuildOptions, {name: math.nan})

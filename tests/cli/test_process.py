@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -62,21 +61,26 @@ def test_a_name_that_no_encoding_knows_can_be_printed(tmp_path: Path) -> None:
     assert b"\\udcff.pgm" in done.stdout
 
 
-ANNOUNCED_BUILD = """
+TELLING_BUILD = """
 import sys
 from occmap import cli
 from occmap.cli import build
 
-build_map = build.build
+build_map, told = build.build, []
 
-def announce(*args):
-    print("begins", flush=True)
-    return build_map(*args)
+def tell(logs, options, outputs, progress, *others):
+    def advance(scans, total):
+        if not told:
+            told.append(scans)
+            print("reads", flush=True)
+        progress(scans, total)
+    return build_map(logs, options, outputs, advance, *others)
 
-build.build = announce
+build.build = tell
 sys.argv.insert(1, "build")
 cli.main()
 """
+"""Says once that scans are read."""
 
 
 SIGNAL_IN_EXEC = """
@@ -109,15 +113,14 @@ def test_a_signal_leaves_one_line_and_no_file(
     words = [*[DRIVE] * 500, "-o", str(tmp_path / "m.pgm"), "--jobs", jobs]
     sent = signal.Signals[name]
     with subprocess.Popen(
-        [sys.executable, "-c", ANNOUNCED_BUILD, *words],
+        [sys.executable, "-c", TELLING_BUILD, *words],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=lambda: signal.signal(sent, signal.SIG_DFL),  # noqa: PLW1509  no threads yet
     ) as process:
         assert process.stdout is not None
-        assert process.stdout.readline() == "begins\n"
-        time.sleep(0.5)  # so many logs take far longer
+        assert process.stdout.readline() == "reads\n"  # the first of many logs
         process.send_signal(sent)
         try:
             out, err = process.communicate(timeout=30)

@@ -88,7 +88,6 @@ def test_a_missing_mount_is_asked_for_as_by_build(tmp_path: Path) -> None:
     [
         ([], "Missing argument 'LOG...'; write, for example, occmap tune drive.mcap"),
         ([DRIVE, "--resolution", "0"], "a resolution of 0.0 m is not possible"),
-        ([DRIVE, "--jobs", "0"], "0 jobs are not possible"),
         ([DRIVE, "--fail-if", "agreement > 2%"], "no measure is called 'agreement'"),
         ([DRIVE, "--model", "simple"], "No such option"),
     ],

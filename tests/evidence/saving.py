@@ -9,9 +9,8 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from occmap.cells import Evidence
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.selection import Selection
 from occmap.sensor.models import parse_model
 from occmap.types import Update
 from occmap.writers.npz import NpzWriter, read_evidence

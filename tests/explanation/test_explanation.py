@@ -14,10 +14,9 @@ from occmap.evidence import render, to_grid
 from occmap.evidence.persistence import keep_lasting
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.sightings import add_up
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
-from occmap.selection import Selection
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,

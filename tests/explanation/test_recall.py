@@ -13,10 +13,9 @@ from occmap.clouds.options import CloudOptions
 from occmap.errors import MapError
 from occmap.evidence.manifest import UNRECORDED, describe_build
 from occmap.explanation.provenance import recall_options
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.posing.options import Deskew, PosingOptions, Stamps
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.selection import Selection
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update
@@ -144,7 +143,7 @@ def test_an_option_that_was_not_there_yet_has_its_default(tmp_path: Path) -> Non
         ("model", None, "no model is called"),
         ("posing", 5, "keys"),
         ("posing", {"sensor_pose": [1, 2]}, "zip"),
-        ("selection", {"stride": 0}, "a stride of 0"),
+        ("selection", {"stride": 0}, "`stride=0`"),
         ("selection", {"topics": 4}, "not iterable"),
     ],
 )

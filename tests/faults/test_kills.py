@@ -35,4 +35,4 @@ def test_what_is_torn_left_over_or_said_wrongly_is_a_fault(tmp_path: Path) -> No
     scene.reset()
     python = "Traceback\n  import typing\nKeyboardInterrupt\n"
     assert judge(scene, interrupt, -2, python) == "SIGINT: ended before it listened"
-    assert judge(scene, interrupt, 130, "occmap/cli/commands/build.py" + python).startswith("FAULT")
+    assert judge(scene, interrupt, 130, "occmap/cli/build.py" + python).startswith("FAULT")

@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 
 from occmap.fleet import Fleet
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.report.results import Report
-from occmap.selection import Selection
 from tests.samples import DRIVES
 
 LOGS = [*DRIVES, DRIVES[0]]

@@ -21,9 +21,10 @@ from occmap.fleet.tasks import Job, Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.steps.observing import Keep, ignore_progress
+from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store.layout import digest_evidence
 from occmap.store.reading import open_store, read_all
+from tests.cli.runner import occmap
 from tests.samples import DRIVES
 
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")
@@ -117,6 +118,75 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     build(LOGS, OPTIONS, [output], observe=observe)
     assert output.read_bytes() == expected
     assert {path: path.stat().st_mtime_ns for path in done} == done
+
+
+@contextmanager
+def start_apart(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Start a scheduler and a worker in processes of their own; give the first, and its address."""
+    known = folder / "scheduler.json"
+    flags = ["--no-dashboard", "--scheduler-file", str(known)]
+    begun: list[subprocess.Popen[bytes]] = []
+
+    def start(name: str, *more: str) -> None:
+        line = [sys.executable, "-m", f"distributed.cli.dask_{name}", *flags, *more]
+        quiet = subprocess.DEVNULL
+        begun.append(subprocess.Popen(line, stdout=quiet, stderr=quiet))
+
+    try:
+        start("scheduler", "--port", "0")
+        wait_for(folder.parent, known.name)
+        start("worker", "--nthreads", "1", "--no-nanny")
+        with Client(scheduler_file=str(known)) as client:
+            client.wait_for_workers(1, PATIENCE_S)
+            address = str(client.scheduler.address)
+        yield address, begun[0]
+    finally:
+        for process in begun:
+            process.kill()
+            process.wait()
+        known.unlink(missing_ok=True)
+
+
+def test_a_scheduler_is_killed(tmp_path: Path, expected: bytes) -> None:
+    """What is done by then is done for the next scheduler, too."""
+    folder, scratch, output = tmp_path / "dask", tmp_path / "scratch", tmp_path / "map.npz"
+    folder.mkdir()
+    with start_apart(folder) as (address, scheduler):
+        line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
+        line += ["--dask", address, "--scratch", str(scratch)]
+        with subprocess.Popen(line, stdout=-1, stderr=-1, text=True) as building:
+            (found, *_) = wait_for(scratch, "*.trace_log")
+            scheduler.kill()
+            _, said = building.communicate(timeout=PATIENCE_S)
+    assert building.returncode == 1
+    (told,) = said.splitlines()
+    for part in (f"{address}: the scheduler is gone", "of 2 tasks", "same command", found.parent):
+        assert str(part) in told
+    done = found.stat().st_mtime_ns
+    with start_apart(folder) as (address, _), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
+        build(LOGS, OPTIONS, [output], observe=Fleet(address, scratch).observe)
+    assert output.read_bytes() == expected
+    assert found.stat().st_mtime_ns == done
+
+
+def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path: Path) -> None:
+    job = Job(Setting(OPTIONS, Keep(), tmp_path, 1, 0, 0), "log", "drive.mcap")
+    with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, print) as found:
+        scheduler.kill()
+        time.sleep(1)  # by then, the client knows
+        with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
+            found.run("trace", die, [job])
+        assert list(found.list_losses()) == []
+
+
+def test_jobs_do_nothing_with_workers_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
+    words = ["build", DRIVES[0], "-o", tmp_path / "map.pgm", "--dask", "tcp://127.0.0.1:9"]
+    assert "--jobs does nothing" in occmap(*words, "--jobs", "2").err
+    assert "--jobs" not in occmap(*words).err
 
 
 def limit_files() -> None:

@@ -6,11 +6,10 @@ from pathlib import Path
 import pytest
 
 from occmap.fleet import Fleet
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.selection import Selection
+from occmap.scans.tracing import ignore_progress
 from occmap.sensor.models import parse_model
-from occmap.steps.observing import ignore_progress
 from occmap.store.reading import open_store
 from occmap.types import Update
 from tests.samples import DRIVES

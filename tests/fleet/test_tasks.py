@@ -10,7 +10,7 @@ from occmap.grid.tiles import stack_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import text
-from occmap.steps.observing import Keep
+from occmap.scans.tracing import Keep
 from tests.samples import write_late
 
 

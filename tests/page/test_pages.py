@@ -9,10 +9,9 @@ from PIL import Image
 from selenium.webdriver import Chrome
 
 from occmap import api
-from occmap.maps import Map
-from occmap.page.layers import CLASS_COLOURS
-from occmap.page.plots import SCAN_COLOUR
+from occmap.api.maps import Map
 from occmap.page.raster import make_raster
+from occmap.page.views import CLASS_COLOURS, SCAN_COLOUR
 from tests.page.browser import BROWSER, FLAGS, Shown, open_browser
 
 DRIVE = Path("sample_logs/drive.mcap")

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from occmap.inspection import inspect
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
 from occmap.posing.options import PosingOptions, Stamps
 from occmap.report.results import Build
-from occmap.selection import Selection
-from occmap.steps import batching
-from occmap.steps.batching import stack
+from occmap.scans import stream
+from occmap.scans.stream import stack
 from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
@@ -222,7 +221,7 @@ def test_scans_are_judged_by_their_laser_whatever_their_geometry(
     outliers = {number for some in lasers.values() for number, *_ in find_outliers(some)}
     said = []
     for beams in (1, 10, 40, 150, 1 << 18):
-        monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
+        monkeypatch.setattr(stream, "BATCH_BEAMS", beams)
         poser = make_poser()
         posed, dropped = attach(poser, *stack(scans, Stamps.HEADER))
         used = {int(number) for each in posed for number in each.batch.ranges[:, 0]}
@@ -269,7 +268,7 @@ def test_jobs_and_batches_leave_out_the_same_scans(
     log = write_csv(tmp_path / "log.csv", poses, [1.0, 1.5, 2.0], step=0.1)
     reports = []
     for beams, jobs in ((1, 1), (1 << 18, 2)):
-        monkeypatch.setattr(batching, "BATCH_BEAMS", beams)
+        monkeypatch.setattr(stream, "BATCH_BEAMS", beams)
         report = build([log], BuildOptions(selection=selection, jobs=jobs)).report
         reports.append(replace(report, seconds={}))
     assert reports[0] == reports[1]

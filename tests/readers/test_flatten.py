@@ -13,7 +13,7 @@ from occmap.readers import Role, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud, find_offsets
 from occmap.readers.message_types import convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.steps.opening import choose_topics
+from occmap.scans.logs import choose_topics
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 
 ECHO = "sensor_msgs/msg/MultiEchoLaserScan"

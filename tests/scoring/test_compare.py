@@ -10,13 +10,13 @@ import pytest
 
 from occmap.cells import OccupancyMap
 from occmap.errors import LogError, UsageError
-from occmap.options import DEFAULT_UPDATE, BuildOptions
+from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
+from occmap.scans.tracing import Remarks
 from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
 from occmap.scoring.score import Score, estimate_error
 from occmap.scoring.trials import HoldOut, ScoredVariant
 from occmap.scoring.variants import Variant, combine, shorten_model
-from occmap.selection import Selection
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,
@@ -25,7 +25,6 @@ from occmap.sensor.models import (
     parse_model,
 )
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps.observing import Remarks
 from occmap.types import Kind, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.scans import stream
 from occmap.sensor.no_return import Band, RangeLimits, RangeTally
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps import batching
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
 from tests.samples import PLAIN, write_late
@@ -338,7 +338,7 @@ def test_several_scans_tell_together_what_none_tells_alone(
 def test_a_band_that_shows_late_is_no_return_from_the_first_scan_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int
 ) -> None:
-    monkeypatch.setattr(batching, "BATCH_BEAMS", 600)
+    monkeypatch.setattr(stream, "BATCH_BEAMS", 600)
     log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
     options = replace(PLAIN, jobs=jobs)
     # The first single 30 m is to be judged as the last: one lies among the scans without others.
@@ -360,7 +360,7 @@ def test_a_band_that_shows_late_is_no_return_from_the_first_scan_on(
 
 
 def test_a_log_larger_than_a_batch_is_built_as_with_its_limit(tmp_path: Path) -> None:
-    scans = batching.BATCH_BEAMS // 60 + 400
+    scans = stream.BATCH_BEAMS // 60 + 400
     log = write_late(tmp_path / "late.csv", scans, marked_from=scans - 200)
     found = build([log], PLAIN)
     told = build([log], replace(PLAIN, returns=ReturnOptions(range_max=29.25)))
@@ -372,7 +372,7 @@ def test_a_log_larger_than_a_batch_is_built_as_with_its_limit(tmp_path: Path) ->
 def test_check_says_of_a_band_what_build_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batching, "BATCH_BEAMS", 600)
+    monkeypatch.setattr(stream, "BATCH_BEAMS", 600)
     log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
     (of_log,) = inspect([log], BuildOptions()).logs
     built = build([log], BuildOptions()).report

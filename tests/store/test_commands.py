@@ -11,8 +11,8 @@ import pytest
 import rasterio
 
 from occmap.difference.maps import load_map
+from occmap.options import Selection
 from occmap.pipeline import build
-from occmap.selection import Selection
 from occmap.store.reading import open_store
 from occmap.types import Update
 from occmap.writers import WriteOptions

@@ -12,10 +12,9 @@ from occmap.errors import MapError
 from occmap.explanation.history import Visits, look_at
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.selection import Selection
 from occmap.store.merging import merge, subtract
 from occmap.store.publishing import RenderOptions, publish
 from occmap.types import Update

@@ -12,11 +12,11 @@ from occmap.errors import LogError, PoseError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.options import PosingOptions
 from occmap.readers import open_log
+from occmap.scans.tally import Tally
+from occmap.scans.tracing import Remarks
 from occmap.scoring.compare import compare
 from occmap.scoring.score import Gain
 from occmap.scoring.variants import Variant
-from occmap.steps.observing import Remarks
-from occmap.steps.tally import Tally
 from occmap.tuning import tune
 from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
 from occmap.tuning.search import TIME, YAW, Correction, Verdict, X

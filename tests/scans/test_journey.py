@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 
 from occmap.posing.options import DropReason
+from occmap.scans.journey import JourneyRecorder
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps.journey import JourneyRecorder
 from occmap.types import Attached, PosedScans, ScanBatch
 
 LOG = Path("a.bag")

@@ -1,30 +1,121 @@
-"""Trace all logs of a build on this machine: one after the other, each with several threads."""
+"""Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 from occmap.cells import Ground, Slices
 from occmap.errors import name_log
 from occmap.evidence.fit import list_misfit
+from occmap.grid.framing import Reach
+from occmap.grid.lattice import Lattice
 from occmap.grid.slices import unite
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
 from occmap.report.notes import Note
-from occmap.sensor.returns import ReturnOptions
-from occmap.steps.engines import make_cloud_engine, make_engine, make_grid
-from occmap.steps.journey import SHOWN_SCANS, JourneyRecorder
-from occmap.steps.opening import count_scans, settle_update
-from occmap.steps.tally import Tally
-from occmap.steps.tracing import AddRays, find_ground, trace_logs
-from occmap.types import Update
+from occmap.scans.engines import make_cloud_engine, make_engine, make_grid
+from occmap.scans.journey import SHOWN_SCANS, JourneyRecorder
+from occmap.scans.logs import count_scans, settle_update
+from occmap.scans.mounts import open_drive
+from occmap.scans.stream import Drive
+from occmap.scans.tally import Tally
+from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import ReturnCounts, ReturnOptions, interpret
+from occmap.types import PosedScans, Rays, Update
+from occmap.workers import Workers
 
-if TYPE_CHECKING:  # as in engines
+if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.clouds.engine import CloudEngine
     from occmap.grid.engine import GridEngine
+
+
+HANDED_BEAMS = 1 << 12
+"""Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
+threads, a log of 20,000 laser frames with one scan each took six times as long."""
+
+AddRays = Callable[[Any], None]
+"""Adds the rays of a batch, or its posed clouds, to the evidence; any number of threads may."""
+
+
+def trace_logs(
+    logs: Sequence[Log], options: BuildOptions, begin: Callable[[], AddRays], tally: Tally
+) -> list[tuple[Log, list[str]]]:
+    """Read logs and trace their scans; return each log with the notes on it.
+
+    Only a log read to its end shows for sure which ranges mean "no return". Where the first scans
+    led to another limit, all these logs are read once more.
+
+    Parameters
+    ----------
+    begin
+        Called each time that the logs are read; returns what takes their rays.
+    """
+    limits = [RangeLimits(options.returns) for _ in logs]
+    for _ in range(2):
+        counts = tally.start_over()
+        add_rays = begin()
+        notes = []
+        for log, limit in zip(logs, limits, strict=True):
+            with counts.time("poses"):
+                drive = open_drive(log, options, limit)
+            trace(drive, options, add_rays, counts)
+            notes.append(drive.list_notes())
+        right = [limit.settle() for limit in limits]
+        if all(right):
+            break
+        counts.advance(-counts.advanced)  # the same scans are read once more
+    tally.add(counts)
+    return list(zip(logs, notes, strict=True))
+
+
+def find_ground(
+    logs: Sequence[Log], options: BuildOptions, known: Ground | None
+) -> tuple[Ground, list[str]]:
+    """Find the ground below all drives, in a pass of its own; say what there is to say of it.
+
+    Parameters
+    ----------
+    known
+        Ground of evidence that the build is added to; it stays as it is.
+    """
+    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+    finder = GroundFinder()
+    for log in logs:
+        drive = open_drive(log, options)
+        with name_log(log.path), Workers(finder.add, options.jobs) as workers:
+            for attached in drive.read(Tally(), finder.wants):
+                if attached.posed is not None:
+                    workers.give(attached.posed)
+    return finder.find(options.clouds, known)
+
+
+def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:
+    """Trace the scans of a log as a stream."""
+    reach = Reach(Lattice(options.resolution), options.max_cells)
+
+    def work(seen: Rays | PosedScans) -> None:
+        with tally.time("trace"):
+            add_rays(seen)
+
+    with name_log(drive.log.path), Workers(work, options.jobs) as workers:
+        # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
+        for attached in drive.read(tally):
+            if tally.recorder:
+                tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
+            if attached.posed is not None and attached.batch.clouds:
+                tally.use(len(attached.posed.batch.stamp_ns), ReturnCounts())
+                workers.give(attached.posed)
+            elif attached.posed is not None:
+                with tally.time("interpret"):
+                    rays, beams = interpret(attached.posed, options.returns)
+                tally.use(len(rays.kind), beams)
+                reach.stretch(rays)
+                (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
+
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called now and then with the scans read since the last call, and with all that there are"""
@@ -137,7 +228,7 @@ def observe_log(
 
     def begin() -> AddRays:
         engines.clear()  # where the log is read once more, the first one is of no use
-        over = keep.ground
+        over = keep.ground if options.update is Update.CLOUD else None
         make = partial(make_engine, options, keep.slices)
         engines.append(make() if over is None else make_cloud_engine(options, over))
         return engines[-1].add

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from occmap.options import Selection
 from occmap.posing.options import Stamps
-from occmap.selection import LeftOut, Selection, Selector
+from occmap.scans.stream import Selector, stack
+from occmap.scans.tally import LeftOut
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions
-from occmap.steps.batching import batch_scans, stack
 from occmap.types import Scan, ScanBatch, ScanRun
 
 SECOND = 10**9
@@ -123,7 +124,7 @@ def test_a_range_limit_that_none_can_be_is_none_and_told(
     run = RUN._replace(first=RUN.first._replace(range_min=math.nan, range_max=range_max))
     limits = RangeLimits(ReturnOptions())
     scans = run.split() if single else [run]
-    (batch,) = batch_scans(scans, Selector(Selection(), Stamps.HEADER), limits)
+    (batch,) = map(limits.apply, stack(limits.watch(scans), Stamps.HEADER))
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     assert list(limits.list_notes()) == [
         f"/scan states {told} as its range limit, which is not a usable one; no value stands for "
@@ -134,5 +135,5 @@ def test_a_range_limit_that_none_can_be_is_none_and_told(
 def test_a_limit_that_the_user_gives_needs_no_note() -> None:
     limits = RangeLimits(ReturnOptions(range_max=20.0))
     run = RUN._replace(first=RUN.first._replace(range_max=math.nan))
-    list(batch_scans([run], Selector(Selection(), Stamps.HEADER), limits))
+    list(map(limits.apply, stack(limits.watch([run]), Stamps.HEADER)))
     assert list(limits.list_notes()) == []

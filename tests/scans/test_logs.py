@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import occmap
-from occmap.inputs import find_inputs
 from occmap.readers.options import ReaderOptions
+from occmap.scans.logs import find_inputs
 from tests.samples import SAMPLE_LOGS, write_csv
 
 

@@ -1,6 +1,10 @@
-"""The mount of a laser: guessed from the scans where a log lacks it or has it wrong."""
+"""The mount of a laser, guessed where a log lacks it or has it wrong.
+
+A few hundred posed scans, spread over a log, are enough for that.
+"""
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -10,18 +14,99 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.choices.values import format_mount, format_static
-from occmap.errors import MountError, PoseError
-from occmap.options import BuildOptions
+from occmap.errors import MapError, MountError, PoseError
+from occmap.evidence import render
+from occmap.options import BuildOptions, Selection
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.options import Concern
 from occmap.readers import Log, open_log, read_poses
+from occmap.scans.engines import make_engine
+from occmap.scans.logs import choose_topics, count_messages, make_poser
+from occmap.scans.stream import Drive
+from occmap.scans.tally import Tally
+from occmap.sensor.models import CountingModel
+from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.steps.opening import choose_topics, make_poser
-from occmap.steps.sampling import encode_cells, estimate_agreement, sample_scans
-from occmap.steps.tally import Tally
-from occmap.types import IDENTITY, Float64, Kind, Pose, PosedScans
+from occmap.types import IDENTITY, Float64, Int64, Kind, Pose, PosedScans
+
+SAMPLE_SCANS = 300
+"""About so many scans of each topic are kept, spread evenly over the log."""
+MAX_SAMPLE_BEAMS = 1 << 19
+"""No more scans are kept once their beams are so many: this bounds the memory."""
+MOST_CELLS = 10**8
+"""The largest map that is made of a sample"""
+
+
+class Sample:
+    """Takes every n-th scan of those that it is shown.
+
+    Parameters
+    ----------
+    expected
+        How many scans it will be shown, about; n follows from that.
+    """
+
+    def __init__(self, expected: int) -> None:
+        self.parts: list[PosedScans] = []
+        self._every = max(expected // SAMPLE_SCANS, 1)
+        self._seen = 0
+        self._beams = 0
+
+    def take(self, posed: PosedScans) -> None:
+        """Take scans of a batch."""
+        scans, beams = posed.batch.ranges.shape
+        rows = np.arange(-self._seen % self._every, scans, self._every)
+        self._seen += scans
+        if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
+            self._beams += len(rows) * beams
+            self.parts.append(posed.take(rows))
+
+
+def sample_scans(
+    log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
+) -> list[PosedScans]:
+    """Pose some of the scans that a build uses, spread evenly over a log."""
+    expected = expect_scans(count_messages(log, topics) // len(topics), options.selection)
+    samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(expected))
+    for _, posed, _ in Drive(log, topics, poser, options).read(Tally()):
+        if posed is not None:
+            samples[posed.batch.topic].take(posed)
+    return [part for sample in samples.values() for part in sample.parts]
+
+
+def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
+    """Estimate the share of hits that lie in cells which the map of a log calls occupied.
+
+    Returns
+    -------
+    float or None
+        None where the sample makes no map, or one too large to be made in passing.
+    """
+    engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
+    try:
+        for part in parts:
+            engine.add(interpret(part, options.returns)[0])
+        return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
+    except MapError:
+        return None
+
+
+def expect_scans(scans: int, selection: Selection) -> int:
+    """Estimate how many scans a sample will be shown; 0 for a part of a log, of which all are kept.
+
+    How many scans lie between two times is not known before they are read.
+    """
+    is_part = math.isfinite(selection.start_s) or math.isfinite(selection.end_s)
+    return 0 if is_part else scans // selection.stride
+
+
+def encode_cells(points: Float64, cell: float) -> Int64:
+    """Number the cells (...,) of a size (m) that points (..., 2) are nearest to."""
+    cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
+    return np.asarray((cells[..., 0] << 32) + cells[..., 1])
+
 
 MOUNT_CELL_M = 0.1
 """Side of the cells in which the hits of a sample are counted (m)"""
@@ -43,6 +128,21 @@ more, and are not worth a second look."""
 FEW_SCANS = 200
 """In logs of no more scans even a single mirrored laser leaves up to 0.88, as the robot turned
 little; those are read again at once. Of 280 pieces of logs none was suspected wrongly."""
+
+
+def open_drive(log: Log, options: BuildOptions, limits: RangeLimits | None = None) -> Drive:
+    """Choose the scans of a log, and read its poses, which are few beside them.
+
+    Raises
+    ------
+    LogError, PoseError, UsageError
+        As `choose_topics` and `make_poser`.
+    """
+    topics = choose_topics(log, options.selection.topics)
+    try:
+        return Drive(log, topics, make_poser(log, topics, options.posing), options, limits)
+    except MountError as error:
+        raise name_mount(log, topics, options, error) from None
 
 
 def name_mount(

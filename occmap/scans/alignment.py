@@ -12,9 +12,8 @@ import numpy as np
 
 from occmap.options import BuildOptions
 from occmap.readers import open_log
+from occmap.scans.mounts import open_drive, sample_scans
 from occmap.sensor.returns import interpret
-from occmap.steps.sampling import sample_scans
-from occmap.steps.tracing import open_drive
 from occmap.types import Float64, Kind, Rays
 
 GAPS = (2, 4, 8, 16, 32)

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from occmap import difference, inspection, tuning
+from occmap.api.maps import Map
 from occmap.choices import describe_options, read_each, read_options
 from occmap.choices.values import read_value
 from occmap.errors import UsageError
-from occmap.inputs import find_inputs
-from occmap.maps import Map
 from occmap.options import BuildOptions
 from occmap.page import pictures
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
+from occmap.scans.logs import find_inputs
 from occmap.scoring import compare as scoring
 from occmap.scoring.variants import combine
 from occmap.sensor.models import MODEL, SensorModel

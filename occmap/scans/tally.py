@@ -1,8 +1,9 @@
-"""What is counted and timed while a map is built."""
+"""What becomes of scans, and what else is counted and timed while a map is built."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 from threading import Lock, local
 from time import perf_counter
 from typing import Any, TypeVar
@@ -11,11 +12,30 @@ from occmap.errors import LogError, MapError, PoseError
 from occmap.posing.options import DropReason
 from occmap.report.printed import Count
 from occmap.report.words import write_counts, write_unused
-from occmap.selection import LeftOut, count_wanted
+from occmap.scans.journey import JourneyRecorder
 from occmap.sensor.returns import ReturnCounts
-from occmap.steps.journey import JourneyRecorder
 
 Item = TypeVar("Item")
+
+
+class LeftOut(StrEnum):
+    """Why a scan is not used, before its pose is looked up."""
+
+    NO_BEAMS = "no beams"
+    BAD_ANGLES = "angles not finite"
+    TIME = "outside `start_s` and `end_s`"
+    STRIDE = "left out by `stride`"
+
+
+NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
+"""The user's own choice: nothing is wrong with these scans, and none of them is lost."""
+
+
+def count_wanted(read: int, unused: Mapping[str, int]) -> int:
+    """Count the scans that were asked for, of those read; `unused` counts scans by reason."""
+    return read - sum(unused.get(reason, 0) for reason in NOT_ASKED_FOR)
+
+
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
 """Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()

@@ -1,20 +1,23 @@
-"""The page of a comparison: all variants on one linked view, their scores and reliability."""
+"""The pages of comparisons: of several ways to map the same logs, and of two maps."""
 
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from bokeh.models import Range1d
 from bokeh.palettes import Category10_10
 from bokeh.plotting import figure
 
+from occmap.difference import COLOURS, NEITHER, MapDifference
 from occmap.evidence.manifest import describe_files
+from occmap.grid.lattice import CellBox
 from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs, write_page
 from occmap.page.findings import tell_notes
-from occmap.page.layers import describe_rasters, name_layers
-from occmap.page.plots import plot_map
-from occmap.page.raster import MOST_BYTES, make_raster
+from occmap.page.raster import MOST_BYTES, MOST_CELLS, Layers, Raster, make_raster, pack, thin
+from occmap.page.views import CLASS_COLOURS, Layer, describe_rasters, name_layers, plot_map
+from occmap.report.words import write_box
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.scoring.trials import ScoredVariant
 
@@ -40,7 +43,7 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
         describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
     title = f"Comparison of maps of {name_logs(log.name for log in logs)}"
-    write_page(path, Page(title, subtitle, sections, stage(results)))
+    write_page(path, Page(title, subtitle, sections, stage_variants(results)))
 
 
 def tell_verdict(comparison: VariantComparison) -> Section:
@@ -96,7 +99,7 @@ def tell_reliability(results: Sequence[ScoredVariant]) -> Block:
     return Block("plot", plot=plot)
 
 
-def stage(results: Sequence[ScoredVariant]) -> Stage:
+def stage_variants(results: Sequence[ScoredVariant]) -> Stage:
     """Set out the maps side by side; what one shows, all show."""
     share = MOST_BYTES // len(results)
     rasters = [make_raster(result.map, None, share) for result in results]
@@ -114,3 +117,72 @@ def stage(results: Sequence[ScoredVariant]) -> Stage:
         arrays=arrays,
         note=note if coarse > 1 else "",
     )
+
+
+CLASSES = ("unknown", "free", "occupied")
+
+
+def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Path]) -> None:
+    """Write the page of a difference between two maps.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    before, after = maps
+    changed = f"{difference.changed_cells:,} cells changed, {difference.share:.3%}"
+    subtitle = f"{changed} of {difference.known:,} known ones"
+    rows = [
+        (name.replace("neither", CLASSES[NEITHER]), f"{cells:,}")
+        for name, cells in difference.changed.items()
+        if cells
+    ]
+    facts = [("before", str(before)), ("after", str(after))]
+    facts.append((CLASSES[NEITHER], "or undecided: what is neither occupied nor free"))
+    if blob := difference.largest:
+        facts.append(("largest", f"{blob.cells:,} connected cells, {write_box(blob.extent)}"))
+    blocks = [Block("facts", facts), Block("table", rows, ("what changed", "#cells"))]
+    inputs = [entry for each in maps for entry in describe_files(each)]
+    sections = [Section("Changes", blocks), describe_maker(inputs)]
+    title = f"From {before.name} to {after.name}"
+    write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
+
+
+def stage_changes(difference: MapDifference) -> Stage:
+    """Set out the changes and both maps in one place."""
+    table = np.zeros((3, 3), np.uint8)
+    for code, pair in enumerate(COLOURS):
+        table[pair] = code
+    layers: Layers = {
+        "change": table[difference.before, difference.after],
+        "before": difference.before,
+        "after": difference.after,
+    }
+    step = 1
+    while layers["change"].size > MOST_CELLS * step**2:
+        step *= 2
+    place = difference.place
+    shown = thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
+    packed = {name: pack(shown[name]) for name in layers}
+    raster = Raster(place.x, place.y, place.resolution * step, step, packed, 0.0)
+    box = place.measure(CellBox(0, 0, *difference.before.shape))
+    data, arrays = describe_rasters([raster], list_change_layers(), box)
+    note = f"Of each {step} x {step} cells the one that changed most is shown."
+    return Stage([plot_map(0)], [""], data, arrays, note=note if step > 1 else "")
+
+
+def list_change_layers() -> list[Layer]:
+    """How changes and classes are coloured."""
+    names = [
+        CLASSES[now] if was == now else f"{CLASSES[was]} to {CLASSES[now]}" for was, now in COLOURS
+    ]
+    of_classes = [CLASS_COLOURS[0], CLASS_COLOURS[1], CLASS_COLOURS[3]]
+    changed = [
+        "#{:02x}{:02x}{:02x}".format(*rgb) for (was, now), rgb in COLOURS.items() if was != now
+    ]
+    return [
+        Layer("change", "change", "classes", [*of_classes, *changed], names),
+        Layer("before", "before", "classes", of_classes, CLASSES),
+        Layer("after", "after", "classes", of_classes, CLASSES),
+    ]

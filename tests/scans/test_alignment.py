@@ -13,7 +13,7 @@ from occmap.errors import MapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
-from occmap.steps.alignment import COMMON_SHARE, find_turn
+from occmap.scans.alignment import COMMON_SHARE, find_turn
 from occmap.types import Float64
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap

@@ -1,0 +1,237 @@
+"""From single scans to batches: the scans that are used, stacked by geometry."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Self, TypeAlias
+
+import numpy as np
+
+from occmap.options import BuildOptions, Selection
+from occmap.posing.attach import Poser
+from occmap.posing.options import Stamps
+from occmap.readers import Log, read_recorded, read_scans
+from occmap.scans.tally import LeftOut, Tally
+from occmap.sensor.no_return import RangeLimits
+from occmap.sensor.returns import read_limits
+from occmap.types import Attached, Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
+
+
+def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
+    """Say why nobody can use a scan; None where it can be used."""
+    if isinstance(scan, Cloud):
+        return None if len(scan.points) else LeftOut.NO_BEAMS
+    if not len(scan.ranges):
+        return LeftOut.NO_BEAMS
+    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
+        return LeftOut.BAD_ANGLES
+    return None
+
+
+class Selector:
+    """Says which scans of one log are used; it is shown all of them, in order."""
+
+    def __init__(self, selection: Selection, stamps: Stamps) -> None:
+        self.selection = selection
+        self.stamps = stamps
+        """Which of a scan's two times counts"""
+        self._wants_all = replace(selection, topics=()) == Selection()
+        self.first_ns: int | None = None
+        """The stamp of the log's first scan; None before it is seen"""
+        self._wanted = 0
+        """How many scans lie in the time window so far"""
+        self.read = 0
+        self.left_out: Counter[LeftOut] = Counter()
+        """How many of those read `select` left out, by reason"""
+
+    def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
+        """Pass on the scans that are used, and count the others."""
+        for some, reason in self.judge(scans):
+            self.read += some.scans
+            if reason is None:
+                yield some
+            else:
+                self.left_out[reason] += 1
+
+    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
+        """Give each scan and why it is not used, or None; a run stays whole if all is used."""
+        for some in scans:
+            # A run is taken whole where the user wants every scan, and these can be used.
+            if isinstance(some, ScanRun) and not (self._wants_all and not find_flaw(some.first)):
+                yield from ((scan, self._judge_next(scan)) for scan in some.split())
+            else:
+                yield some, self._judge_next(some.first)
+
+    def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
+        stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
+        self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
+        if (flaw := find_flaw(scan)) is not None:
+            return flaw
+        if not self.selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self.selection.end_s:
+            return LeftOut.TIME
+        self._wanted += 1
+        return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
+
+
+BATCH_BEAMS = 1 << 18
+"""Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
+seldom wait for Python's lock."""
+
+CLOUD_MOMENTS = 33
+"""Poses looked up for one cloud whose points have times of their own"""
+
+MOST_TURNS = 1.5
+"""Some lasers overlap a little where a turn closes; none goes round twice."""
+
+Geometry: TypeAlias = tuple[tuple[str, str], tuple[float, ...]]
+"""What all scans of a batch share: topic and frame, then angles, beams, limits and posed or not."""
+
+
+def find_geometry(scan: Scan) -> Geometry:
+    """Take from a scan what all scans of a batch share."""
+    limits, has_pose = read_limits(scan), scan.pose is not None
+    angles = scan.angle_min, scan.angle_increment
+    return (scan.topic, scan.frame), (*angles, len(scan.ranges), *limits, has_pose)
+
+
+def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
+    """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
+    held: dict[Geometry, dict[int, Scan]] = {}
+    beams = 0
+    for number, some in enumerate(scans):
+        if isinstance(some, Cloud):
+            yield make_cloud_batch(some, stamps)
+            continue
+        if isinstance(some, Scan):
+            held.setdefault(find_geometry(some), {})[number] = some
+            beams += len(some.ranges)
+        if isinstance(some, ScanRun) or beams >= BATCH_BEAMS:
+            yield from release(held, stamps)
+            held, beams = {}, 0
+        if isinstance(some, ScanRun):
+            yield make_batch(some, stamps)
+    yield from release(held, stamps)
+
+
+def release(held: Mapping[Geometry, Mapping[int, Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
+    """Make a batch of the scans of each geometry; these are held by their places in the stream."""
+    lasers = Counter(laser for laser, _ in held)
+    for (laser, _), numbered in held.items():
+        scans = list(numbered.values())
+        run = ScanRun(
+            scans[0],
+            np.array([scan.stamp_ns for scan in scans], np.int64),
+            np.array([scan.record_ns for scan in scans], np.int64),
+            np.stack([scan.ranges for scan in scans]),
+            np.array([scan.time_increment for scan in scans], np.float64),
+            np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
+        )
+        number = np.array([*numbered], np.int64) if lasers[laser] > 1 else None
+        yield make_batch(run, stamps, number)
+
+
+def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> ScanBatch:
+    """Make a batch of scans that are alike."""
+    first = run.first
+    shape = first.frame, first.angle_min, first.angle_increment, *read_limits(first)
+    stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
+    differing = stamp_ns, run.ranges, run.time_increment, run.pose
+    return ScanBatch(*shape, *differing, first.topic, number)
+
+
+def make_cloud_batch(cloud: Cloud, stamps: Stamps) -> ScanBatch:
+    """Make a batch of one cloud, which has a beam for each moment that its poses are looked up at.
+
+    It begins where its earliest point does.
+    """
+    start, stop, moments = 0, 0, 1
+    if cloud.offset_ns is not None:
+        start, stop, moments = int(cloud.offset_ns.min()), int(cloud.offset_ns.max()), CLOUD_MOMENTS
+    stamp_ns = stamps.choose(np.array([cloud.stamp_ns]), np.array([cloud.record_ns])) + start
+    pose = None if cloud.pose is None else np.array([cloud.pose])
+    ranges, step = np.zeros((1, moments), np.float32), (stop - start) / 1e9 / max(moments - 1, 1)
+    shape = cloud.frame, 0.0, math.tau / moments, 0.0, math.inf
+    times = stamp_ns, ranges, np.array([step])
+    return ScanBatch(*shape, *times, pose, cloud.topic, clouds=(cloud,))
+
+
+def list_oddities(batch: ScanBatch) -> Iterator[str]:
+    """Say what is odd about the beams of scans, and on which topic."""
+    if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
+        yield f"{batch.topic}: {oddity}"
+
+
+def find_oddity(angle_increment: float, beams: int) -> str:
+    """Say what is odd about angles; "" where nothing is."""
+    turns = abs(angle_increment) * (beams - 1) / math.tau
+    if MOST_TURNS < turns < math.inf:
+        return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"
+    if beams > 1 and angle_increment == 0:
+        return f"{beams} beams all point the same way: angle_increment is 0"
+    return ""
+
+
+class Drive:
+    """The scans of one log that are used, as a stream of batches: selected, limited and posed.
+
+    Parameters
+    ----------
+    topics
+        The topics whose scans are used.
+    limits
+        From which range on nothing came back; they learn from all scans, since those that are not
+        used tell of the laser, too.
+    """
+
+    def __init__(
+        self,
+        log: Log,
+        topics: Sequence[str],
+        poser: Poser,
+        options: BuildOptions,
+        limits: RangeLimits | None = None,
+    ) -> None:
+        self.log, self.topics, self.poser = log, topics, poser
+        self.limits = limits or RangeLimits(options.returns)
+        self.selector = Selector(options.selection, options.posing.stamps)
+        self._options = options
+        self._odd: dict[str, None] = {}
+
+    def settle(self) -> Self:
+        """Read all scans for their limits alone, which then hold from the first scan on."""
+        for some in read_scans(self.log, self.topics):
+            self.limits.see(some)
+        self.limits.settle()
+        return self
+
+    def read(
+        self, tally: Tally, wants: Callable[[ScanBatch], bool] | None = None
+    ) -> Iterator[Attached]:
+        """Read the scans that are used, holding no more than a batch; count what becomes of all.
+
+        Parameters
+        ----------
+        wants
+            Says of each batch whether it is posed; None: all are.
+        """
+        scans = self.limits.watch(read_recorded(self.log, self.topics))
+        batches = stack(self.selector.select(scans), self.selector.stamps)
+        batches = batches if wants is None else filter(wants, batches)
+        limited = tally.time_each("read", map(self.limits.apply, batches))
+        for attached in tally.time_each("pose", self.poser.attach(limited)):
+            self._odd |= dict.fromkeys(list_oddities(attached.batch))
+            tally.drop(attached.dropped)
+            yield attached
+            tally.advance(len(attached.batch.stamp_ns))
+        tally.frames[str(self.log.path)] = self.poser.fixed
+        tally.lasers = max(tally.lasers, len(self.topics))
+        tally.scans_read += self.selector.read
+        tally.drop(dict(self.selector.left_out))
+
+    def list_notes(self) -> list[str]:
+        """Say what there is to say of poses, scans and ranges, once all scans were read."""
+        first_ns, reach = self.selector.first_ns or 0, self._options.returns.max_range
+        concerns = self.poser.list_concerns(first_ns, reach)
+        told = (f"{topic}: {concern.text}" for topic, concern in concerns)
+        return [*self.poser.notes, *self._odd, *told, *self.limits.list_notes()]
