@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from occmap.types import Bool, Float32, Int64, UInt8
+from occmap.types import Bool, Float32, Int32, Int64, UInt8
 
 MOST_OBSERVED = 1 << 53
 """No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
@@ -195,6 +195,21 @@ class Slices:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """The ground that clouds were traced over: heights of columns of 0.15 m, in blocks of 64 x 64.
+
+    Column (row, col) reaches from (col, row) to (col + 1, row + 1) times 0.15 m.
+    """
+
+    blocks: Int64
+    """(B, 2) row and column of each block, in ascending order"""
+    height_mm: Int32
+    """(B, 4096) heights in the map; -2^30: no ground is known"""
+    measured: Bool
+    """(B, 4096) where points showed it; elsewhere it is filled from columns beside it"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """What was observed, as a file holds it: integers in tiles, and what they were made of."""
 
@@ -209,3 +224,5 @@ class Evidence:
     """The file that it was read from"""
     notes: tuple[str, ...] = ()
     """What there is to say of what it was made of; no file keeps that"""
+    ground: Ground | None = None
+    """What clouds were traced over"""

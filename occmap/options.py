@@ -8,6 +8,7 @@ from pathlib import Path
 
 from occmap.choices import check_bounds, list_options, list_values, option
 from occmap.choices.values import write_values
+from occmap.clouds.options import CloudOptions
 from occmap.errors import require
 from occmap.evidence.persistence import check_passes
 from occmap.grid.lattice import Lattice
@@ -29,6 +30,8 @@ def choose_model(update: Update) -> SensorModel:
 
     A scan counts once in the polygon update, and its joined borders thicken walls by themselves.
     """
+    if update is Update.CLOUD:
+        return CountingModel(cut=0.05, spread=0.0, repeat_from=8.0)
     return CountingModel(cut=0.4, spread=0.0) if update is Update.POLYGON else CountingModel()
 
 
@@ -77,6 +80,7 @@ class BuildOptions:
     selection: Selection = field(default_factory=Selection)
     framing: Framing = field(default_factory=Framing)
     writing: WriteOptions = field(default_factory=WriteOptions)
+    clouds: CloudOptions = field(default_factory=CloudOptions)
     jump: float = option(
         0.1,
         "Two neighbouring beams meet one surface if their ranges differ by at most this.",

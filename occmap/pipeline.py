@@ -6,12 +6,13 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import Evidence, Slices
+from occmap.cells import Evidence, Ground, Slices
+from occmap.errors import MapError
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
 from occmap.evidence.persistence import render_lasting
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
-from occmap.options import BuildOptions
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report.doubts import list_notes
 from occmap.report.results import Build, MapFacts, MapSummary, Report, Resumed, describe_map
 from occmap.scans.alignment import settle_align
@@ -21,6 +22,7 @@ from occmap.scans.tracing import observe as observe_here
 from occmap.store.merging import refuse_different
 from occmap.store.publishing import sum_scans
 from occmap.store.reading import open_saved, read_all
+from occmap.types import Update
 from occmap.writers import Product
 from occmap.writers.atomic import hold_alone
 from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
@@ -51,9 +53,15 @@ def build(
         past, options = open_past(options)
         options, unaligned = settle_align(paths, options)
         wants_evidence = want_evidence(outputs)
-        keep = Keep(options.min_passes is not None or wants_evidence, want_journey(outputs))
-        tiles, slices, tally, remarks = observe(paths, options, keep, progress)
-        slices, misfit = add_past(tiles, slices, past, options)
+        keep = Keep(
+            options.min_passes is not None or wants_evidence,
+            want_journey(outputs),
+            open_ground(options, past),
+        )
+        seen = observe(paths, options, keep, progress)
+        tiles, _, tally, remarks, _, settled = seen
+        options = settled or options
+        slices, misfit = add_past(tiles, seen.slices, past, options)
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, tiles.tiles)
 
@@ -68,7 +76,9 @@ def build(
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
         where = past.where if past else ""
-        evidence = cache(lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where))
+        evidence = cache(
+            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=seen.ground)
+        )
         journey = tally.recorder.finish() if tally.recorder else None
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
@@ -103,16 +113,43 @@ def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
     past = read_all(open_saved(path))
     if options.posing.align is None:
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
+    if past.ground is not None and options.update is DEFAULT_UPDATE:
+        model = choose_model(Update.CLOUD)
+        options = replace(options, update=Update.CLOUD, model=model)
     refuse_different(plan_manifest(options), past)
     return past, options
+
+
+def open_ground(options: BuildOptions, past: Evidence | None) -> Ground | None:
+    """Read the ground that clouds are traced over, where the user names a file or adds to one.
+
+    Raises
+    ------
+    MapError
+        The file cannot be read, or has no ground.
+    """
+    path = options.clouds.file
+    if path is None:
+        return past.ground if past else None
+    ground = read_all(open_saved(path)).ground
+    if ground is None:
+        raise MapError("has no ground: its evidence is not of clouds", where=path)
+    return ground
 
 
 def add_past(
     tiles: TileGrid, slices: tuple[Slices, ...], past: Evidence | None, options: BuildOptions
 ) -> tuple[tuple[Slices, ...], list[str]]:
-    """Add the evidence that a build goes on from; return all slices, and say what does not fit."""
+    """Add the evidence that a build goes on from; return all slices, and say what does not fit.
+
+    Raises
+    ------
+    MapError
+        It is evidence of another kind.
+    """
     if past is None:
         return slices, []
+    refuse_different(plan_manifest(options), past)  # only the logs say if they hold clouds
     before = view_tiles(past.tiles, past.cells)
     misfit = list_misfit(tiles, before, options.model, "the logs that are added to it")
     notes = [f"{past.where}: {text}" for text in misfit]

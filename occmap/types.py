@@ -172,6 +172,51 @@ class ScanRun(NamedTuple):
         return [self.first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 
 
+class Cloud(NamedTuple):
+    """Points of a 3D lidar or a depth camera as they were recorded."""
+
+    stamp_ns: int
+    frame: str
+    """In which the points are"""
+    points: Float32
+    """(N, 3) x, y, z (m); where nothing came back NaN or zero, as the driver wrote it"""
+    offset_ns: Int64 | None = None
+    """(N,) when each point was measured, after the stamp; None: all at the stamp"""
+    pose: Pose | None = None
+    """The frame in the map frame; None: the log does not state poses beside its clouds"""
+    topic: str = ""
+    record_ns: int = 0
+    times: str = ""
+    """How the times of points were read; empty where they have none"""
+
+    @property
+    def time_increment(self) -> float:
+        """Its points come in no order that a time between them could tell (s)."""
+        return 0.0
+
+    @property
+    def first(self) -> Self:
+        """The cloud itself, so that it can stand in for a run of scans."""
+        return self
+
+    @property
+    def scans(self) -> int:
+        """How many there are: one."""
+        return 1
+
+
+Recorded: TypeAlias = Scan | ScanRun | Cloud
+"""What a log holds of its sensors"""
+
+
+class Moments(NamedTuple):
+    """The times of the scans of a log that holds nothing else, in their order."""
+
+    stamp_ns: list[int]
+    is_timed: bool
+    """False: they only count the scans, whose times are not known"""
+
+
 class _PoseFields(NamedTuple):
     """What a pose sample holds."""
 
@@ -254,6 +299,8 @@ class ScanBatch:
     number: Int64 | None = None
     """(S,) numbers that put the scans in the order of their log; None unless scans from between
     these, of the same topic and frame but another geometry, are in another batch"""
+    clouds: tuple[Cloud, ...] | None = None
+    """S clouds of points; then a beam stands for a moment of a cloud, and its range is 0"""
 
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices; nothing is copied for a mask of all."""
@@ -266,7 +313,14 @@ class ScanBatch:
             time_increment=self.time_increment[scans],
             pose=None if self.pose is None else self.pose[scans],
             number=None if self.number is None else self.number[scans],
+            clouds=self.clouds and tuple(map(self.clouds.__getitem__, list_chosen(scans))),
         )
+
+
+def list_chosen(scans: Bool | Int64) -> list[int]:
+    """List the indices that a mask (S,), or indices, choose."""
+    chosen: list[int] = (np.flatnonzero(scans) if scans.dtype == np.bool_ else scans).tolist()
+    return chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,16 +332,20 @@ class PosedScans:
     """(S, 3) m in the map frame, or (S, B, 3) with a pose for each beam (de-skewed)."""
     rotation: Float64
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
+    origin: Float64 | None = None
+    """(S, 3) m, where the sensor was, if its clouds are in another frame than its own"""
 
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices."""
-        return type(self)(self.batch.take(scans), self.position[scans], self.rotation[scans])
+        origin = None if self.origin is None else self.origin[scans]
+        place = self.position[scans], self.rotation[scans]
+        return type(self)(self.batch.take(scans), *place, origin)
 
     @property
     def at_first_beam(self) -> tuple[Float64, Float64]:
         """(S, 3) and (S, 3, 3): the sensor's one pose at each scan, or that at its first beam."""
         if self.position.ndim == 2:
-            return self.position, self.rotation
+            return self.position if self.origin is None else self.origin, self.rotation
         return self.position[:, 0], self.rotation[:, 0]
 
 
@@ -359,6 +417,8 @@ class Update(StrEnum):
     """A whole scan at once: measured cells are the border, the interior is filled."""
     SURFACE = "surface"
     """Each beam, and between neighbours on one surface the beams that a denser laser sends."""
+    CLOUD = "cloud"
+    """A cloud of points at once: what stands on the ground, and what was seen free before it."""
 
 
 class Rays(NamedTuple):

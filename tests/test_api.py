@@ -20,6 +20,7 @@ from PIL import Image
 import occmap
 from occmap.choices import list_options, read_options
 from occmap.cli.console import spell
+from occmap.clouds.options import CloudOptions
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.grid.rendering import Framing
 from occmap.options import BuildOptions, Selection
@@ -77,8 +78,11 @@ PLAIN: list[tuple[str, Any, BuildOptions]] = [
     ("end_s", 5, BuildOptions(selection=Selection(end_s=5.0))),
     ("stride", 2, BuildOptions(selection=Selection(stride=2))),
     ("echo", "last", BuildOptions(reading=ReaderOptions(echo=Echo.LAST))),
-    ("min_height", -1, BuildOptions(reading=ReaderOptions(min_height=-1.0))),
-    ("max_height", 1, BuildOptions(reading=ReaderOptions(max_height=1.0))),
+    ("min_height", 0.2, BuildOptions(clouds=CloudOptions(min_height=0.2))),
+    ("max_height", 1, BuildOptions(clouds=CloudOptions(max_height=1.0))),
+    ("range_margin", 0, BuildOptions(clouds=CloudOptions(range_margin=0.0))),
+    ("ground", "flat", BuildOptions(clouds=CloudOptions(ground="flat"))),
+    ("sensor_height", 1, BuildOptions(clouds=CloudOptions(sensor_height=1.0))),
     ("poses", Path("poses.tum"), BuildOptions(posing=PosingOptions(poses="poses.tum"))),
     (
         "sensor_pose",
@@ -143,8 +147,9 @@ def test_an_option_is_given_by_name_as_a_plain_value(
 
 
 def test_every_option_can_be_given() -> None:
-    grouped = {"framing", "reading", "returns", "posing", "selection", "writing"}
-    groups = (Framing, ReaderOptions, ReturnOptions, PosingOptions, Selection, WriteOptions)
+    grouped = {"clouds", "framing", "reading", "returns", "posing", "selection", "writing"}
+    sensing = (ReaderOptions, CloudOptions, ReturnOptions)
+    groups = (Framing, *sensing, PosingOptions, Selection, WriteOptions)
     names = [*BuildOptions.__dataclass_fields__.keys() - grouped]
     for group in groups:
         names += [field.name for field in fields(group)]

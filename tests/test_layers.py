@@ -29,7 +29,7 @@ OWNERS = {
     "rosbags": {"readers", "writers"},
     "mcap": {"readers", "writers"},
     "apsw": {"readers"},
-    "PIL": {"writers"},
+    "PIL": {"readers", "writers"},
     "numba": {"jit"},
     "rasterio": {"writers"},
     "zarr": {"store"},

@@ -16,6 +16,7 @@ from occmap.choices import Option, list_options
 from occmap.choices.values import parse_number
 from occmap.cli.console import Console, Verbosity, spell
 from occmap.cli.declaring import BareOption, ConfigOption, join, option
+from occmap.clouds.options import CloudOptions
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
@@ -164,7 +165,7 @@ framing = group(MAP, Framing)
 min_passes, pass_gap = field(MAP, "min_passes"), field(MAP, "pass_gap_s")
 
 ranges = group(RANGES, ReturnOptions)
-selection = group(SCANS, Selection, ReaderOptions)
+selection = group(SCANS, Selection, ReaderOptions, CloudOptions)
 posing = group(POSES, PosingOptions)
 reading = join(ranges, selection, posing)
 

@@ -50,6 +50,8 @@ def describe_build(
         A file cannot be read any more.
     """
     chosen = {name: value for name, value in write_value(options).items() if name not in UNRECORDED}
+    if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
+        del chosen["clouds"]
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
@@ -139,8 +141,8 @@ def plan_manifest(
 def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
-    names = {Update.BEAM: (), Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
-    for name in names[Update(manifest.update)]:
+    names = {Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    for name in names.get(Update(manifest.update), ()):
         values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
         if len(values) > 1:
             yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"

@@ -170,6 +170,10 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
     model_text = plain.get("model")
     try:
         chosen = {name: value for name, value in plain.items() if name != "model"}
+        # Clouds were once flattened between two heights over the sensor.
+        reading = chosen.get("reading", {}).items()
+        gone = ("min_height", "max_height")
+        chosen["reading"] = {name: value for name, value in reading if name not in gone}
         return make_group(BuildOptions, chosen, model=parse_model(str(model_text)))
     except (OccmapError, TypeError, ValueError, AttributeError, OverflowError) as error:
         found = f"the options of a build in it cannot be read ({error})"

@@ -21,7 +21,7 @@ from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.readers import Log, open_log, read_scans
+from occmap.readers import Log, open_log, read_recorded
 from occmap.report.words import write_unused
 from occmap.scans.logs import choose_topics, count_messages
 from occmap.scans.mounts import estimate_agreement, find_better
@@ -104,7 +104,7 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     for _ in range(2):
         survey = Survey(poser.start_over(), options, expected, limits, Extent(lattice, *aside))
         try:
-            survey.read(read_scans(log, topics))
+            survey.read(read_recorded(log, topics))
         except LogError as error:
             problem = str(error.placed(log.path))
         if limits.settle():

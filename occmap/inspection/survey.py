@@ -3,6 +3,7 @@
 That is their shapes, their times, their range values (in `ranges`), and the extent of their map.
 """
 
+import math
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -22,7 +23,7 @@ from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import NOT_ASKED_FOR
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import interpret, read_limits
-from occmap.types import Float64, Kind, Rays, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, Float64, Kind, Rays, Recorded, ScanBatch
 
 MAX_SHAPES = 1000
 """How many shapes are counted: each scan of a log may have its own, and memory is bounded."""
@@ -44,7 +45,7 @@ class StampLog:
         """When the recorder stored it"""
         self._increment = array("d")
 
-    def add(self, some: Scan | ScanRun) -> None:
+    def add(self, some: Recorded) -> None:
         """Take the times of one scan, or of all scans of a run."""
         for times, own in ((self.header_ns, some.stamp_ns), (self.record_ns, some.record_ns)):
             times.frombytes(np.clip(own, -MAX_STAMP_NS, MAX_STAMP_NS, dtype=np.int64).tobytes())
@@ -140,12 +141,15 @@ class TopicSurvey:
     stated: bool = True
     """Every scan so far had its pose beside it"""
 
-    def see(self, some: Scan | ScanRun) -> None:
-        """Take note of one scan, or of all scans of a run."""
+    def see(self, some: Recorded) -> None:
+        """Take note of one scan or cloud, or of all scans of a run."""
         self.stamps.add(some)
-        self.stated &= some.first.pose is not None
         first = some.first
+        self.stated &= first.pose is not None
         self.frames.setdefault(first.frame)
+        if isinstance(first, Cloud):
+            self.shapes[Shape(0, 0.0, math.tau, 0.0, math.inf, scans=0)] += 1
+            return
         angles = first.angle_min, first.angle_increment
         shape = Shape(len(first.ranges), *angles, *read_limits(first), scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
@@ -166,7 +170,7 @@ class Survey:
     first_ns: int = 0
     """The stamp of the log's first scan"""
 
-    def read(self, scans: Iterable[Scan | ScanRun]) -> None:
+    def read(self, scans: Iterable[Recorded]) -> None:
         """Read all scans, holding no more than a batch of each topic."""
         for batch, posed, dropped in self.poser.attach(self._stack(scans)):
             survey = self.topics[batch.topic]
@@ -178,14 +182,14 @@ class Survey:
                 rays, _ = interpret(posed, self.options.returns)
                 self.extent.add(rays)
 
-    def _stack(self, scans: Iterable[Scan | ScanRun]) -> Iterator[ScanBatch]:
+    def _stack(self, scans: Iterable[Recorded]) -> Iterator[ScanBatch]:
         """Stack the scans that a build would use, and count their ranges."""
         batches = stack(self._select(scans), self.poser.options.stamps)
         for batch in map(self.limits.apply, batches):
             self.topics[batch.topic].census.add(batch)
             yield batch
 
-    def _select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+    def _select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Give the scans that a build would use; scans that nobody asked for are only counted."""
         selector = Selector(self.options.selection, self.poser.options.stamps)
         for some, reason in selector.judge(self.limits.watch(scans)):

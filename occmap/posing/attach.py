@@ -25,6 +25,7 @@ from occmap.types import (
     IDENTITY,
     Attached,
     Float64,
+    Moments,
     Pose,
     PoseBatch,
     PosedScans,
@@ -65,8 +66,18 @@ class Poser:
         self._above = Transforms.fixed(turned).then(moved)
 
     @classmethod
-    def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
+    def build(
+        cls,
+        samples: Iterable[PoseSample | PoseBatch],
+        options: PosingOptions,
+        moments: Moments | None = None,
+    ) -> Self:
         """Read all samples of a log once, in any order.
+
+        Parameters
+        ----------
+        moments
+            The times of the scans of a log that holds nothing else, for a trajectory without times.
 
         Raises
         ------
@@ -75,7 +86,7 @@ class Poser:
         LogError
             The trajectory file cannot be read.
         """
-        sources = gather(samples, options)
+        sources = gather(samples, options, moments)
         return cls(sources, options, notes=list(sources.notes))
 
     def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
@@ -110,7 +121,7 @@ class Poser:
             self.fixed, chain, notes = found
             self.chains[frame] = chain
             self._note(*notes)
-            if not chain.interval_s and self.sources.tree.moves:
+            if not chain.interval_s and self.sources.tree.moves and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
 
@@ -147,7 +158,12 @@ class Poser:
         if chain is None:
             yield Attached(batch, None, {DropReason.NO_TRANSFORM: scans})
             return
-        deskewed, notes = choose_deskewed(batch, self.options.deskew, chain)
+        if batch.clouds and not chain.interval_s and (bodies := self.sources.tree.bodies):
+            yield from self._place_registered(batch, chain, bodies[0])
+            return
+        # A cloud takes long, and its points say when they were measured.
+        deskew = Deskew.AUTO if batch.clouds else self.options.deskew
+        deskewed, notes = choose_deskewed(batch, deskew, chain)
         self._note(*notes)
         stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         if deskewed.any():
@@ -156,6 +172,26 @@ class Poser:
             yield self._keep(part, chain.at(moment_ns.ravel()))
         if not deskewed.all():
             yield self._keep(batch.take(~deskewed), chain.at(stamp_ns[~deskewed]))
+
+    def _place_registered(self, batch: ScanBatch, chain: Chain, body: str) -> Iterator[Attached]:
+        """Place clouds that are in the map already; they were seen from where a body was."""
+        self.find_chains([body])
+        carrier = self.chains.get(body)
+        if carrier is None or not carrier.interval_s:
+            yield self._keep(batch, chain.at(batch.stamp_ns))
+            return
+        self._note(
+            f"the clouds in {batch.frame!r} do not move with a sensor: taken as in the map "
+            f"already, and as seen from {body!r}"
+        )
+        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        seen_from = carrier.at(stamp_ns)
+        found = chain.at(stamp_ns)._replace(status=seen_from.status)
+        attached = self._keep(batch, found)
+        if attached.posed is not None:
+            origin = self._above.then(seen_from).position[seen_from.status == Status.POSED]
+            attached = attached._replace(posed=replace(attached.posed, origin=origin))
+        yield attached
 
     def _choose_stated(self, batch: ScanBatch) -> Float64 | None:
         """The poses (S, 7) that stand beside scans, unless the user named others."""
@@ -201,7 +237,7 @@ class Poser:
         for topic, course in sorted(self.courses.items()):
             if course.stands:
                 self._note(f"{topic}: {STANDS}")
-            if course.stance:
+            if course.stance and not course.is_of_clouds:
                 yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns

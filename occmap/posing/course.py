@@ -46,6 +46,8 @@ class Course:
     """Where the sensor of one topic was; grows with the scans that it is shown, 48 bytes each."""
 
     def __init__(self) -> None:
+        self.is_of_clouds = False
+        """Its sensor has no scan plane"""
         self._chain: Chain | None = None
         """What their poses were looked up in; None where they stand beside the scans"""
         self._stated = TrackBuilder()
@@ -67,6 +69,7 @@ class Course:
             What their poses were looked up in; None where they stand beside the scans.
         """
         pose = posed.batch.pose
+        self.is_of_clouds = posed.batch.clouds is not None
         if chain is None and pose is not None:
             stated = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
             self._stated.add_batch(stated, Stamps.HEADER)

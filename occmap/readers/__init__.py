@@ -17,7 +17,7 @@ from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
 from occmap.report.words import Note as Note
 from occmap.report.words import NoteList as NoteList
-from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 
 DEFAULT_OPTIONS = ReaderOptions()
 
@@ -27,7 +27,7 @@ class Role(StrEnum):
 
     SCAN = "scan"
     CLOUD = "cloud"
-    """Points that can be flattened into scans: used where a log has no scans, or on request."""
+    """Clouds of points: used where a log has no scans, or on request."""
     POSE = "pose"
     OTHER = "other"
 
@@ -85,9 +85,32 @@ class StackingScans(Protocol):
         """What `scans` gives, in the same order."""
 
 
+@runtime_checkable
+class Counting(Protocol):
+    """A log of scans alone, whose order at least is known before they are read."""
+
+    moments: Moments
+
+
+@runtime_checkable
+class HoldingClouds(Protocol):
+    """A log that may hold clouds of points, on topics of their own."""
+
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds of these topics, in file order, one at a time."""
+
+
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
     return log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
+
+
+def read_recorded(log: Log, topics: Collection[str]) -> Iterator[Recorded]:
+    """The scans of some topics of a log, or the clouds, in the way that is quickest for it."""
+    has_clouds = any(each.topic in topics and each.role is Role.CLOUD for each in log.streams)
+    if has_clouds and isinstance(log, HoldingClouds):
+        return log.clouds(topics)
+    return read_scans(log, topics)
 
 
 def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:

@@ -4,9 +4,7 @@ A type is listed under its ROS 2 name, to which ROS 1 names are brought; Foxglov
 (https://docs.foxglove.dev/docs/visualization/message-schemas/introduction) stand beside them. To
 support another type, write its row.
 
-Messages come decoded from CDR, ROS 1, JSON or protobuf, and a log's own definitions may give any
-field any type. So fields are looked up by their dotted names, and checked before anything is
-computed of them; `Scan` and `PoseSample` check the rest.
+Fields are checked before anything is computed of them; `Scan` and `PoseSample` check the rest.
 """
 
 import math
@@ -16,25 +14,40 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from occmap.errors import DamageError
 from occmap.readers import Role
+from occmap.readers.cloud_messages import (
+    FOXGLOVE_KINDS,
+    Camera,
+    convert_cloud,
+    convert_compressed_depth,
+    convert_depth,
+    convert_livox,
+    make_cloud,
+    parse_livox,
+    read_fields,
+    view_columns,
+)
 from occmap.readers.containers.source import Channel
+from occmap.readers.fields import (
+    get,
+    get_bytes,
+    get_frame,
+    get_list,
+    get_row,
+    get_stamp,
+    get_whole,
+    look,
+)
 from occmap.readers.options import Echo, ReaderOptions
-from occmap.types import IDENTITY, Float32, Float64, Pose, PoseSample, Scan
-from occmap.values import as_float32, as_number, as_stamp, as_text
+from occmap.types import IDENTITY, Cloud, Pose, PoseSample, Scan
+from occmap.values import as_number
 
 ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
 """From what the user chose, a decoded message, its topic and its record time in ns."""
+Parse: TypeAlias = Callable[[memoryview, str], Any]
+ToCloud: TypeAlias = Callable[[Any, str, int], Cloud]
+ToDepth: TypeAlias = Callable[[Camera, Any, str, int], Cloud]
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
-
-BEARINGS = 720
-"""A cloud is flattened to half a degree: finer than most spinning lidars in the plane, and coarse
-enough that one turn leaves few bearings empty."""
-
-_STAMP_NAMES = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"))
-"""The parts of a time as rosbags, Foxglove's JSON and protobuf name them."""
-_FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""NumPy's names of the number types of sensor_msgs/PointField."""
 
 
 class MessageType(NamedTuple):
@@ -43,6 +56,11 @@ class MessageType(NamedTuple):
     role: Role
     to_scan: ToScan | None = None
     to_poses: ToPoses | None = None
+    to_cloud: ToCloud | None = None
+    to_depth: ToDepth | None = None
+    """In place of `to_cloud`, for images: what makes clouds of them needs their camera"""
+    parse: Parse | None = None
+    """Decodes a message of an encoding, in place of a library that would take too long"""
 
 
 class PoseFields(NamedTuple):
@@ -81,64 +99,6 @@ class PoseFields(NamedTuple):
         turn = [as_number(get(rotation, name)) for name in "xyzw"]
         place = (as_number(get(position, name)) for name in "xyz")
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
-
-
-def look(message: Any, path: str) -> Any:
-    """Look for a field of a decoded message by its dotted name; None where it is absent."""
-    for name in path.split("."):
-        message = message.get(name) if isinstance(message, dict) else getattr(message, name, None)
-    return message
-
-
-def get(message: Any, path: str) -> Any:
-    """Get a field likewise; raises DamageError where it is absent."""
-    value = look(message, path)
-    if value is None:
-        raise DamageError(f"has no {path}")
-    return value
-
-
-def get_list(message: Any, path: str) -> Sequence[Any]:
-    """Get a list of messages; raises DamageError."""
-    value = get(message, path)
-    if not isinstance(value, Sequence) or isinstance(value, str | bytes):
-        raise DamageError(f"holds {type(value).__name__} where a list of messages belongs")
-    return value
-
-
-def get_whole(message: Any, path: str) -> int:
-    """Get a whole number of at most 64 bits; raises DamageError."""
-    return as_stamp(get(message, path))
-
-
-def get_stamp(message: Any, path: str) -> int:
-    """Get a time in ns; raises DamageError."""
-    stamp = get(message, path)
-    for names in _STAMP_NAMES:
-        seconds, nanoseconds = (look(stamp, name) for name in names)
-        if nanoseconds is not None:
-            return as_stamp(as_stamp(seconds) * 1_000_000_000 + as_stamp(nanoseconds))
-    raise DamageError(f"has no {path}")
-
-
-def get_frame(message: Any, path: str) -> str:
-    """Get a frame's name; old logs write `/laser` in one place and `laser` in another."""
-    return as_text(get(message, path)).lstrip("/")
-
-
-def get_row(message: Any, path: str) -> Float64:
-    """Get a list of numbers (B,); raises DamageError.
-
-    JSON has no infinity: writers leave a null or a name, which NumPy reads as nan or infinity.
-    """
-    try:
-        with np.errstate(invalid="ignore"):  # a flipped bit makes a signalling NaN of infinity
-            row = np.array(get(message, path), np.float64)
-    except (TypeError, ValueError, OverflowError):
-        row = np.empty(())
-    if row.ndim != 1:
-        raise DamageError("holds something else where a row of numbers belongs")
-    return row
 
 
 def convert_laser_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
@@ -203,73 +163,15 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
     return [] if sample.pose == IDENTITY else [sample._replace(child=child)]
 
 
-def convert_cloud(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
-    """Convert a sensor_msgs/PointCloud2: the nearest point of each bearing between two heights.
-
-    Heights and bearings are those of the cloud's own frame, whose z is taken to point up; not so
-    in a camera's optical frame. A bearing without a point is +inf. The limits are unknown.
-
-    Raises
-    ------
-    DamageError
-        The cloud has no x, y, z, or is not as long as it says.
-    """
-    points = read_points(message)
-    level = (points[:, 2] >= options.min_height) & (points[:, 2] <= options.max_height)
-    step = 2 * math.pi / BEARINGS
-    return Scan(
-        stamp_ns=get_stamp(message, "header.stamp"),
-        frame=get_frame(message, "header.frame_id"),
-        angle_min=step / 2 - math.pi,
-        angle_increment=step,
-        ranges=find_nearest(points[level, :2]),
-        range_min=0.0,
-        range_max=math.inf,
-        topic=topic,
-        record_ns=record_ns,
-    )
-
-
-def read_points(message: Any) -> Float64:
-    """Read x, y, z (N, 3) of a sensor_msgs/PointCloud2, without the points that are not finite."""
-    order = ">" if get_whole(message, "is_bigendian") else "<"
-    fields = {as_text(get(field, "name")): field for field in get_list(message, "fields")}
-    kinds = {name: _FORMATS.get(get_whole(fields[name], "datatype")) for name in fields}
-    if not all(kinds.get(name) for name in "xyz"):
-        raise DamageError("is a cloud of points without x, y and z")
-    columns = [(np.dtype(f"{order}{kinds[c]}"), get_whole(fields[c], "offset")) for c in "xyz"]
-    sizes = ("height", "width", "point_step", "row_step")
-    rows, width, step, row_step = (get_whole(message, name) for name in sizes)
-    row_step = row_step if rows > 1 else width * step
-    if row_step < width * step or any(not 0 <= at <= step - t.itemsize for t, at in columns):
-        raise DamageError("is a cloud whose points lie over one another")
-    data = get(message, "data")
-    if not isinstance(data, np.ndarray) or data.dtype.itemsize != 1:
-        raise DamageError("holds something else where bytes belong")
-    if min(rows, width) < 0 or (rows - 1) * row_step + width * step > len(data):
-        raise DamageError(f"announces {rows} x {width} points in {len(data)} bytes")
-    if rows * width == 0:
-        return np.empty((0, 3))
-    data = np.ascontiguousarray(data).data
-    points = [
-        np.ndarray((rows, width), kind, data, at, (row_step, step)).ravel() for kind, at in columns
-    ]
-    with np.errstate(invalid="ignore"):  # a flipped bit makes a signalling NaN of infinity
-        stacked = np.stack(points, axis=1).astype(np.float64)
-    return stacked[np.isfinite(stacked).all(axis=1)]
-
-
-def find_nearest(points: Float64) -> Float32:
-    """Find the distance (BEARINGS,) of the nearest of points (N, 2) in each sector around zero.
-
-    Points at zero itself stand for no return with some drivers.
-    """
-    distance = as_float32(np.hypot(points[:, 0], points[:, 1]))
-    bearing = np.arctan2(points[:, 1], points[:, 0])
-    sector = ((bearing + math.pi) * (BEARINGS / (2 * math.pi))).astype(np.int64) % BEARINGS
-    nearest = np.full(BEARINGS, np.inf, np.float32)
-    np.minimum.at(nearest, sector[distance > 0], distance[distance > 0])
-    return nearest
+def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a foxglove.PointCloud, whose origin is stated as that of a scan."""
+    stamp_ns = get_stamp(message, "timestamp")
+    origin = convert_origin(message, topic, record_ns)
+    frame = origin[0].child if origin else get_frame(message, "frame_id")
+    data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
+    fields = read_fields(message, "type", FOXGLOVE_KINDS)
+    columns = view_columns(data, fields, (1, len(data) // max(step, 1)), (len(data), step))
+    return make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
 FOXGLOVE = PoseFields("timestamp", "frame_id", unset_rotation=IDENTITY[3:])
@@ -289,8 +191,19 @@ _TF = PoseFields(
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, to_cloud=convert_cloud),
+    **{
+        f"livox_ros_driver{version}/msg/CustomMsg": MessageType(
+            Role.CLOUD, to_cloud=convert_livox, parse=parse_livox
+        )
+        for version in ("", "2")
+    },
+    "sensor_msgs/msg/Image": MessageType(Role.CLOUD, to_depth=convert_depth),
+    "sensor_msgs/msg/CompressedImage": MessageType(Role.CLOUD, to_depth=convert_compressed_depth),
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
+    "foxglove.PointCloud": MessageType(
+        Role.CLOUD, to_cloud=convert_foxglove_cloud, to_poses=convert_origin
+    ),
 } | {
     name: MessageType(Role.POSE, to_poses=fields.read)
     for name, fields in {
@@ -306,6 +219,14 @@ TYPES = {
         "foxglove.PosesInFrame": _POSES,
     }.items()
 }
+
+
+PACKETS = {
+    "velodyne_msgs/msg/VelodyneScan": "`velodyne_transform_node` of velodyne_pointcloud",
+    "ouster_ros/msg/PacketMsg": "`os_cloud` of ouster_ros",
+    "ouster_sensor_msgs/msg/PacketMsg": "`os_cloud` of ouster_ros",
+}
+"""Types of raw packets, and the node of their driver that makes clouds of them"""
 
 
 def find_type(channel: Channel) -> MessageType | None:

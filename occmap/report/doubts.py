@@ -10,6 +10,7 @@ from occmap.report.results import LEAST_AGREEMENT, MapFacts
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor.models import Clamped, SensorModel, find_decision
+from occmap.types import Update
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import list_idle
 
@@ -37,7 +38,8 @@ def list_notes(
         if times > 1:
             yield f"{log}: given {times} times, and counted as often"
     yield from list_frames(tally)
-    if not tally.beams.hit:  # evidence that the logs are added to may have walls
+    # Evidence that the logs are added to may have walls; clouds have no beams.
+    if not tally.beams.hit and options.update is not Update.CLOUD:
         lack = "of the logs hit" if facts.has_walls else "hit"
         end = "" if facts.has_walls else ", so the map has no walls"
         yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"

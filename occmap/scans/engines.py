@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from occmap.cells import Ground
 from occmap.grid.lattice import Lattice
 from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import TileGrid
@@ -9,13 +10,14 @@ from occmap.options import BuildOptions
 from occmap.sensor.models import RadialModel
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
+    from occmap.clouds.engine import CloudEngine
     from occmap.grid.engine import GridEngine
 
 
 def make_engine(
     options: BuildOptions, keep_slices: bool = False, window_cells: int = WINDOW_CELLS
 ) -> "GridEngine":
-    """Make an engine for an update and a model, which keeps slices of time if asked to."""
+    """Make an engine for rays by an update and a model, which keeps slices of time if asked to."""
     from occmap.grid.engine import GridEngine, SlicedEngine  # noqa: PLC0415  late: it brings numba
 
     spec = plan_grid(options)
@@ -23,6 +25,14 @@ def make_engine(
         slice_ns = round(options.pass_gap_s * 1e9)
         return SlicedEngine(spec, slice_ns, window_cells, options.max_cells)
     return GridEngine(spec, window_cells, options.max_cells)
+
+
+def make_cloud_engine(options: BuildOptions, ground: Ground) -> "CloudEngine":
+    """Make an engine for clouds over ground that is known."""
+    from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
+
+    limits = options.returns.min_range, options.returns.max_range
+    return CloudEngine(Lattice(options.resolution), options.clouds, ground, limits)
 
 
 def make_grid(options: BuildOptions) -> TileGrid:

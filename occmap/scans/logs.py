@@ -7,17 +7,28 @@ import sys
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.errors import LogError, OccmapError, UsageError
+from occmap.errors import LogError, OccmapError, UsageError, require
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
-from occmap.readers import Log, Role, find_reader, open_log, read_poses
+from occmap.readers import (
+    Counting,
+    HoldingClouds,
+    Log,
+    Role,
+    find_reader,
+    open_log,
+    read_poses,
+)
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
 from occmap.report.words import STDIN_FOLDER, count, join_names
-from occmap.types import Scan
+from occmap.types import Cloud, Scan, Update
 
 
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
@@ -35,14 +46,43 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     there = scans + clouds if wanted else scans or clouds
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
-        damage = next((note.text for note in log.notes if note.damage), "")
+        notes = sorted(log.notes, key=lambda note: not note.damage)
         found = f"holds no laser scans; it holds {held or 'nothing'}"
-        raise LogError(found, where=log.path, fix=damage)
+        raise LogError(found, where=log.path, fix=notes[0].text if notes else "")
     missing = sorted(set(wanted) - set(there))
     if missing:
         found = f"has no scans on the topic {missing[0]}"
         raise LogError(found, where=log.path, fix=f"it has scans on {', '.join(there)}")
     return [topic for topic in there if topic in wanted or not wanted]
+
+
+def settle_update(logs: Sequence[Log], options: BuildOptions) -> BuildOptions:
+    """Choose the update for clouds, with its model, where logs hold clouds and no scans.
+
+    Raises
+    ------
+    UsageError
+        An update is named that is not for what a log holds, or logs hold one and the other.
+    """
+    kinds: dict[Role, str] = {}
+    for log in logs:
+        topics = choose_topics(log, options.selection.topics)
+        roles = {s.topic: s.role for s in log.streams if s.topic in topics}
+        kinds |= {role: f"{topic} of {log.path}" for topic, role in roles.items()}
+    if Role.CLOUD not in kinds:
+        found = "the logs hold no clouds of points"
+        require(options.update is not Update.CLOUD, found, "leave out `update=cloud`")
+        return options
+    found = f"{kinds.get(Role.SCAN)} holds laser scans, {kinds[Role.CLOUD]} clouds of points"
+    require(Role.SCAN not in kinds, found, "map one kind at a time: choose with `topics`")
+    require(options.min_passes is None, "`min_passes` is not for clouds of points", "leave it out")
+    if options.update is Update.CLOUD:
+        return options
+    found = f"{kinds[Role.CLOUD]} holds clouds of points, which the {options.update} update"
+    require(options.update is DEFAULT_UPDATE, f"{found} does not take", "name no update")
+    is_default = options.model == choose_model(options.update)
+    model = choose_model(Update.CLOUD) if is_default else options.model
+    return replace(options, update=Update.CLOUD, model=model)
 
 
 def count_scans(log: Log, wanted: Sequence[str]) -> int:
@@ -74,7 +114,8 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else read_poses(log), options)
+    moments = log.moments if isinstance(log, Counting) else None
+    poser = Poser.build([] if stated else read_poses(log), options, moments)
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
@@ -82,7 +123,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     return poser
 
 
-def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions) -> None:
+def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:
     """Refuse to put lasers that have frames of their own at one place.
 
     Raises
@@ -100,10 +141,13 @@ def refuse_shared_mount(log: Log, first: Sequence[Scan], options: PosingOptions)
     raise UsageError(found, where=log.path, fix=fix)
 
 
-def take_first(log: Log, topics: Sequence[str]) -> list[Scan]:
-    """Read the first scan of each topic, and stop reading when all are found."""
-    first: dict[str, Scan] = {}
-    for scan in log.scans(set(topics)):
+def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
+    """Read the first scan or cloud of each topic, and stop reading when all are found."""
+    first: dict[str, Scan | Cloud] = {}
+    scans: Iterator[Scan | Cloud] = log.scans(set(topics))
+    if isinstance(log, HoldingClouds):
+        scans = chain(scans, log.clouds(set(topics)))
+    for scan in scans:
         first.setdefault(scan.topic, scan)
         if len(first) == len(topics):
             break

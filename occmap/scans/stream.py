@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Self, TypeAlias
 
@@ -11,15 +11,17 @@ import numpy as np
 from occmap.options import BuildOptions, Selection
 from occmap.posing.attach import Poser
 from occmap.posing.options import Stamps
-from occmap.readers import Log, read_scans
+from occmap.readers import Log, read_recorded, read_scans
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
-from occmap.types import Attached, Int64, Scan, ScanBatch, ScanRun
+from occmap.types import Attached, Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
 
 
-def find_flaw(scan: Scan) -> LeftOut | None:
+def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
     """Say why nobody can use a scan; None where it can be used."""
+    if isinstance(scan, Cloud):
+        return None if len(scan.points) else LeftOut.NO_BEAMS
     if not len(scan.ranges):
         return LeftOut.NO_BEAMS
     if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
@@ -43,7 +45,7 @@ class Selector:
         self.left_out: Counter[LeftOut] = Counter()
         """How many of those read `select` left out, by reason"""
 
-    def select(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+    def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass on the scans that are used, and count the others."""
         for some, reason in self.judge(scans):
             self.read += some.scans
@@ -52,18 +54,16 @@ class Selector:
             else:
                 self.left_out[reason] += 1
 
-    def judge(
-        self, scans: Iterable[Scan | ScanRun]
-    ) -> Iterator[tuple[Scan | ScanRun, LeftOut | None]]:
+    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
         """Give each scan and why it is not used, or None; a run stays whole if all is used."""
         for some in scans:
             # A run is taken whole where the user wants every scan, and these can be used.
-            if isinstance(some, Scan) or (self._wants_all and find_flaw(some.first) is None):
-                yield some, self._judge_next(some.first)
-            else:
+            if isinstance(some, ScanRun) and not (self._wants_all and not find_flaw(some.first)):
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
+            else:
+                yield some, self._judge_next(some.first)
 
-    def _judge_next(self, scan: Scan) -> LeftOut | None:
+    def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
         stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
@@ -77,6 +77,9 @@ class Selector:
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
 seldom wait for Python's lock."""
+
+CLOUD_MOMENTS = 33
+"""Poses looked up for one cloud whose points have times of their own"""
 
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
@@ -92,11 +95,14 @@ def find_geometry(scan: Scan) -> Geometry:
     return (scan.topic, scan.frame), (*angles, len(scan.ranges), *limits, has_pose)
 
 
-def stack(scans: Iterable[Scan | ScanRun], stamps: Stamps) -> Iterator[ScanBatch]:
+def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
     held: dict[Geometry, dict[int, Scan]] = {}
     beams = 0
     for number, some in enumerate(scans):
+        if isinstance(some, Cloud):
+            yield make_cloud_batch(some, stamps)
+            continue
         if isinstance(some, Scan):
             held.setdefault(find_geometry(some), {})[number] = some
             beams += len(some.ranges)
@@ -132,6 +138,22 @@ def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> Sca
     stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
     differing = stamp_ns, run.ranges, run.time_increment, run.pose
     return ScanBatch(*shape, *differing, first.topic, number)
+
+
+def make_cloud_batch(cloud: Cloud, stamps: Stamps) -> ScanBatch:
+    """Make a batch of one cloud, which has a beam for each moment that its poses are looked up at.
+
+    It begins where its earliest point does.
+    """
+    start, stop, moments = 0, 0, 1
+    if cloud.offset_ns is not None:
+        start, stop, moments = int(cloud.offset_ns.min()), int(cloud.offset_ns.max()), CLOUD_MOMENTS
+    stamp_ns = stamps.choose(np.array([cloud.stamp_ns]), np.array([cloud.record_ns])) + start
+    pose = None if cloud.pose is None else np.array([cloud.pose])
+    ranges, step = np.zeros((1, moments), np.float32), (stop - start) / 1e9 / max(moments - 1, 1)
+    shape = cloud.frame, 0.0, math.tau / moments, 0.0, math.inf
+    times = stamp_ns, ranges, np.array([step])
+    return ScanBatch(*shape, *times, pose, cloud.topic, clouds=(cloud,))
 
 
 def list_oddities(batch: ScanBatch) -> Iterator[str]:
@@ -183,10 +205,19 @@ class Drive:
         self.limits.settle()
         return self
 
-    def read(self, tally: Tally) -> Iterator[Attached]:
-        """Read the scans that are used, holding no more than a batch; count what becomes of all."""
-        scans = self.limits.watch(read_scans(self.log, self.topics))
+    def read(
+        self, tally: Tally, wants: Callable[[ScanBatch], bool] | None = None
+    ) -> Iterator[Attached]:
+        """Read the scans that are used, holding no more than a batch; count what becomes of all.
+
+        Parameters
+        ----------
+        wants
+            Says of each batch whether it is posed; None: all are.
+        """
+        scans = self.limits.watch(read_recorded(self.log, self.topics))
         batches = stack(self.selector.select(scans), self.selector.stamps)
+        batches = batches if wants is None else filter(wants, batches)
         limited = tally.time_each("read", map(self.limits.apply, batches))
         for attached in tally.time_each("pose", self.poser.attach(limited)):
             self._odd |= dict.fromkeys(list_oddities(attached.batch))

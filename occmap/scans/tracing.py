@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
-from occmap.cells import Slices
+from occmap.cells import Ground, Slices
 from occmap.errors import name_log
 from occmap.evidence.fit import list_misfit
 from occmap.grid.lattice import Lattice
@@ -15,17 +16,18 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
 from occmap.report.words import Note
-from occmap.scans.engines import make_engine, make_grid
-from occmap.scans.logs import count_scans
+from occmap.scans.engines import make_cloud_engine, make_engine, make_grid
+from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
 from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Rays
+from occmap.sensor.returns import ReturnCounts, ReturnOptions, interpret
+from occmap.types import PosedScans, Rays, Update
 from occmap.workers import Workers
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
+    from occmap.clouds.engine import CloudEngine
     from occmap.grid.engine import GridEngine
 
 
@@ -33,8 +35,8 @@ HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
 threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
-AddRays = Callable[[Rays], None]
-"""Adds the rays of a batch to the evidence; any number of threads may call it."""
+AddRays = Callable[[Any], None]
+"""Adds the rays of a batch, or its posed clouds, to the evidence; any number of threads may."""
 
 
 def trace_logs(
@@ -68,20 +70,45 @@ def trace_logs(
     return list(zip(logs, notes, strict=True))
 
 
+def find_ground(
+    logs: Sequence[Log], options: BuildOptions, known: Ground | None
+) -> tuple[Ground, list[str]]:
+    """Find the ground below all drives, in a pass of its own; say what there is to say of it.
+
+    Parameters
+    ----------
+    known
+        Ground of evidence that the build is added to; it stays as it is.
+    """
+    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+    finder = GroundFinder()
+    for log in logs:
+        drive = open_drive(log, options)
+        with name_log(log.path), Workers(finder.add, options.jobs) as workers:
+            for attached in drive.read(Tally(), finder.wants):
+                if attached.posed is not None:
+                    workers.give(attached.posed)
+    return finder.find(options.clouds, known)
+
+
 def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:
     """Trace the scans of a log as a stream."""
     reach = Reach(Lattice(options.resolution), options.max_cells)
 
-    def work(rays: Rays) -> None:
+    def work(seen: Rays | PosedScans) -> None:
         with tally.time("trace"):
-            add_rays(rays)
+            add_rays(seen)
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
         for attached in drive.read(tally):
             if tally.recorder:
                 tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
-            if attached.posed is not None:
+            if attached.posed is not None and attached.batch.clouds:
+                tally.use(len(attached.posed.batch.stamp_ns), ReturnCounts())
+                workers.give(attached.posed)
+            elif attached.posed is not None:
                 with tally.time("interpret"):
                     rays, beams = interpret(attached.posed, options.returns)
                 tally.use(len(rays.kind), beams)
@@ -104,6 +131,8 @@ class Keep(NamedTuple):
     """In which slices of time cells were observed"""
     journey: bool = False
     """Where the robot went"""
+    ground: Ground | None = None
+    """What clouds are traced over, if it is known, or what it grows from"""
 
     def make_recorder(
         self, scans: int, logs: int, returns: ReturnOptions
@@ -133,6 +162,10 @@ class Observed(NamedTuple):
     """In which slices of time; none where they are not kept"""
     tally: Tally
     remarks: Remarks
+    ground: Ground | None = None
+    """What clouds were traced over"""
+    options: BuildOptions | None = None
+    """With the update that suits what the logs hold; None: as given"""
 
 
 class Observe(Protocol):
@@ -158,14 +191,20 @@ def observe(
     tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
+    options = settle_update(logs, options)
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
+    ground = keep.ground
+    if options.update is Update.CLOUD and options.clouds.file is None:
+        with tally.time("ground"):
+            ground, found = find_ground(logs, options, ground)
+        remarks.notes += found
     tiles = make_grid(options)
     slices: list[Slices] = []
     for log, scans in zip(logs, counts, strict=True):
         of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
-        engine, notes = observe_log(log, options, keep.slices, of_log)
+        engine, notes = observe_log(log, options, keep._replace(ground=ground), of_log)
         tally.add(of_log)
         with tally.time("fold"):
             seen = engine.finish()
@@ -176,18 +215,21 @@ def observe(
             slices += engine.read_slices()
         remarks.note(log.path, log.notes, notes)
     with tally.time("fold"):
-        return Observed(tiles, (unite(slices),) if keep.slices else (), tally, remarks)
+        kept = (unite(slices),) if keep.slices else ()
+        return Observed(tiles, kept, tally, remarks, ground, options)
 
 
 def observe_log(
-    log: Log, options: BuildOptions, keep_slices: bool, tally: Tally
-) -> tuple["GridEngine", list[str]]:
+    log: Log, options: BuildOptions, keep: Keep, tally: Tally
+) -> tuple["GridEngine | CloudEngine", list[str]]:
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    engines: list[GridEngine] = []
+    engines: list[GridEngine | CloudEngine] = []
 
     def begin() -> AddRays:
         engines.clear()  # where the log is read once more, the first one is of no use
-        engines.append(make_engine(options, keep_slices))
+        over = keep.ground if options.update is Update.CLOUD else None
+        make = partial(make_engine, options, keep.slices)
+        engines.append(make() if over is None else make_cloud_engine(options, over))
         return engines[-1].add
 
     traced = trace_logs([log], options, begin, tally)

@@ -109,6 +109,8 @@ LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
 """In observations."""
 NO_CLAMP = {"clamp_min": 0.0, "clamp_max": 1.0}
 """Bounds that bound nothing."""
+NEUTRAL = {**NO_CLAMP, "repeat_from": 0.0}
+"""Values that change nothing, which no text names."""
 PARAMETERS = {
     "p_hit": ("P", "simple: probability of occupied, given one hit."),
     "p_miss": ("P", "simple: probability of occupied, given one miss."),
@@ -220,15 +222,25 @@ class CountingModel:
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
     clamp_min: float = NO_CLAMP["clamp_min"]
     clamp_max: float = NO_CLAMP["clamp_max"]
+    repeat_from: float = NEUTRAL["repeat_from"]
+    """From so many looks at a cell one hit is not believed, and from five times as many two are
+    not; 0: every hit is"""
 
     def __post_init__(self) -> None:
         check_parameters(self)
+        found = f"repeat_from {self.repeat_from} is not a number of looks"
+        require(0 <= self.repeat_from <= MOST_WEIGHT, found, "give 0 or more, such as 8")
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """Posterior mean (w hits + s prior) / (w hits + misses + s), as log-odds.
 
         w is the weight of a hit, s the strength of the prior.
         """
+        if self.repeat_from:
+            looks = hits + misses
+            alone = (looks >= self.repeat_from) & (hits < 2)
+            alone |= (looks >= 5 * self.repeat_from) & (hits < 3)
+            hits, misses = np.where(alone, 0, hits), np.where(alone, looks, misses)
         occupied = self.hit_weight * hits + self.strength * self.prior
         return np.log(occupied / (misses + self.strength * (1 - self.prior)))
 
@@ -306,9 +318,9 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
 
 
 def describe_model(model: Any) -> str:
-    """Write a model as `parse_model` reads it, without bounds that bound nothing."""
+    """Write a model as `parse_model` reads it, without values that change nothing."""
     pairs = {field.name: getattr(model, field.name) for field in fields(model)}
-    kept = {name: value for name, value in pairs.items() if NO_CLAMP.get(name) != value}
+    kept = {name: value for name, value in pairs.items() if NEUTRAL.get(name) != value}
     return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in kept.items())
 
 

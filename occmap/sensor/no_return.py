@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occmap.sensor.returns import ReturnOptions, read_limits
-from occmap.types import Float32, Int64, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, Float32, Int64, Recorded, Scan, ScanBatch, ScanRun
 from occmap.values import as_float32
 
 BAND = 0.025
@@ -151,15 +151,16 @@ class RangeLimits:
             if range_max != first.range_max:
                 self._senseless.setdefault(first.topic, first.range_max)
 
-    def watch(self, scans: Iterable[Scan | ScanRun]) -> Iterator[Scan | ScanRun]:
+    def watch(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass scans on, and count their ranges."""
         for some in scans:
-            self.see(some)
+            if not isinstance(some, Cloud):
+                self.see(some)
             yield some
 
     def apply(self, batch: ScanBatch) -> ScanBatch:
         """State the limit in a batch of scans."""
-        if not self._looks:
+        if not self._looks or batch.clouds:
             return batch
         if batch.topic not in self._applied:
             self._applied[batch.topic] = self._find(batch.topic)

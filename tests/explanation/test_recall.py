@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from occmap.clouds.options import CloudOptions
 from occmap.errors import MapError
 from occmap.evidence.manifest import UNRECORDED, describe_build
 from occmap.explanation.provenance import recall_options
@@ -25,8 +26,11 @@ MOUNT = Pose.from_xyzrpy((0.1, -0.2, 0.3), (math.pi, 0.1, -0.7))
 UNUSUAL = BuildOptions(
     resolution=0.1 + 0.2,
     update=Update.POLYGON,
-    model=CountingModel(0.45, 1 / 3, 2.5, cut=0.4, spread=0.01, clamp_min=0.1, clamp_max=0.96),
-    reading=ReaderOptions(echo=Echo.LAST, min_height=-0.5, max_height=1.1),
+    model=CountingModel(
+        0.45, 1 / 3, 2.5, cut=0.4, spread=0.01, clamp_min=0.1, clamp_max=0.96, repeat_from=8.0
+    ),
+    reading=ReaderOptions(echo=Echo.LAST),
+    clouds=CloudOptions(0.2, 1.1, 0.02, "flat", 0.7),
     returns=ReturnOptions(
         min_range=0.05,
         max_range=7.7,

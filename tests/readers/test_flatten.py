@@ -1,4 +1,4 @@
-"""Several echoes and clouds of points, brought down to one return a bearing."""
+"""Several echoes of a beam, brought down to one, and clouds of points as they are written."""
 
 import math
 from pathlib import Path
@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 from rosbags.typesys.store import Typestore
 
-from occmap.errors import LogError, UsageError
-from occmap.options import BuildOptions
-from occmap.readers import Role, open_log
-from occmap.readers.message_types import BEARINGS, convert_cloud, convert_multi_echo
+from occmap.errors import LogError
+from occmap.readers import Role, open_log, read_recorded
+from occmap.readers.cloud_messages import convert_cloud, find_offsets
+from occmap.readers.message_types import convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.scans.logs import choose_topics
-from occmap.types import Float32
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 
 ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
-FLOAT32, FLOAT64 = 7, 8
+INT16, FLOAT32, FLOAT64 = 3, 7, 8
 both = pytest.mark.parametrize("store", [ROS1, ROS2], ids=["ros1", "ros2"])
 
 
@@ -52,7 +51,7 @@ def cloud(store: Typestore, points: list[tuple[float, float, float]], form: str 
     for name, column in zip("xyz", np.array(points, np.float64).reshape(-1, 3).T, strict=True):
         data[name] = column
     field = store.types["sensor_msgs/msg/PointField"]
-    kind = FLOAT32 if size == 4 else FLOAT64
+    kind = {2: INT16, 4: FLOAT32, 8: FLOAT64}[size]
     return store.types[CLOUD](
         header=header(store, SECOND, "/lidar"),
         height=1,
@@ -65,14 +64,6 @@ def cloud(store: Typestore, points: list[tuple[float, float, float]], form: str 
         data=np.frombuffer(data.tobytes(), np.uint8),
         is_dense=False,
     )
-
-
-def flatten(message: Any, options: ReaderOptions | None = None) -> Float32:
-    return convert_cloud(options or ReaderOptions(), message, "/cloud", 7).ranges
-
-
-def sector(bearing: float) -> int:
-    return math.floor((bearing + math.pi) / (2 * math.pi) * BEARINGS) % BEARINGS
 
 
 @both
@@ -93,49 +84,71 @@ def test_one_echo_of_each_beam(store: Typestore, echo: Echo, expected: list[floa
     )
 
 
+def decode(message: Any) -> list[list[float]]:
+    points: list[list[float]] = convert_cloud(message, "/cloud", 7).points.tolist()
+    return points
+
+
 @both
-@pytest.mark.parametrize("form", ["<f4", ">f4", "<f8"])
-def test_the_nearest_point_of_a_bearing(store: Typestore, form: str) -> None:
-    points = [(3.0, 0.001, 0.0), (2.0, 0.001, 0.1), (0.0, -5.0, -0.1), (-4.0, 0.001, 0.0)]
+@pytest.mark.parametrize("form", ["<f4", ">f4", "<f8", ">f8", "<i2"])
+def test_points_in_any_form(store: Typestore, form: str) -> None:
+    points = [(3.0, 1.0, 0.0), (2.0, 5.0, -1.0), (0.0, 0.0, 0.0)]
 
-    found = convert_cloud(ReaderOptions(), cloud(store, points, form), "/cloud", 7)
+    found = convert_cloud(cloud(store, points, form), "/cloud", 7)
 
-    expected = np.full(BEARINGS, np.inf, np.float32)
-    expected[[sector(0.0003), sector(-math.pi / 2), sector(math.pi - 0.0003)]] = [2, 5, 4]
-    np.testing.assert_allclose(found.ranges, expected, rtol=1e-6)
-    hit = int(np.argmin(found.ranges))
-    bearing = found.angle_min + hit * found.angle_increment
-    assert bearing == pytest.approx(0.0, abs=found.angle_increment)
+    assert found.points.dtype == np.float32
+    assert found.points.tolist() == [list(point) for point in points]
     assert (found.frame, found.stamp_ns, found.topic) == ("lidar", SECOND, "/cloud")
+    assert found.offset_ns is None
 
 
-def test_only_points_between_the_heights_count() -> None:
-    message = cloud(ROS2, [(1.0, 0.1, -0.5), (2.0, 0.1, 0.5), (3.0, 0.1, 1.5)])
-
-    assert flatten(message, ReaderOptions(min_height=0.0, max_height=1.0)).min() == pytest.approx(
-        math.hypot(2.0, 0.1)
-    )
-    assert np.isinf(flatten(message)).all()
-
-
-def test_points_that_are_none() -> None:
+def test_points_that_are_none_stay_as_their_driver_wrote_them() -> None:
     nothing = [(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0), (math.inf, 1.0, 0.0)]
 
-    assert np.isinf(flatten(cloud(ROS2, nothing))).all()
-    assert np.isinf(flatten(cloud(ROS2, []))).all()
-    assert np.isinf(flatten(cloud(ROS2, [(1e300, 0.0, 0.0)], "<f8"))).all()
+    np.testing.assert_array_equal(decode(cloud(ROS2, nothing)), nothing)
+    assert decode(cloud(ROS2, [])) == []
+    assert decode(cloud(ROS2, [(1e300, 0.0, 0.0)], "<f8")) == [[math.inf, 0.0, 0.0]]
 
 
 def test_an_organised_cloud_with_padded_rows() -> None:
-    message = cloud(ROS2, [(2.0, 0.1, 0.0), (9.0, 9.0, 9.0), (-3.0, 0.1, 0.0), (9.0, 9.0, 9.0)])
+    message = cloud(ROS2, [(2.0, 0.5, 0.0), (9.0, 9.0, 9.0), (-3.0, 0.5, 0.0), (9.0, 9.0, 9.0)])
     message.height, message.width, message.row_step = 2, 1, 2 * message.point_step
 
-    assert np.isfinite(flatten(message)).sum() == 2
+    assert decode(message) == [[2.0, 0.5, 0.0], [-3.0, 0.5, 0.0]]
 
 
-def test_heights_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(UsageError, match="`min_height` below the `max_height`"):
-        ReaderOptions(min_height=1.0, max_height=1.0)
+NOW, TENTH = 1_700_000_000_000_000_000, 100_000_000
+
+
+@pytest.mark.parametrize(
+    ("times", "expected"),
+    [
+        (np.array([0, TENTH // 2, TENTH], "u4"), [0, TENTH // 2, TENTH]),  # Ouster, ns
+        (np.array([0, 50_000, 100_000], "u4"), [0, TENTH // 2, TENTH]),  # us
+        (np.array([-0.125, -0.0625, 0.0], "f4"), [-TENTH * 5 // 4, -TENTH * 5 // 8, 0]),  # s
+        (NOW / 1e9 + np.array([0.0, 0.5, 0.75]), [0, 5 * TENTH, TENTH * 15 // 2]),  # a clock's
+        (NOW + np.array([0.0, 512.0, TENTH]), [0, 512, TENTH]),  # likewise, in ns
+        (1.5e9 + np.array([0.0, 0.5, 0.75]), [0, 5 * TENTH, TENTH * 15 // 2]),  # another clock's
+        (np.array([0.0, 0.1, 1.5], "f4"), None),  # no sweep takes so long
+        (np.array([math.nan] * 3, "f4"), None),
+        (np.zeros(3, "u4"), None),
+    ],
+)
+def test_times_of_points_in_any_unit(times: Any, expected: list[int] | None) -> None:
+    points = np.ones((3, 3), np.float32)
+
+    found, _ = find_offsets(times, points, NOW)
+
+    assert (found if found is None else found.tolist()) == expected
+
+
+def test_points_without_a_return_tell_no_time() -> None:
+    points = np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [3.0, 1.0, 0.0]], np.float32)
+
+    found, _ = find_offsets(np.array([0, 2**32 - 1, TENTH], "u4"), points, SECOND)
+
+    assert found is not None
+    assert found.tolist() == [0, 0, TENTH]
 
 
 def test_clouds_are_used_where_there_are_no_scans_or_on_request(tmp_path: Path) -> None:
@@ -147,25 +160,17 @@ def test_clouds_are_used_where_there_are_no_scans_or_on_request(tmp_path: Path) 
     assert choose_topics(alone, ()) == ["/points"]
     assert choose_topics(beside, ()) == ["/scan"]
     assert choose_topics(beside, ["/points"]) == ["/points"]
-    assert len(list(beside.scans({"/points"}))) == 1
+    assert len(list(read_recorded(beside, ["/points"]))) == 1
     with pytest.raises(LogError, match="it has scans on /scan, /points"):
         choose_topics(beside, ["/other"])
 
 
 def test_what_the_user_chose_reaches_the_reader(tmp_path: Path) -> None:
-    log = [
-        Written("/echo", SECOND, echoes(ROS2, [[1.0, 2.0]])),
-        Written("/points", SECOND, cloud(ROS2, [(2.0, 0.1, 3.0)])),
-    ]
-    path = write_mcap(tmp_path / "both.mcap", log)
-    options = BuildOptions(reading=ReaderOptions(Echo.LAST, 2.0, 4.0))
+    path = write_mcap(tmp_path / "log.mcap", [Written("/echo", SECOND, echoes(ROS2, [[1.0, 2.0]]))])
 
-    by_topic = {
-        s.topic: s.ranges for s in open_log(path, options.reading).scans({"/echo", "/points"})
-    }
+    (found,) = open_log(path, ReaderOptions(Echo.LAST)).scans({"/echo"})
 
-    assert by_topic["/echo"].tolist() == [2.0]
-    assert np.isfinite(by_topic["/points"]).sum() == 1
+    assert found.ranges.tolist() == [2.0]
 
 
 @pytest.mark.parametrize("change", [{"point_step": 3}, {"width": 1000}, {"fields": []}])
@@ -175,5 +180,5 @@ def test_a_cloud_that_lies_is_counted_as_damaged(tmp_path: Path, change: dict[st
         setattr(message, name, value)
     log = open_log(write_mcap(tmp_path / "bad.mcap", [Written("/points", SECOND, message)]))
 
-    assert list(log.scans({"/points"})) == []
+    assert list(read_recorded(log, ["/points"])) == []
     assert "1 of 1 messages on /points are damaged" in log.notes[0].text

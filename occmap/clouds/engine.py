@@ -1,0 +1,139 @@
+"""The engine of clouds: hits and misses of cells, cloud by cloud, over ground that is known."""
+
+from threading import Lock
+
+import numpy as np
+
+from occmap.cells import Ground, Slices
+from occmap.clouds.ground import index_blocks
+from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks
+from occmap.clouds.kernels.heights import COLUMN_MM, Cloud, find_reach
+from occmap.clouds.kernels.tracing import COUNTS, SECTORS, Band, Canvas, lay_ground, trace_cloud
+from occmap.clouds.options import CloudOptions
+from occmap.clouds.posed import list_clouds
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
+from occmap.types import Float64, Int32, Int64, PosedScans
+
+LEVEL_M = 8.0
+"""Nearer than this the clearance is as the user says."""
+SHORTEST_M = 0.05
+"""Nearer points are no returns."""
+FIRST_TILES = 64
+POINT_KINDS = ("ground", "obstacle", "above", "below", "too far", "no return")
+"""What becomes of points, in the order of the kernel's counts"""
+
+
+class Sheet:
+    """A canvas of one thread: it grows by the tiles that clouds reach and that have ground."""
+
+    def __init__(self, lattice: Lattice, blocks: Blocks, height: Int32, box: CellBox) -> None:
+        self.lattice, self.blocks, self.height = lattice, blocks, height
+        table = np.full(box.shape, -2, np.int32)
+        self.canvas = allocate(table, np.array(box[:2], np.int64), FIRST_TILES)
+        self.used = 0
+        self.counts = np.zeros(COUNTS, np.int64)
+        self.touched = np.zeros(0, np.int32)
+
+    def reach(self, origin: Float64, metres: float) -> None:
+        """Lay out the tiles up to so far from a place."""
+        box = self.lattice.enclose(origin[None, :2], metres).align(TILE).shrink(TILE)
+        table, corner = self.canvas.table, self.canvas.corner
+        low = np.maximum(np.array(box[:2]) - corner, 0)
+        high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
+        inside = np.concatenate([low, high])
+        resolution = self.lattice.resolution
+        while True:
+            used = lay_ground(self.blocks, self.height, self.canvas, inside, resolution, self.used)
+            if used >= 0:
+                self.used = used
+                return
+            self.used = -1 - used
+            grown = allocate(table, corner, 2 * self.used)
+            for layer in ("counts", "state", "ground", "base"):
+                getattr(grown, layer)[: self.used] = getattr(self.canvas, layer)
+            self.canvas = grown
+
+    def observe(self, cloud: Cloud, band: Band, farthest: float) -> None:
+        """Observe the cells of one cloud, whose points lie up to so far from the sensor (m)."""
+        self.reach(cloud.origin, farthest)
+        cells = int(farthest / self.lattice.resolution) + 2
+        room = min(len(cloud.points) + SECTORS * 2 * cells, self.used * TILE * TILE)
+        if len(self.touched) < room:
+            self.touched = np.empty(room, np.int32)
+        scale = self.lattice.units_per_metre
+        trace_cloud(cloud, band, self.canvas, scale, self.touched, self.counts)
+
+    def read(self) -> tuple[Int64, Int32]:
+        """The places of tiles in which something was observed, and their cells."""
+        table = self.canvas.table
+        places = np.empty((self.used, 2), np.int64)
+        places[table[table >= 0]] = np.argwhere(table >= 0) + self.canvas.corner
+        cells = self.canvas.counts[: self.used].reshape(-1, 2, TILE, TILE)
+        seen = cells.any(axis=(1, 2, 3))
+        return places[seen], cells[seen]
+
+
+def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
+    """Make a canvas with room for so many tiles."""
+    size = TILE * TILE
+    return Canvas(
+        table,
+        corner,
+        np.zeros((tiles, 2, size), np.int32),
+        np.zeros((tiles, size), np.uint8),
+        np.zeros((tiles, size), np.int16),
+        np.zeros(tiles, np.int32),
+    )
+
+
+class CloudEngine:
+    """Adds up what clouds observe over the ground; any number of threads may call `add`."""
+
+    def __init__(
+        self, lattice: Lattice, options: CloudOptions, ground: Ground, limits: tuple[float, float]
+    ) -> None:
+        """Observe points between two distances from the sensor (m)."""
+        self.grid = TileGrid(lattice, EvidenceKind.COUNTS)
+        self.ground = ground
+        blocks = index_blocks(ground.blocks)
+        # A table of its own for each thread, of tiles around all ground.
+        columns = np.stack([blocks.places.min(axis=0), blocks.places.max(axis=0) + 1])
+        metres = columns[:, ::-1] * (BLOCK * COLUMN_MM / 1000)
+        self._box = lattice.enclose(metres).align(TILE).shrink(TILE)
+        height = np.ascontiguousarray(ground.height_mm).reshape(-1)
+        if not len(ground.blocks):
+            height = np.full(BLOCK**2, NO_GROUND, np.int32)
+        self._surface = lattice, blocks, height
+        low, high = round(options.min_height * 1000), round(options.max_height * 1000)
+        nearest, farthest = max(limits[0], SHORTEST_M), limits[1]
+        self._band = Band(low, high, options.range_margin * 1000, LEVEL_M, nearest, farthest)
+        self._idle: list[Sheet] = []
+        self._lock = Lock()
+
+    def add(self, posed: PosedScans) -> None:
+        """Observe the cells of some clouds."""
+        with self._lock:
+            sheet = self._idle.pop() if self._idle else Sheet(*self._surface, self._box)
+        for cloud in list_clouds(posed):
+            sheet.observe(cloud, self._band, min(find_reach(cloud), self._band.farthest))
+        with self._lock:
+            self._idle.append(sheet)
+
+    @property
+    def points(self) -> dict[str, int]:
+        """What became of all points so far, by kind."""
+        counts = sum((sheet.counts for sheet in self._idle), np.zeros(COUNTS, np.int64))
+        return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
+
+    def finish(self) -> TileGrid:
+        """Give the evidence; nothing more may be added."""
+        for sheet in self._idle:
+            places, cells = sheet.read()
+            bound = int(cells.max(initial=0))
+            self.grid.add(view_tiles(places, cells), bound)
+        return self.grid
+
+    def read_slices(self) -> tuple[Slices, ...]:
+        """No slices of time: this engine keeps none."""
+        return ()

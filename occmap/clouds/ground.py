@@ -1,0 +1,271 @@
+"""The ground below a drive: found from all clouds before any of them is traced."""
+
+from collections.abc import Sequence
+from itertools import product
+from threading import Lock
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.cells import Ground
+from occmap.clouds.kernels import growth, heights
+from occmap.clouds.kernels.growth import BLOCK, BLOCK_BITS, NO_GROUND, Blocks, Peaks
+from occmap.clouds.kernels.heights import BIN_MM, COLUMN_MM, EMPTY, WIDE, Histogram, Near
+from occmap.clouds.options import FLAT, CloudOptions
+from occmap.clouds.posed import list_clouds
+from occmap.errors import MapError
+from occmap.types import Bool, Float64, Int32, Int64, PosedScans, ScanBatch, UInt8
+
+LIMITS = Near(least=0.0, near=12.0, far=60.0, rise=0.3, deepest=3.0)
+"""Up to 12 m poses are off by a few centimetres; farther points count where there are no others."""
+POINTS_A_CLOUD = 25_000
+"""About so many points of each cloud are counted, or a quarter: whichever is more."""
+LEAST_SHARE = 0.25
+LEAST_DEPTH, MOST_DEPTH = 100, 3000
+"""The ground lies so far below a sensor (mm)."""
+BESIDE, UNDER = 7, 2
+"""Columns beside the path that the ground grows from, and those that the robot stands on"""
+STEP_MM = 80
+"""The ground of a column is at most this far from the mean of what is beside it."""
+REACHES = (1, 2, 4)
+"""How far the ground reaches over columns without points (columns), one after the other"""
+FILLED = 10
+"""Columns so far from measured ground have ground"""
+NO_FLOOR = "no ground is seen below the sensor along its way"
+GIVE_HEIGHT = "give `sensor_height=0.6`, or a plane: `ground=flat` `sensor_height=0.6`"
+SHORT_MM = 150
+"""The path is taken at steps of about this length."""
+
+
+def is_counted(stamp_ns: int, points: int) -> bool:
+    """Whether a cloud shows the ground, by its stamp and its number of points.
+
+    The choice is the same however logs are cut into batches and parts, and as good as random.
+    """
+    drawn = (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
+    return drawn < max(POINTS_A_CLOUD / max(points, 1), LEAST_SHARE)
+
+
+class GroundFinder:
+    """Counts heights of points in columns; any number of threads may call `add`."""
+
+    def __init__(self) -> None:
+        self._idle: list[Histogram] = []
+        self._path: list[Float64] = []
+        self._lock = Lock()
+
+    def wants(self, batch: ScanBatch) -> bool:
+        """Whether the clouds of a batch are among those that are counted."""
+        points = sum(len(cloud.points) for cloud in batch.clouds or ())
+        return is_counted(int(batch.stamp_ns[0]), points)
+
+    def add(self, posed: PosedScans) -> None:
+        """Count the points of some clouds."""
+        with self._lock:
+            table = self._idle.pop() if self._idle else make_table(1 << 14)
+        path = []
+        for cloud in list_clouds(posed):
+            start = 0
+            while (start := heights.count_heights(cloud, LIMITS, table, start)) < len(cloud.points):
+                table = grow_table(table, 4 * len(table.keys))
+            path.append(cloud.origin)
+        with self._lock:
+            self._idle.append(table)
+            self._path += path
+
+    def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
+        """Find the ground below the drive, and say what there is to say of it.
+
+        Parameters
+        ----------
+        known
+            Ground that stays as it is, from where more grows.
+
+        Raises
+        ------
+        MapError
+            No ground is found.
+        """
+        table = self._idle[0] if self._idle else make_table(1)
+        for other in self._idle[1:]:
+            size = 1 << (2 * int(table.used[0] + other.used[0])).bit_length()
+            table = grow_table(table, max(size, len(table.keys)))
+            heights.add_histogram(other.keys, other.counts, table)
+        self._idle = [table]
+        path = thin_path(np.array(self._path).reshape(-1, 3))
+        return find_ground(table, path, options, known)
+
+
+def make_table(size: int) -> Histogram:
+    """Make an empty table; its size is a power of two."""
+    keys = np.full(size, EMPTY, np.int64)
+    return Histogram(keys, np.zeros((size, heights.BINS), np.int32), np.zeros(1, np.int64))
+
+
+def grow_table(table: Histogram, size: int) -> Histogram:
+    """Copy a table to one with room for more."""
+    grown = make_table(size)
+    heights.add_histogram(table.keys, table.counts, grown)
+    return grown
+
+
+def thin_path(path: Float64) -> Int64:
+    """Take one place of the sensor of each column and height, in mm (P, 3), in ascending order."""
+    # Of several the least counts, not the first: threads hand them over in any order.
+    rounded = np.unique(np.rint(path * 1000).astype(np.int64), axis=0)
+    _, first = np.unique(rounded // SHORT_MM, axis=0, return_index=True)
+    return rounded[first]
+
+
+class Columns(NamedTuple):
+    """What points show of columns."""
+
+    blocks: Blocks
+    peaks: Peaks
+    tall: UInt8
+    """(C,) whether a wall stands there"""
+    filled: int
+    """How many columns hold points"""
+
+
+def find_ground(
+    table: Histogram, path: Int64, options: CloudOptions, known: Ground | None
+) -> tuple[Ground, list[str]]:
+    """Find the ground from counted heights and from where the sensor went (P, 3; mm).
+
+    Raises
+    ------
+    MapError
+        No ground is found.
+    """
+    columns = read_columns(table, known)
+    blocks, peaks, tall, filled = columns
+    depth, spread = measure_depth(columns, path, options.sensor_height)
+    if options.ground == FLAT:
+        return make_flat(path, depth), []
+    height, stood = np.full(len(tall), NO_GROUND, np.int32), np.zeros(len(tall), np.uint8)
+    span = np.array([BESIDE, UNDER, depth - spread, depth + spread], np.int64)
+    growth.seed_ground(blocks, peaks, path, span, height, stood)
+    lay_known(blocks, known, height, stood)
+    for reach in REACHES:
+        if growth.grow_ground(blocks, peaks, height, STEP_MM, reach) and reach > 1:
+            growth.grow_ground(blocks, peaks, height, STEP_MM, 1)
+    base = np.empty_like(height)
+    growth.drop_raised(blocks, height, stood, tall, base)
+    measured = base != NO_GROUND
+    if not measured.any():
+        raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
+    growth.fill_ground(blocks, base, tall, FILLED)
+    note = (
+        f"the sensor is {depth / 1000:.2f} m above the ground, which was found for "
+        f"{np.count_nonzero(measured):,} of {filled:,} columns of 0.15 m"
+    )
+    return pack_ground(blocks, base, measured), [note]
+
+
+def read_columns(table: Histogram, known: Ground | None) -> Columns:
+    """Read what was counted of columns, and lay them out in blocks."""
+    kept = np.flatnonzero(table.keys != EMPTY)
+    kept = kept[np.argsort(table.keys[kept])]
+    keys, counts = table.keys[kept], table.counts[kept]
+    layers = [(keys[keys & 1 == layer], counts[keys & 1 == layer]) for layer in (0, 1)]
+    listed, peaks = list_peaks(layers)
+    every = np.unique(keys >> 20)
+    blocks = make_blocks(np.stack([(every >> 21) - WIDE, every % (2 * WIDE) - WIDE], axis=1), known)
+    size = len(blocks.places) << 2 * BLOCK_BITS
+    tall = np.zeros(size, np.uint8)
+    peaks = peaks._replace(first=np.zeros(size, np.int32), many=np.zeros(size, np.int32))
+    column, near = np.concatenate(listed), len(listed[0])
+    growth.index_peaks(blocks, column, peaks, 0, near)
+    growth.index_peaks(blocks, column, peaks, near, len(column))
+    for layer_keys, layer_counts in layers:
+        growth.mark_tall(blocks, layer_keys, layer_counts, tall)
+    return Columns(blocks, peaks, tall, len(every))
+
+
+def list_peaks(layers: Sequence[tuple[Int64, Int32]]) -> tuple[list[Int64], Peaks]:
+    """List the columns of all peaks, layer by layer, and the peaks."""
+    columns: list[Int64] = []
+    levels: list[Int32] = []
+    weights: list[Int32] = []
+    for keys, counts in layers:
+        room = 8 * len(keys) + 8
+        column, height = np.empty(room, np.int64), np.empty(room, np.int32)
+        weight = np.empty(room, np.int32)
+        found = heights.list_peaks(keys, counts, column, height, weight)
+        columns.append(column[:found].copy())
+        levels.append(height[:found].copy())
+        weights.append(weight[:found].copy())
+    none = np.zeros(0, np.int32)
+    return columns, Peaks(none, none, np.concatenate(levels), np.concatenate(weights))
+
+
+def make_blocks(columns: Int64, known: Ground | None) -> Blocks:
+    """Lay out blocks around columns (N, 2), with room for what is filled beside them."""
+    held = np.unique(columns >> BLOCK_BITS, axis=0)
+    around = [held + np.array(way) for way in product((-1, 0, 1), repeat=2)]
+    if known is not None:
+        around.append(known.blocks)
+    return index_blocks(np.unique(np.concatenate(around), axis=0))
+
+
+def index_blocks(places: Int64) -> Blocks:
+    """Make the table of blocks (B, 2), at least one."""
+    places = places if len(places) else np.zeros((1, 2), np.int64)
+    corner = places.min(axis=0)
+    table = np.full(places.max(axis=0) - corner + 1, -1, np.int32)
+    table[tuple((places - corner).T)] = np.arange(len(places))
+    return Blocks(table, corner, places)
+
+
+def measure_depth(columns: Columns, path: Int64, sensor_height: float | None) -> tuple[int, int]:
+    """Measure how far below the sensor the ground lies, and how much that differs (mm).
+
+    It is the median of the lowest peaks beside the path.
+
+    Raises
+    ------
+    MapError
+        Nothing lies below it.
+    """
+    if sensor_height is not None:
+        return round(sensor_height * 1000), 150
+    depths = np.zeros(MOST_DEPTH // BIN_MM + 1, np.int64)
+    span = np.array([BESIDE, LEAST_DEPTH, MOST_DEPTH], np.int64)
+    growth.count_depths(columns.blocks, columns.peaks, path, span, depths)
+    if not depths.any():
+        raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
+    middle = np.arange(len(depths)) * BIN_MM + BIN_MM // 2
+    half = depths.sum() / 2
+    depth = int(middle[np.searchsorted(np.cumsum(depths), half)])
+    off = np.abs(middle - depth)
+    order = np.argsort(off, kind="stable")
+    deviation = int(off[order][np.searchsorted(np.cumsum(depths[order]), half)])
+    return depth, int(np.clip(4 * deviation + 60, 100, 450))
+
+
+def lay_known(blocks: Blocks, known: Ground | None, height: Int32, stood: UInt8) -> None:
+    """Put ground that is known in its place, where it stays as if the robot had stood there."""
+    if known is not None:
+        at = blocks.table[tuple((known.blocks - blocks.corner).T)]
+        for mine, its in ((height, known.height_mm), (stood, np.uint8(1))):
+            rows = mine.reshape(len(blocks.places), -1)
+            rows[at] = np.where(known.measured, its, rows[at])
+
+
+def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:
+    """Keep the blocks that have ground."""
+    levels, seen = (each.reshape(len(blocks.places), -1) for each in (height, measured))
+    kept = (levels != NO_GROUND).any(axis=1)
+    return Ground(blocks.places[kept], levels[kept], seen[kept])
+
+
+def make_flat(path: Int64, depth: int) -> Ground:
+    """Make a plane so far below a path (P, 3), as far as points count; all in mm."""
+    side, reach = COLUMN_MM * BLOCK, round(LIMITS.far * 1000)
+    low, high = (path.min(axis=0) - reach) // side, (path.max(axis=0) + reach) // side
+    rows, cols = (np.arange(low[axis], high[axis] + 1) for axis in (1, 0))
+    places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+    level = int(np.median(path[:, 2])) - depth
+    height = np.full((len(places), BLOCK**2), level, np.int32)
+    return Ground(places, height, np.ones(height.shape, np.bool_))

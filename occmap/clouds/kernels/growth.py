@@ -1,0 +1,312 @@
+"""The ground: columns in blocks, what grows from under the path, and what is filled beside it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.clouds.kernels.heights import BIN_MM, BINS, COLUMN_MM, WIDE
+from occmap.jit import kernel, step
+from occmap.types import Int32, Int64, UInt8
+
+BLOCK_BITS = 6
+BLOCK = 1 << BLOCK_BITS
+"""Columns along the side of a block."""
+NO_GROUND = -(1 << 30)
+"""A column without ground."""
+
+
+class Blocks(NamedTuple):
+    """Where columns lie in flat arrays, block by block."""
+
+    table: Int32
+    """(R, C) number of each block, or -1"""
+    corner: Int64
+    """(2,) row and column of the first block"""
+    places: Int64
+    """(B, 2) row and column of each block"""
+
+
+@step
+def find_column(blocks: Blocks, row: int, col: int) -> int:
+    """Where a column lies in flat arrays; -1 where no block has it."""
+    up, right = (row >> BLOCK_BITS) - blocks.corner[0], (col >> BLOCK_BITS) - blocks.corner[1]
+    if up < 0 or right < 0 or up >= blocks.table.shape[0] or right >= blocks.table.shape[1]:
+        return -1
+    block: int = blocks.table[up, right]
+    if block < 0:
+        return -1
+    return (block << 2 * BLOCK_BITS) | ((row & (BLOCK - 1)) << BLOCK_BITS) | (col & (BLOCK - 1))
+
+
+@step
+def place_row(blocks: Blocks, at: int) -> int:
+    """The row of a column by where it lies."""
+    block: int = blocks.places[at >> 2 * BLOCK_BITS, 0]
+    return (block << BLOCK_BITS) | ((at >> BLOCK_BITS) & (BLOCK - 1))
+
+
+@step
+def place_col(blocks: Blocks, at: int) -> int:
+    """The column of a column by where it lies."""
+    block: int = blocks.places[at >> 2 * BLOCK_BITS, 1]
+    return (block << BLOCK_BITS) | (at & (BLOCK - 1))
+
+
+class Peaks(NamedTuple):
+    """The peaks of columns, lowest first."""
+
+    first: Int32
+    """(C,) the first peak of each column of the blocks"""
+    many: Int32
+    """(C,) how many it has"""
+    height: Int32
+    """(P,) mm"""
+    weight: Int32
+    """(P,) points"""
+
+
+@kernel
+def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks, start: int, end: int) -> None:
+    """Say which peaks each column has, of those from `start` to `end`, unless it has some."""
+    i = start
+    while i < end:
+        stop = i + 1
+        while stop < end and column[stop] == column[i]:
+            stop += 1
+        row, col = (column[i] >> 21) - WIDE, (column[i] & (2 * WIDE - 1)) - WIDE
+        at = find_column(blocks, row, col)
+        if at >= 0 and peaks.many[at] == 0:
+            peaks.first[at], peaks.many[at] = i, stop - i
+        i = stop
+
+
+@kernel
+def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths: Int64) -> None:
+    """Count how far the lowest peaks beside a path lie below the sensor.
+
+    Parameters
+    ----------
+    path
+        (P, 3) x, y, z of the sensor (mm).
+    span
+        (3,) how far beside it columns count (columns), least and greatest depth (mm).
+    depths
+        (D,) counts by `BIN_MM`.
+    """
+    beside, least, most = span
+    for i in range(len(path)):
+        row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
+        for up in range(-beside, beside + 1):
+            for right in range(-beside, beside + 1):
+                if up * up + right * right > beside * beside:
+                    continue
+                at = find_column(blocks, row + up, col + right)
+                if at < 0:
+                    continue
+                for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
+                    depth = path[i, 2] - peaks.height[k]
+                    if depth < least:
+                        break
+                    if depth <= most:
+                        depths[depth // BIN_MM] += 1
+                        break
+
+
+@kernel
+def seed_ground(
+    blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, height: Int32, stood: UInt8
+) -> None:
+    """Take as ground what lies as deep below the sensor as the ground does; lowest first.
+
+    Parameters
+    ----------
+    span
+        (4,) how far beside the path columns count, how far the robot stands (columns), least and
+        greatest depth (mm).
+    height, stood
+        (C,) of columns; filled.
+    """
+    beside, under, least, most = span
+    for i in range(len(path)):
+        row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
+        for up in range(-beside, beside + 1):
+            for right in range(-beside, beside + 1):
+                apart = up * up + right * right
+                if apart > beside * beside:
+                    continue
+                at = find_column(blocks, row + up, col + right)
+                if at < 0:
+                    continue
+                if apart <= under * under:
+                    stood[at] = 1
+                for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
+                    depth = path[i, 2] - peaks.height[k]
+                    if least <= depth <= most:
+                        if height[at] == NO_GROUND or peaks.height[k] < height[at]:
+                            height[at] = peaks.height[k]
+                        break
+
+
+@step
+def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
+    """The mean height of the measured columns up to `reach` away (mm)."""
+    row, col = place_row(blocks, at), place_col(blocks, at)
+    total, many = 0, 0
+    for up in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            near = find_column(blocks, row + up, col + right)
+            if near >= 0 and height[near] != NO_GROUND:
+                total += height[near]
+                many += 1
+    if many == 0:
+        return NO_GROUND
+    return (2 * total + many) // (2 * many)
+
+
+@kernel
+def grow_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, reach: int) -> int:
+    """Let the ground grow, in rounds, to columns up to `reach` away; return to how many.
+
+    A column takes its lowest peak within `step_mm` of the mean of those beside it.
+    """
+    size = height.size
+    queued = np.zeros(size, np.uint8)
+    front = np.empty(size, np.int64)
+    fresh = np.empty(size, np.int64)
+    taken = np.empty(size, np.int32)
+    fronts, grown = 0, 0
+    for at in range(size):
+        if height[at] != NO_GROUND:
+            front[fronts] = at
+            fronts += 1
+    while fronts:
+        many = 0
+        for i in range(fronts):
+            row, col = place_row(blocks, front[i]), place_col(blocks, front[i])
+            for up in range(-reach, reach + 1):
+                for right in range(-reach, reach + 1):
+                    at = find_column(blocks, row + up, col + right)
+                    if at < 0 or queued[at] or height[at] != NO_GROUND or not peaks.many[at]:
+                        continue
+                    queued[at] = 1
+                    fresh[many] = at
+                    many += 1
+        for i in range(many):
+            at = fresh[i]
+            queued[at] = 0
+            taken[i] = NO_GROUND
+            mean, most = mean_beside(blocks, height, at, reach), 0
+            for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
+                if abs(peaks.height[k] - mean) <= step_mm:
+                    most = max(most, peaks.weight[k])
+            for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
+                if abs(peaks.height[k] - mean) <= step_mm and peaks.weight[k] * 10 >= most:
+                    taken[i] = peaks.height[k]
+                    break
+        fronts = 0
+        for i in range(many):
+            if taken[i] != NO_GROUND:
+                height[fresh[i]] = taken[i]
+                front[fronts] = fresh[i]
+                fronts += 1
+        grown += fronts
+    return grown
+
+
+@kernel
+def mark_tall(blocks: Blocks, keys: Int64, counts: Int32, flags: UInt8) -> None:
+    """Flag columns in which points lie over one another for about a metre: walls."""
+    start = 0
+    while start < keys.size:
+        stop = start + 1
+        while stop < keys.size and keys[stop] >> 20 == keys[start] >> 20:
+            stop += 1
+        row, col = (keys[start] >> 41) - WIDE, ((keys[start] >> 20) & (2 * WIDE - 1)) - WIDE
+        at = find_column(blocks, row, col)
+        filled, longest = 0, 0
+        for i in range(start, stop):
+            many = 0
+            for j in range(BINS):
+                many += counts[i, j] > 0
+            follows = i > start and keys[i] >> 1 == (keys[i - 1] >> 1) + 1
+            filled = 0 if many < 2 else filled + 1 if follows else 1
+            longest = max(longest, filled)
+        if at >= 0 and longest >= 4:
+            flags[at] = 1
+        start = stop
+
+
+@step
+def is_walled(blocks: Blocks, tall: UInt8, row: int, col: int, up: int, right: int) -> bool:
+    """Whether a tall column lies on the way from a column to one beside it."""
+    steps = max(abs(up), abs(right))
+    for k in range(steps + 1):
+        rise, run = (2 * k * up + steps) // (2 * steps), (2 * k * right + steps) // (2 * steps)
+        at = find_column(blocks, row + rise, col + run)
+        if at >= 0 and tall[at]:
+            return True
+    return False
+
+
+@kernel
+def drop_raised(blocks: Blocks, height: Int32, stood: UInt8, tall: UInt8, base: Int32) -> None:
+    """Take low things that stand on the ground out of it: pallets, low boxes.
+
+    A column that stands 6 cm + 0.12 of the distance above one within half a metre, and less than
+    30 cm, is none, unless the robot stood there; it takes the lowest beside it.
+
+    Parameters
+    ----------
+    height
+        (C,) mm, as found.
+    base
+        (C,) filled: the ground without them.
+    """
+    for at in range(height.size):
+        base[at] = height[at]
+        if height[at] == NO_GROUND or stood[at]:
+            continue
+        row, col = place_row(blocks, at), place_col(blocks, at)
+        lowest = height[at]
+        for up in range(-3, 4):
+            for right in range(-3, 4):
+                near = find_column(blocks, row + up, col + right)
+                if near < 0 or height[near] == NO_GROUND:
+                    continue
+                apart = np.sqrt(float(up * up + right * right)) * COLUMN_MM
+                above = height[at] - height[near]
+                if 60 + 0.12 * apart < above < 300 and height[near] < lowest:
+                    if is_walled(blocks, tall, row, col, up, right):
+                        continue
+                    lowest = height[near]
+        base[at] = lowest
+
+
+@kernel
+def fill_ground(blocks: Blocks, height: Int32, tall: UInt8, rounds: int) -> None:
+    """Fill columns without ground by the mean of those beside them, one ring a round.
+
+    What a tall column holds is handed on in the second half of the rounds only: else the ground of
+    one side of a wall would come to the other.
+    """
+    size = height.size
+    front, taken = np.empty(size, np.int64), np.empty(size, np.int32)
+    queued = np.zeros(size, np.uint8)
+    for turn in range(rounds):
+        many = 0
+        for at in range(size):
+            if height[at] == NO_GROUND or (tall[at] and 2 * turn < rounds):
+                continue
+            row, col = place_row(blocks, at), place_col(blocks, at)
+            for up in range(-1, 2):
+                for right in range(-1, 2):
+                    near = find_column(blocks, row + up, col + right)
+                    if near >= 0 and height[near] == NO_GROUND and not queued[near]:
+                        queued[near] = 1
+                        front[many] = near
+                        many += 1
+        for i in range(many):
+            queued[front[i]] = 0
+            taken[i] = mean_beside(blocks, height, front[i], 1)
+        for i in range(many):
+            height[front[i]] = taken[i]

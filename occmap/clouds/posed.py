@@ -1,0 +1,36 @@
+"""Clouds as kernels take them: points, and the poses that they were measured from."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from occmap.clouds.kernels.heights import Cloud
+from occmap.types import Cloud as RecordedCloud
+from occmap.types import Int32, PosedScans
+
+ALL_AT_ONCE = np.zeros(0, np.int32)
+"""All points of a cloud have one pose."""
+
+
+def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
+    """List clouds with their poses, one for each cloud or several over its time."""
+    place = np.concatenate(
+        [posed.rotation, posed.position[..., None]], axis=-1
+    )  # (S, 3, 4) or (S, M, 3, 4)
+    if place.ndim == 3:
+        place = place[:, None]
+    middle = place[:, place.shape[1] // 2, :, 3]
+    origins = np.ascontiguousarray(middle if posed.origin is None else posed.origin)
+    for cloud, poses, origin in zip(posed.batch.clouds or (), place, origins, strict=True):
+        yield Cloud(cloud.points, find_moments(cloud, len(poses)), poses, origin)
+
+
+def find_moments(cloud: RecordedCloud, moments: int) -> Int32:
+    """Find which of a cloud's poses each of its points has (N,); empty where there is one."""
+    offset_ns = cloud.offset_ns
+    if moments == 1 or offset_ns is None:
+        return ALL_AT_ONCE
+    start, stop = int(offset_ns.min()), int(offset_ns.max())
+    share = (offset_ns - start) * ((moments - 1) / max(stop - start, 1))
+    nearest: Int32 = np.rint(share).astype(np.int32)
+    return nearest
