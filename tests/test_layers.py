@@ -22,7 +22,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
 SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values"}
-SHARED |= {"report.notes", "report.printed", "report.words"}
+SHARED |= {"report.printed", "report.words"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},

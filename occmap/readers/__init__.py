@@ -15,8 +15,8 @@ from typing import Protocol, cast, runtime_checkable
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
-from occmap.report.notes import Note as Note
-from occmap.report.notes import NoteList as NoteList
+from occmap.report.words import Note as Note
+from occmap.report.words import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 
 DEFAULT_OPTIONS = ReaderOptions()
