@@ -4,14 +4,16 @@ Points stay as their driver wrote them, with NaN or zeros where nothing came bac
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from io import BytesIO
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.errors import DamageError
+from occmap.errors import DamageError, LogError
+from occmap.readers import NoteList
 from occmap.readers.fields import (
     get,
     get_bytes,
@@ -180,6 +182,29 @@ def find_time_unit(low: float, high: float) -> tuple[float, bool]:
             return unit, True
     largest = max(abs(low), abs(high))
     return next((unit for unit, most in ((1e9, 2), (1e3, 2e6)) if largest <= most), 1.0), False
+
+
+def tell_clouds(clouds: Iterable[Cloud], path: Path, notes: NoteList) -> Iterator[Cloud]:
+    """Hand on the clouds of a log; say how the times of points are read, and what holds none.
+
+    Raises
+    ------
+    LogError
+        No cloud holds a point; raised behind the last.
+    """
+    topic, has_points = "", False
+    for cloud in clouds:
+        topic = cloud.topic
+        if cloud.times:
+            notes.add(f"{topic}: its points have the time {cloud.times}")
+        if cloud.points.any():
+            has_points = True
+        else:
+            notes.add(f"{topic}: clouds without a point among others")
+        yield cloud
+    if topic and not has_points:
+        fix = "see what the sensor recorded, or name another with `topics`"
+        raise LogError(f"no cloud on {topic} holds a point", where=path, fix=fix)
 
 
 def parse_livox(data: memoryview, encoding: str) -> Mapping[str, Any]:

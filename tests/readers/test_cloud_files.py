@@ -266,7 +266,7 @@ def make_room(at: float) -> Float32:
         for y in np.arange(-2, 2, 0.05)
     ]
     wall = [(3.0, y, z) for y in np.arange(-2, 2, 0.05) for z in np.arange(-0.5, 1, 0.1)]
-    points: Float32 = np.array(floor + wall, np.float32) - np.float32([at, 0, 0])
+    points: Float32 = np.array(floor + wall, np.float32) - np.array([at, 0, 0], np.float32)
     return points
 
 
@@ -287,3 +287,10 @@ def test_a_folder_makes_the_map_and_a_cloud_without_a_pose_is_left_out(tmp_path:
     assert len(columns) > 50
     x = built.map.origin[0] + (columns + 0.5) * built.map.resolution
     assert abs(x - 3.0).max() < 0.11
+
+
+def test_a_folder_of_which_no_file_can_be_read_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "1.bin").write_bytes(b"0123456789")
+
+    with pytest.raises(LogError, match=r"1\.bin has 10 bytes"):
+        list(CloudFolder(tmp_path).clouds({"clouds"}))
