@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.errors import DamageError, refuse_unreadable
+from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import NoteList, Role, Stream
 from occmap.readers.cloud_files import READERS, read_cloud
-from occmap.readers.cloud_messages import make_cloud
+from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.readers.probing import Probe
+from occmap.report.words import count
 from occmap.types import Cloud, Moments, PoseSample, Scan
 from occmap.values import as_stamp
 
@@ -75,22 +76,36 @@ class CloudFolder:
         return iter(())
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
-        """The clouds, in the order of their times; what cannot be read is noted and left out."""
+        """The clouds, in the order of their times; what cannot be read is noted and left out.
+
+        Raises
+        ------
+        LogError
+            None holds a point.
+        """
+        clouds = self._read() if TOPIC in topics else ()
+        return tell_clouds(clouds, self.path, self.notes)
+
+    def _read(self) -> Iterator[Cloud]:
+        lost = 0
         for file, stamp_ns in zip(self._files, self.moments.stamp_ns, strict=True):
-            if TOPIC not in topics:
-                return
             try:
                 with refuse_unreadable(file):
                     points = read_cloud(file)
                 cloud = make_cloud(points.columns, FRAME, stamp_ns, TOPIC, stamp_ns)
             except DamageError as error:
                 self.notes.add_damage(f"{file.name} {error}; it is left out")
+                lost += 1
                 continue
             there = len(cloud.points)
             if there < points.announced:
                 found = f"{file.name} is cut short: {there:,} of {points.announced:,} points"
                 self.notes.add_damage(f"{found} are there and used")
             yield cloud
+        if lost == len(self._files):
+            first = next(note.text for note in self.notes if note.damage)
+            found = f"none of {count(lost, 'cloud')} can be read"
+            raise LogError(found, where=self.path, fix=f"mend them: {first}")
 
 
 def list_clouds(folder: Path) -> list[Path]:

@@ -4,14 +4,16 @@ Points stay as their driver wrote them, with NaN or zeros where nothing came bac
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from io import BytesIO
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.errors import DamageError
+from occmap.errors import DamageError, LogError
+from occmap.readers import NoteList
 from occmap.readers.fields import (
     get,
     get_bytes,
@@ -29,6 +31,7 @@ TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offs
 """What drivers call the time of a point."""
 LONGEST_SWEEP_NS = 1_000_000_000
 """No sensor takes longer for a cloud; times beyond this are not those of points."""
+BEYOND = "which reach more than a second from the stamp: all points are taken at it"
 UNITS = {1.0: "ns", 1e3: "us", 1e9: "s"}
 
 ROS_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -105,7 +108,7 @@ def view_columns(
         if row_step < width * step or not 0 <= at <= step - number.itemsize:
             raise DamageError("is a cloud whose points lie over one another")
         if rows * width:
-            columns[name] = np.ndarray(shape, number, data.data, at, steps).ravel()
+            columns[name] = np.ndarray(shape, number, data.data, at, steps).reshape(-1)
         else:
             columns[name] = np.empty(0, number)
     return columns
@@ -141,24 +144,32 @@ def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> tuple[I
     offset_ns, found
         The times, and in words how they were read; "" where they say nothing.
     """
-    with np.errstate(invalid="ignore"):
-        values = times.astype(np.float64)
+    values = times.astype(np.int64 if times.dtype.kind in "iu" else np.float64)
+    offset_ns, found = _scale_times(values, stamp_ns)
+    if found != BEYOND:
+        return offset_ns, found
+    with np.errstate(invalid="ignore"):  # what did not come back has any time with some drivers
         used = np.isfinite(values) & np.isfinite(points).all(axis=1) & points.any(axis=1)
     if not used.any():
         return None, ""
-    low, high = float(values[used].min()), float(values[used].max())
-    if low == high:
+    return _scale_times(np.where(used, values, values[used].min()), stamp_ns)
+
+
+def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str]:
+    """Bring times (N,) to ns after the stamp, and say how."""
+    if not values.size or values.min() == values.max():
         return None, ""
+    low, high = float(values.min()), float(values.max())
     unit, is_absolute = find_time_unit(low, high)
     after = "of a clock" if is_absolute else "after the stamp"
     # Counted from the earliest one, since nanoseconds of a clock are more than a float can tell.
     start_ns = low * unit - (stamp_ns if is_absolute else 0)
     if is_absolute and abs(start_ns) > LONGEST_SWEEP_NS:
         start_ns, after = 0, "of a clock other than the stamp's, so they begin at the stamp"
-    if max(abs(start_ns), abs(start_ns + (high - low) * unit)) > LONGEST_SWEEP_NS:
-        return None, "which reach more than a second from the stamp: all points are taken at it"
-    passed_ns = np.rint((np.where(used, values, low) - low) * unit).astype(np.int64)
-    return passed_ns + round(start_ns), f"in {UNITS[unit]} {after}"
+    if not max(abs(start_ns), abs(start_ns + (high - low) * unit)) <= LONGEST_SWEEP_NS:
+        return None, BEYOND  # or one is NaN
+    passed = (values - values.min()) * values.dtype.type(unit)
+    return np.rint(passed).astype(np.int64) + round(start_ns), f"in {UNITS[unit]} {after}"
 
 
 def find_time_unit(low: float, high: float) -> tuple[float, bool]:
@@ -171,6 +182,29 @@ def find_time_unit(low: float, high: float) -> tuple[float, bool]:
             return unit, True
     largest = max(abs(low), abs(high))
     return next((unit for unit, most in ((1e9, 2), (1e3, 2e6)) if largest <= most), 1.0), False
+
+
+def tell_clouds(clouds: Iterable[Cloud], path: Path, notes: NoteList) -> Iterator[Cloud]:
+    """Hand on the clouds of a log; say how the times of points are read, and what holds none.
+
+    Raises
+    ------
+    LogError
+        No cloud holds a point; raised behind the last.
+    """
+    topic, has_points = "", False
+    for cloud in clouds:
+        topic = cloud.topic
+        if cloud.times:
+            notes.add(f"{topic}: its points have the time {cloud.times}")
+        if cloud.points.any():
+            has_points = True
+        else:
+            notes.add(f"{topic}: clouds without a point among others")
+        yield cloud
+    if topic and not has_points:
+        fix = "see what the sensor recorded, or name another with `topics`"
+        raise LogError(f"no cloud on {topic} holds a point", where=path, fix=fix)
 
 
 def parse_livox(data: memoryview, encoding: str) -> Mapping[str, Any]:

@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Role, Stream
-from occmap.readers.cloud_messages import is_depth, read_camera
+from occmap.readers.cloud_messages import is_depth, read_camera, tell_clouds
 from occmap.readers.containers.inflate import Buffer
 from occmap.readers.containers.source import Channel, RawMessage, Source
 from occmap.readers.message_types import (
@@ -140,15 +140,14 @@ class RosLog:
         """The clouds of points of these topics, in file order."""
 
         def make_convert(to_cloud: ToCloud) -> Convert[Cloud]:
-            return lambda *message: [self._note_cloud(to_cloud(*message))]
+            return lambda *message: [to_cloud(*message)]
 
-        return self._read(
-            self._make_readers(
-                (channel, make_convert(kind.to_cloud))
-                for channel, kind in self._types.items()
-                if kind and kind.to_cloud and channel.topic in topics
-            )
+        readers = self._make_readers(
+            (channel, make_convert(kind.to_cloud))
+            for channel, kind in self._types.items()
+            if kind and kind.to_cloud and channel.topic in topics
         )
+        return tell_clouds(self._read(readers), self.path, self.notes)
 
     def _make_pose_readers(self) -> "_Readers[PoseSample]":
         return self._make_readers(
@@ -166,14 +165,6 @@ class RosLog:
             for channel, kind in self._types.items()
             if kind and kind.to_scan and channel.topic in topics
         )
-
-    def _note_cloud(self, cloud: Cloud) -> Cloud:
-        """Say how the times of points are read, and where there are no points."""
-        if cloud.times:
-            self.notes.add(f"{cloud.topic}: its points have the time {cloud.times}")
-        if not cloud.points.any():
-            self.notes.add(f"{cloud.topic}: clouds without a point among others")
-        return cloud
 
     def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T]]]) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""

@@ -47,7 +47,7 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
         notes = sorted(log.notes, key=lambda note: not note.damage)
-        found = f"holds no laser scans; it holds {held or 'nothing'}"
+        found = f"holds no laser scans and no clouds; it holds {held or 'nothing'}"
         raise LogError(found, where=log.path, fix=notes[0].text if notes else "")
     missing = sorted(set(wanted) - set(there))
     if missing:

@@ -127,7 +127,7 @@ def test_a_bag_whose_files_are_missing(folder: Path) -> None:
 def test_a_log_without_scans_says_what_it_holds(folder: Path) -> None:
     write_mcap(folder / "tf.mcap", [each for each in drive(ROS2) if each.topic != "/scan"])
     error = fail(1, "tf.mcap", "-o", "m.pgm")
-    assert error.startswith("tf.mcap: holds no laser scans; it holds ")
+    assert error.startswith("tf.mcap: holds no laser scans and no clouds; it holds ")
     assert "/tf (tf2_msgs/msg/TFMessage, 6)" in error
 
 

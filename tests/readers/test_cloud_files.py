@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from occmap.errors import DamageError, LogError
+from occmap.options import BuildOptions
+from occmap.pipeline import build
+from occmap.posing.options import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
 from occmap.readers import HoldingClouds, Role, open_log
 from occmap.readers.cloud_files import Points, read_bin, read_pcd, read_ply
 from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_time
 from occmap.readers.lzf import inflate
-from occmap.types import Cloud, Moments, Pose
+from occmap.types import Cloud, Float32, Moments, Pose
 
 POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
 XYZ = struct.pack("<9f", *(number for point in POINTS for number in point))
@@ -252,3 +255,42 @@ def test_bytes_that_are_flipped_never_crash() -> None:
                 read_it(bytes(spoilt[: rng.integers(len(data)) + 1]))
             except DamageError:
                 continue
+
+
+def make_room(at: float) -> Float32:
+    """The floor 0.5 m below, and a wall at x = 3 m, as seen from `at` along x."""
+    noise = np.random.default_rng(round(10 * at))
+    floor = [
+        (x, y, noise.normal(-0.5, 0.01))
+        for x in np.arange(-2, 2.9, 0.05)
+        for y in np.arange(-2, 2, 0.05)
+    ]
+    wall = [(3.0, y, z) for y in np.arange(-2, 2, 0.05) for z in np.arange(-0.5, 1, 0.1)]
+    points: Float32 = np.array(floor + wall, np.float32) - np.array([at, 0, 0], np.float32)
+    return points
+
+
+def test_a_folder_makes_the_map_and_a_cloud_without_a_pose_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "clouds").mkdir()
+    for k in range(8):
+        np.save(tmp_path / "clouds" / f"{k}.npy", make_room(0.1 * k))
+    lines = [f"1 0 0 {0.1 * k:.1f} 0 1 0 0 0 0 1 0\n" for k in range(8)]
+    lines[3] = lines[3].replace("0.3", "nan")
+    (tmp_path / "poses.txt").write_text("".join(lines))
+    options = BuildOptions(posing=PosingOptions(poses=str(tmp_path / "poses.txt")))
+
+    built = build([tmp_path / "clouds"], options)
+
+    assert built.report.scans.used == 7
+    assert built.report.scans.dropped == {str(DropReason.GAP): 1}
+    _, columns = np.nonzero(built.map.occupied)
+    assert len(columns) > 50
+    x = built.map.origin[0] + (columns + 0.5) * built.map.resolution
+    assert abs(x - 3.0).max() < 0.11
+
+
+def test_a_folder_of_which_no_file_can_be_read_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "1.bin").write_bytes(b"0123456789")
+
+    with pytest.raises(LogError, match=r"1\.bin has 10 bytes"):
+        list(CloudFolder(tmp_path).clouds({"clouds"}))

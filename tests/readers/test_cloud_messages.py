@@ -11,6 +11,7 @@ from PIL import Image
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
+from occmap.errors import LogError
 from occmap.readers import HoldingClouds, Role, open_log
 from occmap.readers.cloud_messages import find_offsets
 from occmap.types import Cloud, Pose
@@ -186,9 +187,14 @@ def test_a_camera_that_never_comes_is_told_of(tmp_path: Path) -> None:
 def test_an_image_of_zeros_has_no_points(tmp_path: Path) -> None:
     black = image(ROS2, np.zeros((2, 3), "<u2"), "16UC1")
     log = [Written(INFO, SECOND, info(ROS2)), Written(DEPTH, SECOND, black)]
-    (cloud,), notes = read(write_mcap(tmp_path / "d.mcap", log))
+    black_log = open_log(write_mcap(tmp_path / "d.mcap", log))
+    assert isinstance(black_log, HoldingClouds)
 
-    assert cloud.points.shape == (0, 3)
+    with pytest.raises(LogError, match=f"{DEPTH} holds a point"):
+        list(black_log.clouds({DEPTH}))
+    seen = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
+    (first, second), notes = read(write_mcap(tmp_path / "e.mcap", [*log, Written(DEPTH, 2, seen)]))
+    assert (len(first.points), len(second.points)) == (0, 2)
     assert [DEPTH in note for note in notes] == [True]
 
 
