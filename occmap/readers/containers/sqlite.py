@@ -10,13 +10,13 @@ from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import apsw
 
 from occmap.errors import LogError
 from occmap.readers import NoteList
 from occmap.readers.containers.source import Channel, RawMessage
-from occmap.readers.containers.sqlite_pages import Row, find_rows
 from occmap.report.words import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
@@ -27,8 +27,11 @@ _WAL_HEAD, _FRAME_HEAD = 32, 24
 """Bytes at the start of a write-ahead log, and before each page in it"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
-_LEAST_ID = -(2**63)
-"""The least id that a row can have"""
+_LEAST_ID, _GREATEST_ID = -(2**63), 2**63 - 1
+"""The ids that a row can have"""
+_SINGLE_TRIES, _MOST_TRIES = 64, 88
+"""How often the next row behind damage is tried, and how often one in all, each time twice as far
+behind; recorders number rows one by one, and the last try is 16 million rows behind."""
 
 
 class SqliteSource:
@@ -42,7 +45,6 @@ class SqliteSource:
         self._wal = path.with_name(path.name + "-wal")
         # A recorder that died leaves its last rows in a write-ahead log beside the file.
         self._has_wal = self._wal.is_file() and self._wal.stat().st_size > 0
-        self._is_sound = True
         try:
             with closing(self._connect()) as database:
                 _refuse_imitations(database)
@@ -62,31 +64,39 @@ class SqliteSource:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
-            for _, topic, record_ns, data in self._read_rows(database, by_id):
-                if topic in by_id and data is not None:
-                    yield by_id[topic], record_ns, memoryview(data)
+            rows = self._read_rows(database, "data", by_id, self.notes)
+            for _, topic, record_ns, data in rows:
+                yield by_id[topic], record_ns, memoryview(data)
 
-    def _read_rows(self, database: apsw.Connection, topics: Collection[int]) -> Iterator[Row]:
-        """Give the rows of some topics; after damage, those of all topics."""
+    def _read_rows(
+        self, database: apsw.Connection, what: str, topics: Collection[int], notes: NoteList
+    ) -> Iterator[tuple[Any, ...]]:
+        """Give id, topic, time (ns) and something else of the rows of some topics.
+
+        Where a page is damaged, SQLite gives up all that it leads to; so rows that lie further and
+        further behind it are asked for, until there are some again. A note says so, if none does.
+        """
         query = (
-            "SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED"
-            f" WHERE topic_id IN ({','.join('?' * len(topics))})"
+            f"SELECT rowid, topic_id, timestamp, {what} FROM messages NOT INDEXED"
+            f" WHERE rowid >= ? AND topic_id IN ({','.join('?' * len(topics))})"
             " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
             " ORDER BY rowid"
         )
-        last = _LEAST_ID
-        if self._is_sound:
+        start, tries = _LEAST_ID, 0
+        while tries <= _MOST_TRIES:
             try:
-                for row in database.execute(query, tuple(topics)):
+                for row in database.execute(query, (start, *topics)):
                     yield row
-                    last = row[0]
+                    start, tries = row[0] + 1, 0
                 return
             except _ERRORS as error:
-                self.notes.add_damage(f"the storage file is damaged ({error})")
-        yield from find_rows(self.path, last)
+                if not notes:
+                    notes.add_damage(f"the storage file is damaged ({error})")
+                tries += 1
+                start = min(max(start, 0) + (1 << max(tries - _SINGLE_TRIES, 0)), _GREATEST_ID)
 
     def _count_messages(self, database: apsw.Connection, topics: Collection[int]) -> Counter[int]:
-        """Count the messages of each topic; after damage, those that are found page by page."""
+        """Count the messages of each topic; after damage, those that can be read."""
         announced: int | None = None
         try:
             announced = _count_indexed(database)
@@ -99,8 +109,8 @@ class SqliteSource:
             problem = "its table and its index differ"
         except _ERRORS as error:
             problem = str(error)
-        self._is_sound = self._has_wal  # whose rows lie on no page of the file
-        counts = Counter(topic for _, topic, _, _ in self._read_rows(database, topics))
+        rows = self._read_rows(database, "length(data)", topics, NoteList())
+        counts = Counter(topic for _, topic, _, _ in rows)
         share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
         self.notes.add_damage(
             f"the storage file is damaged ({problem}): {share} messages are found"
