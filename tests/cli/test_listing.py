@@ -25,7 +25,7 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("readers", ["carmen", "csv", "mcap", "rosbag"]),
+        ("readers", ["carmen", "clouds", "csv", "mcap", "rosbag"]),
         ("models", ["counting", "quadratic", "simple"]),
         (
             "writers",
