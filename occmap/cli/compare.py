@@ -140,8 +140,8 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
     gain = format_gain(tuning.gain, tuning.gain_error)
-    gained = f" -> {tuning.share:.4f}" if tuning.command else ""
-    rise = f", a gain of {gain}" if tuning.command else ""
+    found = tuning.correction != Correction()
+    gained, rise = (f" -> {tuning.share:.4f}", f", a gain of {gain}") if found else ("", "")
     held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
@@ -152,7 +152,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
     yield f"scored   by {held}, on {maps} each"
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or tuning.is_doubtful
+    unsure = disagree or tuning.is_doubtful or (found and not tuning.is_sure)
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 

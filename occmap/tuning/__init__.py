@@ -78,7 +78,7 @@ class Tuning(Scored):
     """All corrections that were tried, in the order of the search"""
     command: tuple[str, ...]
     """The command line that builds the better map, word by word; empty where nothing is
-    recommended"""
+    recommended, or where what was found is not sure"""
     agreement: float | None = field(metadata=HIDDEN)
     """Share of the hits in cells that the map of the best calls occupied; None without any"""
 
@@ -86,6 +86,11 @@ class Tuning(Scored):
     def is_doubtful(self) -> bool:
         """Whether scans contradict each other even with the best that was found."""
         return self.agreement is not None and self.agreement < LEAST_AGREEMENT
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether enough scans say what was found, and fit each other with it."""
+        return not self.is_doubtful and self.scans.held_out // 2 >= FEW_SCANS
 
 
 def tune(
@@ -138,9 +143,11 @@ def tune(
             TriedCorrection(**vars(correction), share=trial.score.share)
             for correction, trial in scorer.tried.items()
         ],
-        command=() if best == Correction() else compose_build(remarks.logs, better, {}),
+        command=(),
         agreement=scorer.measure_agreement(best),
     )
+    if tuning.is_sure and best != Correction():
+        tuning = replace(tuning, command=compose_build(remarks.logs, better, {}))
     doubts = list_doubts(tuning, options.posing.time_offset_s)
     return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
 

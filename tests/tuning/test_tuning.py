@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap import tuning as tuning_package
 from occmap.choices.values import to_rpy
 from occmap.errors import LogError, PoseError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -43,6 +44,21 @@ def test_a_known_time_offset_is_found(late: float, tmp_path: Path) -> None:
     assert tuning.share > 0.95 > tuning.share_before
     place = tuning.command.index("--time-offset")
     assert float(tuning.command[place + 1]) == tuning.correction.time_s
+
+
+@pytest.mark.parametrize(
+    ("bound", "why"),
+    [("FEW_SCANS", "too few to tell"), ("LEAST_AGREEMENT", "far from what is right")],
+)
+def test_no_command_is_given_for_what_is_not_sure(
+    bound: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: 0.13)
+    monkeypatch.setattr(tuning_package, bound, 1e9)  # no log has so many, or fits so well
+    tuning = tune([scans], follow(poses))
+    assert tuning.correction.time_s == pytest.approx(-0.13, abs=STEP_S + 1e-9)
+    assert tuning.command == ()
+    assert why in tuning.notes[-1]
 
 
 def test_a_known_error_of_the_mount_is_found(tmp_path: Path) -> None:
