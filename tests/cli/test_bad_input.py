@@ -14,7 +14,7 @@ from tests.readers.ros import ROS2, drive, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv
 
 HEAD = "# angle_min: 0\n# angle_increment: 0.1\n"
-NO_LOG = "occmap reads carmen, csv, mcap, rosbag: see `occmap readers`"
+NO_LOG = "occmap reads carmen, clouds, csv, mcap, rosbag: see `occmap readers`"
 
 
 @pytest.fixture(autouse=True)

@@ -25,7 +25,7 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("readers", ["carmen", "csv", "mcap", "rosbag"]),
+        ("readers", ["carmen", "clouds", "csv", "mcap", "rosbag"]),
         ("models", ["counting", "quadratic", "simple"]),
         (
             "writers",
@@ -71,7 +71,7 @@ def test_a_log_that_a_broken_reader_may_know_names_the_reader(
     monkeypatch.setattr(plugins, "list_plugins", known.__getitem__)
     (tmp_path / "x.log").write_text("hello\n")
     error = read_error(occmap("build", tmp_path / "x.log", "-o", tmp_path / "m.pgm"), 1)
-    fix = "carmen, csv, mcap, rosbag (sonar cannot be loaded): see `occmap readers`"
+    fix = "carmen, clouds, csv, mcap, rosbag (sonar cannot be loaded): see `occmap readers`"
     assert error.endswith(f"it starts with 'hello'; occmap reads {fix}")
 
 

@@ -125,7 +125,7 @@ def find_role(kind: str, encoding: str) -> Role:
         ("sensor_msgs/msg/LaserScan", Role.SCAN),
         ("tf/tfMessage", Role.POSE),
         ("nav_msgs/msg/Path", Role.POSE),
-        ("sensor_msgs/Image", Role.OTHER),
+        ("sensor_msgs/Image", Role.CLOUD),
         ("foxglove.LaserScan", Role.SCAN),
         ("foxglove.Log", Role.OTHER),
         ("", Role.OTHER),
