@@ -14,7 +14,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.chain import Status
 from occmap.posing.options import Stamps
 from occmap.posing.sources import Sources
-from occmap.readers import Log, read_poses
+from occmap.readers import Log, get_moments, read_poses
 from occmap.scans.logs import refuse_shared_mount, take_first
 from occmap.scans.mounts import guess_place, sample_scans
 from occmap.types import IDENTITY, Pose
@@ -48,7 +48,7 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     """
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options.posing)
-    poser = Poser.build(read_poses(log), options.posing)
+    poser = Poser.build(read_poses(log), options.posing, get_moments(log))
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
     if faults and len(frames) == 1 and options.posing.sensor_pose is None:
@@ -81,7 +81,8 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
-    poser = Poser.build(read_poses(log), replace(posing.poser.options, stamps=other))
+    others = replace(posing.poser.options, stamps=other)
+    poser = Poser.build(read_poses(log), others, get_moments(log))
     poser.find_chains(topic.frames)
     stamps = other.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)

@@ -17,11 +17,11 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
 from occmap.readers import (
-    Counting,
     HoldingClouds,
     Log,
     Role,
     find_reader,
+    get_moments,
     open_log,
     read_poses,
 )
@@ -114,8 +114,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    moments = log.moments if isinstance(log, Counting) else None
-    poser = Poser.build([] if stated else read_poses(log), options, moments)
+    poser = Poser.build([] if stated else read_poses(log), options, get_moments(log))
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
