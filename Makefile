@@ -17,13 +17,14 @@ demo: $(STAMP) ## Build a map of a simulated drive
 	@$(BIN)/occmap build sample_logs/drive.mcap -o $(DEMO)/map.pgm -o $(DEMO)/map.png
 	@echo "Look at $(DEMO)/map.png; map_server and nav2 load $(DEMO)/map.yaml"
 
-maps: $(STAMP) ## Build a map of each sample log: five formats, one map
+maps: $(STAMP) ## Build a map of each sample log: five formats, one map, and a hall in 3D
 	@mkdir -p $(MAPS)
 	@for log in $(LOGS); do \
 		$(BIN)/occmap build -q sample_logs/$$log -o $(MAPS)/$$log.pgm || exit; \
 		cmp $(MAPS)/drive.csv.pgm $(MAPS)/$$log.pgm || exit; \
 	done
-	@echo "$(MAPS) holds the maps of $(LOGS); all are the same, byte for byte"
+	@$(BIN)/occmap build -q sample_logs/hall.mcap -o $(MAPS)/hall.mcap.pgm
+	@echo "$(MAPS) holds the maps of $(LOGS), all the same, byte for byte, and of hall.mcap"
 
 test: $(STAMP) ## Check style and types, and run all tests
 	@$(BIN)/ruff check --quiet .

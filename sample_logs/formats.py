@@ -23,6 +23,7 @@ from drive import (
     compose,
     invert,
 )
+from hall import SENSOR_HEIGHT, CloudDrive
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from numpy.typing import NDArray
@@ -77,6 +78,13 @@ Message: TypeAlias = tuple[str, int, Any]
 """Topic, stamp (ns) and the message."""
 TF_TYPE, TF_DEFINITION = "tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms"
 TOPIC_TYPES = {"/tf_static": TF_TYPE, "/tf": TF_TYPE, "/scan": "sensor_msgs/msg/LaserScan"}
+CLOUD_TYPES = {
+    "/tf_static": TF_TYPE,
+    "/tf": TF_TYPE,
+    "/points": "sensor_msgs/msg/PointCloud2",
+}
+FLOAT32 = 7
+"""What PointField calls numbers of four bytes"""
 
 
 class RosMessages:
@@ -100,6 +108,49 @@ class RosMessages:
             edges = {("map", "odom"): MAP_TO_ODOM, ("odom", "base_link"): base}
             yield "/tf", stamp_ns, self._tf(stamp_ns, edges)
             yield "/scan", stamp_ns, self._scan(stamp_ns, ranges)
+
+    def of_clouds(self, drive: CloudDrive) -> Iterator[Message]:
+        """Yield the mount once, then for every cloud the pose and the cloud itself."""
+        vector = self._types["geometry_msgs/msg/Vector3"]
+        upright = self._types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+        mount = vector(x=0.0, y=0.0, z=SENSOR_HEIGHT), upright
+        yield "/tf_static", START_NS, self._move(START_NS, ("base_link", "lidar"), mount)
+        columns = drive.stamp_ns, drive.place.tolist(), drive.turn, drive.points
+        for stamp_ns, (x, y, z), turn, points in zip(*columns, strict=True):
+            pose = vector(x=x, y=y, z=z), self._rotate(turn)
+            yield "/tf", stamp_ns, self._move(stamp_ns, ("map", "base_link"), pose)
+            yield "/points", stamp_ns, self._cloud(stamp_ns, points)
+
+    def _move(self, stamp_ns: int, edge: tuple[str, str], pose: tuple[Any, Any]) -> Any:
+        transform = self._types["geometry_msgs/msg/Transform"](*pose)
+        stamped = self._types["geometry_msgs/msg/TransformStamped"](
+            header=self._header(stamp_ns, edge[0]), child_frame_id=edge[1], transform=transform
+        )
+        return self._types[TF_TYPE](transforms=[stamped])
+
+    def _rotate(self, turn: NDArray[np.float64]) -> Any:
+        """Turn a rotation by yaw and then pitch into a quaternion."""
+        half_yaw = math.atan2(turn[1, 0], turn[0, 0]) / 2
+        half_pitch = math.asin(-turn[2, 0]) / 2
+        cy, sy, cp, sp = *_turn(half_yaw), *_turn(half_pitch)
+        parts = -sy * sp, cy * sp, sy * cp, cy * cp
+        return self._types["geometry_msgs/msg/Quaternion"](*(round(each, 12) for each in parts))
+
+    def _cloud(self, stamp_ns: int, points: NDArray[np.float64]) -> Any:
+        field = self._types["sensor_msgs/msg/PointField"]
+        places = [field(name, 4 * at, FLOAT32, 1) for at, name in enumerate("xyz")]
+        data = points.astype("<f4").view(np.uint8).reshape(-1)
+        return self._types["sensor_msgs/msg/PointCloud2"](
+            header=self._header(stamp_ns, "lidar"),
+            height=1,
+            width=len(points),
+            fields=places,
+            is_bigendian=False,
+            point_step=12,
+            row_step=len(data),
+            data=data,
+            is_dense=True,
+        )
 
     def _tf(self, stamp_ns: int, edges: dict[tuple[str, str], Planar]) -> Any:
         transforms = [
@@ -139,6 +190,10 @@ class RosMessages:
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **self._sequence)
 
 
+def _turn(angle: float) -> tuple[float, float]:
+    return math.cos(angle), math.sin(angle)
+
+
 def write_ros1(drive: Drive, path: Path) -> None:
     """Write a ROS 1 bag."""
     path.unlink(missing_ok=True)
@@ -172,20 +227,32 @@ def write_ros2(drive: Drive, path: Path) -> None:
 def write_mcap(drive: Drive, path: Path) -> None:
     """Write the ROS 2 messages into one MCAP file."""
     messages = RosMessages(Stores.ROS2_JAZZY)
+    _write_mcap(path, messages, TOPIC_TYPES, messages.of(drive))
+
+
+def write_clouds(drive: CloudDrive, path: Path) -> None:
+    """Write a drive with a 3D lidar into one MCAP file."""
+    messages = RosMessages(Stores.ROS2_JAZZY)
+    _write_mcap(path, messages, CLOUD_TYPES, messages.of_clouds(drive))
+
+
+def _write_mcap(
+    path: Path, ros: RosMessages, types: dict[str, str], messages: Iterator[Message]
+) -> None:
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         writer.start(profile="ros2", library="occmap sample log")
         schemas = {
             name: writer.register_schema(
-                name, "ros2msg", messages.store.generate_msgdef(name, ros_version=2)[0].encode()
+                name, "ros2msg", ros.store.generate_msgdef(name, ros_version=2)[0].encode()
             )
-            for name in dict.fromkeys(TOPIC_TYPES.values())
+            for name in dict.fromkeys(types.values())
         }
         channels = {
             topic: writer.register_channel(topic, "cdr", schemas[name])
-            for topic, name in TOPIC_TYPES.items()
+            for topic, name in types.items()
         }
-        for topic, stamp_ns, message in messages.of(drive):
-            data = bytes(messages.store.serialize_cdr(message, TOPIC_TYPES[topic]))
+        for topic, stamp_ns, message in messages:
+            data = bytes(ros.store.serialize_cdr(message, types[topic]))
             writer.add_message(channels[topic], stamp_ns, data, publish_time=stamp_ns)
         writer.finish()  # type: ignore[no-untyped-call]  # the library's gap

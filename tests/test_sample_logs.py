@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from occmap import build_map
 from tests.map_loaders import load_nav2
 
 SAMPLE_LOGS = Path(__file__).parent.parent / "sample_logs"
@@ -30,6 +31,7 @@ FILES = [
     "drive_ros2/metadata.yaml",
     "floor_plan.pgm",
     "floor_plan.yaml",
+    "hall.mcap",
 ]
 
 
@@ -247,3 +249,26 @@ def test_floor_plan_by_hand() -> None:
     assert value_at(-1.2, 6.6) == -1  # inside the pillar
     assert value_at(-1.2 + 0.28, 6.6) == 100  # its face
     assert value_at(0, 8.95) == -1  # glass
+
+
+def test_the_map_of_the_hall_by_hand() -> None:
+    made = build_map(SAMPLE_LOGS / "hall.mcap")
+    left, bottom = made.origin
+
+    def is_free(x: float, y: float) -> bool:
+        return bool(made.free[math.floor((y - bottom) / 0.05), math.floor((x - left) / 0.05)])
+
+    def is_occupied(low: tuple[float, float], high: tuple[float, float]) -> float:
+        """The share of the cells of a box."""
+        (col, row), (col_end, row_end) = (
+            (round((x - left) / 0.05), round((y - bottom) / 0.05)) for x, y in (low, high)
+        )
+        return float(made.occupied[row:row_end, col:col_end].mean())
+
+    assert is_occupied((-0.05, 0.2), (0.0, 5.8)) > 0.9  # the western wall
+    assert is_occupied((2.4, 2.4), (3.8, 2.45)) > 0.5  # the rim of the table
+    assert is_occupied((0.5, 2.5), (0.9, 2.9)) > 0.2  # the box: its faces at least
+    assert is_free(2.03, 0.8)  # on the duct
+    assert is_free(4.8, 3.6)  # under the lamp
+    assert is_free(7.2, 4.0)  # on the ramp
+    assert is_free(9.2, 1.5)  # on the platform

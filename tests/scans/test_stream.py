@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,13 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.options import Selection
+from occmap.options import BuildOptions, Selection
+from occmap.pipeline import build
 from occmap.posing.options import Stamps
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Scan, ScanBatch, ScanRun
+from tests.samples import write_csv
 
 SECOND = 10**9
 RUN = ScanRun(
@@ -137,3 +140,8 @@ def test_a_limit_that_the_user_gives_needs_no_note() -> None:
     run = RUN._replace(first=RUN.first._replace(range_max=math.nan))
     list(map(limits.apply, stack(limits.watch([run]), Stamps.HEADER)))
     assert list(limits.list_notes()) == []
+
+
+def test_a_laser_that_stands_still_is_noted(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "still.csv", [(1.0, 2.0, 0.5)] * 20, [1.0, 2.0])
+    assert "never moves" in " ".join(build([log], BuildOptions()).report.notes)
