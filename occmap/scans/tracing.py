@@ -83,7 +83,8 @@ def find_ground(
     """
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    finder = GroundFinder()
+    topics = options.selection.topics
+    finder = GroundFinder(sum(count_scans(log, topics) for log in logs))
     for log in logs:
         drive = open_drive(log, options)
         with name_log(log.path), Workers(finder.add, options.jobs) as workers:
