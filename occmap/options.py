@@ -11,8 +11,8 @@ from occmap.choices.values import write_values
 from occmap.clouds.options import CloudOptions
 from occmap.errors import require
 from occmap.evidence.persistence import check_passes
-from occmap.grid.framing import Framing
 from occmap.grid.lattice import Lattice
+from occmap.grid.rendering import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions

@@ -186,6 +186,8 @@ class Cloud(NamedTuple):
     """The frame in the map frame; None: the log does not state poses beside its clouds"""
     topic: str = ""
     record_ns: int = 0
+    times: str = ""
+    """How the times of points were read; empty where they have none"""
 
     @property
     def time_increment(self) -> float:
@@ -205,6 +207,14 @@ class Cloud(NamedTuple):
 
 Recorded: TypeAlias = Scan | ScanRun | Cloud
 """What a log holds of its sensors"""
+
+
+class Moments(NamedTuple):
+    """The times of the scans of a log that holds nothing else, in their order."""
+
+    stamp_ns: list[int]
+    is_timed: bool
+    """False: they only count the scans, whose times are not known"""
 
 
 class _PoseFields(NamedTuple):

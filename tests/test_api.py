@@ -22,7 +22,7 @@ from occmap.choices import list_options, read_options
 from occmap.cli.console import spell
 from occmap.clouds.options import CloudOptions
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
-from occmap.grid.framing import Framing
+from occmap.grid.rendering import Framing
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions, Stamps

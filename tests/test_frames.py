@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.grid.framing import Framing
+from occmap.grid.rendering import Framing
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.scoring.compare import compare
-from occmap.scoring.variants import combine
+from occmap.scoring.trials import combine
 from occmap.store.merging import merge
 from occmap.types import Pose, Update
 from occmap.writers.npz import read_evidence

@@ -22,14 +22,14 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
 SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values"}
-SHARED |= {"report.notes", "report.printed", "report.words"}
+SHARED |= {"report.printed", "report.words"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},
     "rosbags": {"readers", "writers"},
     "mcap": {"readers", "writers"},
     "apsw": {"readers"},
-    "PIL": {"writers"},
+    "PIL": {"readers", "writers"},
     "numba": {"jit"},
     "rasterio": {"writers"},
     "zarr": {"store"},

@@ -16,7 +16,7 @@ from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.scans.logs import find_inputs
 from occmap.scoring import compare as scoring
-from occmap.scoring.variants import combine
+from occmap.scoring.trials import combine
 from occmap.sensor.models import MODEL, SensorModel
 from occmap.store import merging, publishing
 from occmap.store.reading import read_all

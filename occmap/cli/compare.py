@@ -17,7 +17,7 @@ from occmap.page.pictures import compare_logs
 from occmap.report.limits import COMPARE, TUNE
 from occmap.report.words import count
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
-from occmap.scoring.variants import DEFAULT_MODELS, combine
+from occmap.scoring.trials import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict

@@ -13,8 +13,7 @@ from occmap.cli.console import Console, align, label_first, show_progress, write
 from occmap.cli.declaring import Answer, SectionCommand, answering, join
 from occmap.cli.options import choose_saved_model
 from occmap.explanation import Explanation, Question, describe_numbers, explain
-from occmap.explanation.history import Seen, Visits
-from occmap.explanation.sightings import add_up
+from occmap.explanation.history import Seen, Visits, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.report.words import count, join_names, write_box, write_time
 from occmap.scans.logs import keep_stdin

@@ -19,7 +19,7 @@ from occmap.cli.declaring import BareOption, ConfigOption, join, option
 from occmap.clouds.options import CloudOptions
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
-from occmap.grid.framing import Framing
+from occmap.grid.rendering import Framing
 from occmap.options import DEFAULT_UPDATE, OPTIONS, Selection, choose_model, spell_flag
 from occmap.posing.options import PosingOptions
 from occmap.readers.options import ReaderOptions

@@ -8,7 +8,7 @@ import numpy as np
 from occmap.cells import OccupancyMap, Slices
 from occmap.errors import MapError, UsageError, require
 from occmap.evidence import render
-from occmap.grid.framing import frame
+from occmap.grid.rendering import frame
 from occmap.grid.slices import count_visits, split_tiles, unite
 from occmap.grid.tiles import TileGrid, drop_empty
 from occmap.sensor.models import RadialModel, SensorModel

@@ -10,9 +10,19 @@ from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, paint_box, read_model, refuse_other_profile, to_grid
 from occmap.evidence.manifest import list_doubts
 from occmap.evidence.persistence import check_passes, keep_lasting
-from occmap.explanation.history import Cell, CellHistory, Numbers, Seen, Visits, find_cell, look_at
+from occmap.explanation.history import (
+    Cell,
+    CellHistory,
+    Numbers,
+    Seen,
+    Sighting,
+    Visits,
+    add_up,
+    find_cell,
+    find_sightings,
+    look_at,
+)
 from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing
-from occmap.explanation.sightings import Sighting, add_up, find_sightings
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind

@@ -7,8 +7,8 @@ from occmap.grid.lattice import CellBox
 from occmap.posing.frames import Source
 from occmap.posing.options import Concern, Stamps
 from occmap.readers import Stream
-from occmap.report.notes import Noted
 from occmap.report.printed import HIDDEN, Finite, Printed, Share
+from occmap.report.words import Noted
 from occmap.scans.tally import count_wanted
 
 

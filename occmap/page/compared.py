@@ -13,8 +13,16 @@ from bokeh.plotting import figure
 from occmap.difference import COLOURS, NEITHER, MapDifference
 from occmap.evidence.manifest import describe_files
 from occmap.grid.lattice import CellBox
-from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs, write_page
-from occmap.page.findings import tell_notes
+from occmap.page.document import (
+    Block,
+    Page,
+    Section,
+    Stage,
+    describe_maker,
+    name_logs,
+    tell_notes,
+    write_page,
+)
 from occmap.page.raster import MOST_BYTES, MOST_CELLS, Layers, Raster, make_raster, pack, thin
 from occmap.page.views import CLASS_COLOURS, Layer, describe_rasters, name_layers, plot_map
 from occmap.report.words import write_box

@@ -9,7 +9,7 @@ from occmap.difference.maps import load_map
 from occmap.options import BuildOptions
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import VariantComparison, compare
-from occmap.scoring.variants import Variant
+from occmap.scoring.trials import Variant
 from occmap.writers import WriteOptions
 from occmap.writers.outputs import check_picture, refuse_input
 

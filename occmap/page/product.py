@@ -7,8 +7,16 @@ import numpy as np
 
 from occmap.cells import Evidence
 from occmap.evidence.manifest import list_inputs
-from occmap.page.document import Block, Page, Section, Stage, describe_maker, name_logs
-from occmap.page.findings import tell_findings, tell_notes
+from occmap.page.document import (
+    Block,
+    Page,
+    Section,
+    Stage,
+    describe_maker,
+    name_logs,
+    tell_findings,
+    tell_notes,
+)
 from occmap.page.raster import Packed, Raster, make_raster, pack
 from occmap.page.views import (
     WAY_COLOURS,

@@ -25,6 +25,7 @@ from occmap.types import (
     IDENTITY,
     Attached,
     Float64,
+    Moments,
     Pose,
     PoseBatch,
     PosedScans,
@@ -65,8 +66,18 @@ class Poser:
         self._above = Transforms.fixed(turned).then(moved)
 
     @classmethod
-    def build(cls, samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Self:
+    def build(
+        cls,
+        samples: Iterable[PoseSample | PoseBatch],
+        options: PosingOptions,
+        moments: Moments | None = None,
+    ) -> Self:
         """Read all samples of a log once, in any order.
+
+        Parameters
+        ----------
+        moments
+            The times of the scans of a log that holds nothing else, for a trajectory without times.
 
         Raises
         ------
@@ -75,7 +86,7 @@ class Poser:
         LogError
             The trajectory file cannot be read.
         """
-        sources = gather(samples, options)
+        sources = gather(samples, options, moments)
         return cls(sources, options, notes=list(sources.notes))
 
     def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:

@@ -18,7 +18,7 @@ from occmap.posing.options import PosingOptions, Stamps
 from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
 from occmap.report.words import count, join_names
-from occmap.types import PoseBatch, PoseSample
+from occmap.types import Moments, PoseBatch, PoseSample
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""
@@ -52,7 +52,11 @@ class Sources:
         return next((edge for edge in usable if not _is_intention(edge.topic)), None)
 
 
-def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) -> Sources:
+def gather(
+    samples: Iterable[PoseSample | PoseBatch],
+    options: PosingOptions,
+    moments: Moments | None = None,
+) -> Sources:
     """Read every sample once and sort them by what they say.
 
     Raises
@@ -73,7 +77,7 @@ def gather(samples: Iterable[PoseSample | PoseBatch], options: PosingOptions) ->
     stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
     poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
     of_file: list[str] = []
-    trajectory = _find_trajectory(options, poses, of_file) if options.poses else None
+    trajectory = _find_trajectory(options, poses, of_file, moments) if options.poses else None
     notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
@@ -140,11 +144,14 @@ def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTre
             yield f"{name} closes a loop: {edge.child} is above {edge.parent} already"
 
 
-def _find_trajectory(options: PosingOptions, poses: Sequence[Edge], notes: list[str]) -> Edge:
+def _find_trajectory(
+    options: PosingOptions, poses: Sequence[Edge], notes: list[str], moments: Moments | None
+) -> Edge:
     """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
     name = options.poses or ""
     if Path(name).is_file():
-        edges, unusable, _ = _build_edges(read_trajectory(Path(name), notes), Stamps.HEADER)
+        samples = read_trajectory(Path(name), notes, moments)
+        edges, unusable, _ = _build_edges(samples, Stamps.HEADER)
         notes.extend(unusable)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)

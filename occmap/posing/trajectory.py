@@ -16,7 +16,7 @@ import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.rotations import to_quaternions
-from occmap.types import Pose, PoseSample
+from occmap.types import Moments, Pose, PoseSample
 from occmap.values import parse_nanoseconds, parse_seconds, shorten
 
 Parsed = TypeVar("Parsed")
@@ -81,7 +81,9 @@ EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 EUROC = _Layout(EUROC_COLUMNS, ",", parse_nanoseconds, has_more=True)
 
 
-def read_trajectory(path: Path, notes: list[str]) -> Iterator[PoseSample]:
+def read_trajectory(
+    path: Path, notes: list[str], moments: Moments | None = None
+) -> Iterator[PoseSample]:
     """Read the poses of a body in the map, in file order.
 
     The samples' `child` is "", for such files do not name the body. Empty lines and lines that
@@ -92,6 +94,9 @@ def read_trajectory(path: Path, notes: list[str]) -> Iterator[PoseSample]:
     ----------
     notes
         Grows by a note on the axes of KITTI poses, which the file does not state.
+    moments
+        The times of the scans of a log, which poses without times of their own are for one by one,
+        and all poses where those of the scans are not known.
 
     Raises
     ------
@@ -99,14 +104,33 @@ def read_trajectory(path: Path, notes: list[str]) -> Iterator[PoseSample]:
         The file cannot be read or holds no poses, or a line is not a pose.
     """
     found = False
-    for stamp_ns, pose in _read_poses(path, notes):
+    for stamp_ns, pose in _read_poses(path, notes, moments):
         yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
         found = True
     if not found:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
 
 
-def _read_poses(path: Path, notes: list[str]) -> Iterator[TimedPose]:
+def _read_poses(path: Path, notes: list[str], moments: Moments | None) -> Iterator[TimedPose]:
+    """Read the poses of a file, at the times of scans where only their order is known."""
+    poses = _read_timed(path, notes, moments)
+    if moments is None or moments.is_timed:
+        return poses
+    places = [pose for _, pose in poses]
+    return zip(_pair(path, len(places), moments), places, strict=True)
+
+
+def _pair(path: Path, poses: int, moments: Moments) -> list[int]:
+    """Give the times of scans that poses are for one by one; raises LogError."""
+    if poses != len(moments.stamp_ns):
+        found = f"it holds {poses:,} poses, and the log {len(moments.stamp_ns):,} clouds"
+        raise LogError(
+            found, where=path, fix="give a pose for each file, in the order of the names"
+        )
+    return moments.stamp_ns
+
+
+def _read_timed(path: Path, notes: list[str], moments: Moments | None) -> Iterator[TimedPose]:
     """Read the poses of a file; its first line tells which format it has."""
     lines = _read_lines(path)
     first = next(lines, (0, ""))
@@ -114,7 +138,7 @@ def _read_poses(path: Path, notes: list[str]) -> Iterator[TimedPose]:
     if not first[1]:
         return iter(())
     if len(first[1].split()) == MATRIX:
-        return _read_matrices(path, whole, notes)
+        return _read_matrices(path, whole, notes, moments)
     if "," not in first[1]:
         return _parse_lines(path, whole, TUM.parse)
     if first[1].partition(",")[0].strip().lstrip("-").isdecimal():
@@ -124,7 +148,7 @@ def _read_poses(path: Path, notes: list[str]) -> Iterator[TimedPose]:
 
 
 def _read_matrices(
-    path: Path, lines: Iterable[NumberedLine], notes: list[str]
+    path: Path, lines: Iterable[NumberedLine], notes: list[str], moments: Moments | None
 ) -> Iterator[TimedPose]:
     """Read KITTI's poses, each with its time.
 
@@ -132,14 +156,7 @@ def _read_matrices(
     are told by where they lead: on the ground only such poses go far along z.
     """
     rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
-    beside = path.parent / TIMES
-    if not beside.is_file():
-        raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
-    fix = "a time in seconds stands in each line"
-    times = list(_parse_lines(beside, _read_lines(beside), parse_seconds, fix))
-    if len(times) != len(rows):
-        found = f"it holds {len(rows):,} poses, and {TIMES} beside it {len(times):,} times"
-        raise LogError(found, where=path, fix="there must be one for each pose")
+    times = _pair(path, len(rows), moments) if moments else _read_times(path, len(rows))
     finite = rows[np.isfinite(rows).all(axis=(1, 2))]
     y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
     notes.append(
@@ -151,6 +168,19 @@ def _read_matrices(
     rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])]).tolist()
     return zip(times, map(Pose._make, poses), strict=True)
+
+
+def _read_times(path: Path, poses: int) -> list[int]:
+    """Read the times of KITTI's poses, so many, from the file beside them."""
+    beside = path.parent / TIMES
+    if not beside.is_file():
+        raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
+    fix = "a time in seconds stands in each line"
+    times = list(_parse_lines(beside, _read_lines(beside), parse_seconds, fix))
+    if len(times) != poses:
+        found = f"it holds {poses:,} poses, and {TIMES} beside it {len(times):,} times"
+        raise LogError(found, where=path, fix="there must be one for each pose")
+    return times
 
 
 def _read_lines(path: Path) -> Iterator[NumberedLine]:

@@ -15,9 +15,9 @@ from typing import Protocol, cast, runtime_checkable
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
-from occmap.report.notes import Note as Note
-from occmap.report.notes import NoteList as NoteList
-from occmap.types import Cloud, PoseBatch, PoseSample, Recorded, Scan, ScanRun
+from occmap.report.words import Note as Note
+from occmap.report.words import NoteList as NoteList
+from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 
 DEFAULT_OPTIONS = ReaderOptions()
 
@@ -83,6 +83,13 @@ class StackingScans(Protocol):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """What `scans` gives, in the same order."""
+
+
+@runtime_checkable
+class Counting(Protocol):
+    """A log of scans alone, whose order at least is known before they are read."""
+
+    moments: Moments
 
 
 @runtime_checkable

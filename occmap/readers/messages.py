@@ -66,7 +66,9 @@ types, which takes a build 5 to 8% of its time, that a log defines one as ROS do
 
 
 def make_reader(
-    channel: Channel, convert: Callable[[Any, str, int], T]
+    channel: Channel,
+    convert: Callable[[Any, str, int], T],
+    parse_whole: Callable[[memoryview, str], Any] | None = None,
 ) -> tuple[FromBytes[T], bool]:
     """Build the function that reads a channel's messages: decodes and converts them.
 
@@ -74,6 +76,8 @@ def make_reader(
     ----------
     convert
         Takes a decoded message, its topic and its record time in ns.
+    parse_whole
+        Decodes a message of an encoding, in place of what the log's definition says.
 
     Returns
     -------
@@ -87,7 +91,12 @@ def make_reader(
         The channel's message definition cannot be understood.
     """
     topic, kind = channel.topic, channel.kind
-    parse, errors, is_standard = _PARSERS[channel.encoding](channel)
+    parser: _Parser
+    if parse_whole:
+        parser = lambda data: parse_whole(data, channel.encoding), (), False
+    else:
+        parser = _PARSERS[channel.encoding](channel)
+    parse, errors, is_standard = parser
 
     def read(data: memoryview, record_ns: int) -> T:
         try:

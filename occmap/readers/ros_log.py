@@ -19,9 +19,19 @@ from typing import Any, Generic, TypeAlias, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Role, Stream
+from occmap.readers.cloud_messages import is_depth, read_camera
 from occmap.readers.containers.inflate import Buffer
 from occmap.readers.containers.source import Channel, RawMessage, Source
-from occmap.readers.message_types import TYPES, ToCloud, ToScan, find_type
+from occmap.readers.message_types import (
+    PACKETS,
+    TYPES,
+    MessageType,
+    Parse,
+    ToCloud,
+    ToDepth,
+    ToScan,
+    find_type,
+)
 from occmap.readers.messages import make_reader
 from occmap.readers.options import ReaderOptions
 from occmap.readers.stacks import Stacked, read_scan_run, read_transforms
@@ -71,6 +81,11 @@ class RosLog:
             if channel.count and kind is None and channel.kind in TYPES:
                 found = f"{channel.count} messages on {channel.topic} are {channel.type}"
                 self.notes.add_damage(f"{found} in {channel.encoding!r}: they are not used")
+            if channel.count and (node := PACKETS.get(channel.kind)):
+                found = f"{channel.count} messages on {channel.topic} are packets of a lidar"
+                self.notes.add(f"{found}: record the clouds that {node} makes of them")
+            if kind and kind.to_depth:
+                self._types[channel] = self._find_camera(channel, kind.to_depth)
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -96,11 +111,36 @@ class RosLog:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
         return self._read_stacked(self._make_scan_readers(topics), read_scan_run, 1)
 
+    def _find_camera(self, channel: Channel, to_depth: ToDepth) -> MessageType | None:
+        """Find how images become clouds; None where they are not depths, or of no known camera."""
+        if not channel.count or not self._take_first(channel, is_depth):
+            return None
+        place = channel.topic.removesuffix("/compressedDepth").rpartition("/")[0]
+        name = f"{place}/camera_info"
+        infos = (each for each in self._source.channels if each.topic == name)
+        cameras = (self._take_first(each, read_camera) for each in infos)
+        camera = next((each for each in cameras if each), None)
+        if camera is None:
+            found = f"{channel.count} depth images on {channel.topic} are not used"
+            self.notes.add(f"{found}: no CameraInfo comes on {name}; record it with them")
+            return None
+        return MessageType(Role.CLOUD, to_cloud=partial(to_depth, camera))
+
+    def _take_first(self, channel: Channel, read: Callable[[Any], T]) -> T | None:
+        """Read the first message of a channel that can be read."""
+        with suppress(LogError), refuse_unreadable(self.path):
+            reader = _ChannelReader(channel, lambda message, *_: [read(message)])
+            for _, record_ns, data in self._source.messages({channel}):
+                found: Sequence[T] = reader.read(data, record_ns)
+                if found:
+                    return found[0]
+        return None
+
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
 
         def make_convert(to_cloud: ToCloud) -> Convert[Cloud]:
-            return lambda *message: [to_cloud(*message)]
+            return lambda *message: [self._note_cloud(to_cloud(*message))]
 
         return self._read(
             self._make_readers(
@@ -127,12 +167,21 @@ class RosLog:
             if kind and kind.to_scan and channel.topic in topics
         )
 
+    def _note_cloud(self, cloud: Cloud) -> Cloud:
+        """Say how the times of points are read, and where there are no points."""
+        if cloud.times:
+            self.notes.add(f"{cloud.topic}: its points have the time {cloud.times}")
+        if not cloud.points.any():
+            self.notes.add(f"{cloud.topic}: clouds without a point among others")
+        return cloud
+
     def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T]]]) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
         for channel, convert in wanted:
             try:
-                readers[channel] = _ChannelReader(channel, convert)
+                kind = self._types[channel]
+                readers[channel] = _ChannelReader(channel, convert, kind and kind.parse)
             except LogError as error:
                 found = error.placed(channel.topic)
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
@@ -205,14 +254,14 @@ class _ChannelReader(Generic[T]):
     decides between the two.
     """
 
-    def __init__(self, channel: Channel, convert: Convert[T]) -> None:
+    def __init__(self, channel: Channel, convert: Convert[T], parse: Parse | None = None) -> None:
         self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
         self._is_settled = not channel.definition
-        self._make_standard = partial(make_reader, replace(channel, definition=""), convert)
+        self._make_standard = partial(make_reader, replace(channel, definition=""), convert, parse)
         try:
-            self.decode, self.is_plain = make_reader(channel, convert)
+            self.decode, self.is_plain = make_reader(channel, convert, parse)
         except LogError:
             if self._is_settled:
                 raise

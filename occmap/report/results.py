@@ -8,9 +8,8 @@ import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.grid.tiles import TileGrid
-from occmap.report.notes import Noted
 from occmap.report.printed import Count, Share
-from occmap.report.words import Row, count, write_box, write_counts
+from occmap.report.words import Noted, Row, count, write_box, write_counts
 from occmap.scans.tally import ScanCounts
 from occmap.sensor.returns import ReturnCounts
 from occmap.types import Int64, Update

@@ -16,7 +16,15 @@ from occmap.errors import LogError, OccmapError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing.attach import Poser
 from occmap.posing.options import PosingOptions
-from occmap.readers import HoldingClouds, Log, Role, find_reader, open_log, read_poses
+from occmap.readers import (
+    Counting,
+    HoldingClouds,
+    Log,
+    Role,
+    find_reader,
+    open_log,
+    read_poses,
+)
 from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
 from occmap.report.words import STDIN_FOLDER, count, join_names
@@ -38,9 +46,9 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     there = scans + clouds if wanted else scans or clouds
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
-        damage = next((note.text for note in log.notes if note.damage), "")
+        notes = sorted(log.notes, key=lambda note: not note.damage)
         found = f"holds no laser scans; it holds {held or 'nothing'}"
-        raise LogError(found, where=log.path, fix=damage)
+        raise LogError(found, where=log.path, fix=notes[0].text if notes else "")
     missing = sorted(set(wanted) - set(there))
     if missing:
         found = f"has no scans on the topic {missing[0]}"
@@ -106,7 +114,8 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else read_poses(log), options)
+    moments = log.moments if isinstance(log, Counting) else None
+    poser = Poser.build([] if stated else read_poses(log), options, moments)
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:

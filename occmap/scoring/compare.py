@@ -10,15 +10,13 @@ from occmap.errors import LogError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
 from occmap.readers import open_log
 from occmap.report.doubts import list_frames
-from occmap.report.notes import Noted
 from occmap.report.printed import HIDDEN, Count, printed_as
-from occmap.report.words import count
+from occmap.report.words import Noted, count
 from occmap.scans.logs import count_scans
 from occmap.scans.tally import ScanCounts, Tally, refuse_unused
 from occmap.scans.tracing import Progress, Remarks, ignore_progress, trace_logs
 from occmap.scoring.score import SMALL
-from occmap.scoring.trials import HoldOut, ScoredVariant, Trials
-from occmap.scoring.variants import Variant
+from occmap.scoring.trials import HoldOut, ScoredVariant, Trials, Variant
 from occmap.types import Update
 
 FEW_SCANS = 10

@@ -12,7 +12,7 @@ from occmap.errors import UsageError
 from occmap.evidence import read_model, refuse_other_profile, to_grid
 from occmap.evidence.manifest import BuildRecord, list_doubts
 from occmap.evidence.persistence import check_passes, render_lasting
-from occmap.grid.framing import Framing
+from occmap.grid.rendering import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report.doubts import list_disagreement, list_unreached
 from occmap.report.results import Build, MapFacts, MapSummary, Report, describe_map

@@ -10,9 +10,8 @@ from occmap.cells import Box, CellClass, Decision, OccupancyMap, to_log_odds
 from occmap.errors import UsageError
 from occmap.evidence import choose_tiles, paint_box, to_grid
 from occmap.evidence.persistence import describe_lost, keep_lasting, refuse_nothing_left
-from occmap.grid.framing import Framing, choose_box
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import count_agreeing, measure_bounds
+from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
 from occmap.grid.tiles import TileGrid, refuse_large
 from occmap.report.results import MapFacts, count_cells
 from occmap.sensor.models import SensorModel, find_decision

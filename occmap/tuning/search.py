@@ -17,8 +17,7 @@ from occmap.report.printed import Finite
 from occmap.scans.engines import make_engine
 from occmap.scoring.compare import refuse_unscored
 from occmap.scoring.score import SMALL, Gain, Trial
-from occmap.scoring.trials import Trials
-from occmap.scoring.variants import Variant
+from occmap.scoring.trials import Trials, Variant
 from occmap.sensor.returns import interpret
 from occmap.tuning.kept import MOST_OFFSET_S, KeptLog
 from occmap.types import Pose, Rays

@@ -18,7 +18,7 @@ from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions
 from occmap.readers.decimals import parse_rows
 from occmap.scoring.compare import compare
-from occmap.scoring.variants import combine
+from occmap.scoring.trials import combine
 from occmap.sensor.models import parse_model
 from occmap.types import Update
 

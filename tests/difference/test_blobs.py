@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from occmap.difference.blobs import Blob, find_largest_blob
+from occmap.difference import Blob, find_largest_blob
 from occmap.grid.lattice import CellBox
 from occmap.types import Bool
 

@@ -13,7 +13,7 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence import render, to_grid
 from occmap.evidence.persistence import keep_lasting
 from occmap.explanation import Explanation, Question, explain
-from occmap.explanation.sightings import add_up
+from occmap.explanation.history import add_up
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions

@@ -1,6 +1,6 @@
 """The updates for models that look at distances, the slow way: one cell at a time, in floats.
 
-O, V and p are `occmap.sensor.rules`, of a cell whose centre is at distance d from the sensor on a
+O, V and p are `occmap.sensor.models`, of a cell whose centre is at distance d from the sensor on a
 beam of range r. Where neither O nor V speaks of a cell, nothing is observed. p is clipped to
 [p_min, 1 - p_min].
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from occmap.sensor.rules import occupancy, probability, visibility
+from occmap.sensor.models import occupancy, probability, visibility
 from occmap.types import Kind, Rays
 from tests.grid.reference import (
     Cell,

@@ -7,7 +7,7 @@ import pytest
 
 from occmap.cells import Box, OccupancyMap
 from occmap.errors import MapError, UsageError
-from occmap.grid.framing import Framing, frame
+from occmap.grid.rendering import Framing, frame
 
 LOG_ODDS = np.arange(12, dtype=np.float32).reshape(3, 4)
 GRID = OccupancyMap(LOG_ODDS, LOG_ODDS > 0, 0.05, (0.05, -0.05))

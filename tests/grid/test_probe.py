@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.probe import find_near, look_at_cell
+from occmap.grid.projection import find_near, look_at_cell
 from occmap.grid.spec import GridSpec
 from occmap.types import Kind, Rays, Update
 from tests.grid.scans import FEW, Drive, aim, drives, observe

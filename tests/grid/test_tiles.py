@@ -5,9 +5,8 @@ import pytest
 
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.grid.framing import Reach
 from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import find_bounds, paint
+from occmap.grid.rendering import Reach, find_bounds, paint
 from occmap.grid.tiles import (
     INT32_LIMIT,
     LOG_ODDS_UNIT,

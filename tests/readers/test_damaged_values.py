@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from occmap.readers import message_types, open_log, read_recorded
+from occmap.readers.cloud_messages import convert_cloud
 from occmap.readers.containers.source import Channel
-from occmap.readers.message_types import convert_cloud, get_row
+from occmap.readers.fields import get_row
 from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json

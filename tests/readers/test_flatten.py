@@ -10,7 +10,8 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
 from occmap.readers import Role, open_log, read_recorded
-from occmap.readers.message_types import convert_cloud, convert_multi_echo, find_offsets
+from occmap.readers.cloud_messages import convert_cloud, find_offsets
+from occmap.readers.message_types import convert_multi_echo
 from occmap.readers.options import Echo, ReaderOptions
 from occmap.scans.logs import choose_topics
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
@@ -136,7 +137,7 @@ NOW, TENTH = 1_700_000_000_000_000_000, 100_000_000
 def test_times_of_points_in_any_unit(times: Any, expected: list[int] | None) -> None:
     points = np.ones((3, 3), np.float32)
 
-    found = find_offsets(times, points, NOW)
+    found, _ = find_offsets(times, points, NOW)
 
     assert (found if found is None else found.tolist()) == expected
 
@@ -144,7 +145,7 @@ def test_times_of_points_in_any_unit(times: Any, expected: list[int] | None) -> 
 def test_points_without_a_return_tell_no_time() -> None:
     points = np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [3.0, 1.0, 0.0]], np.float32)
 
-    found = find_offsets(np.array([0, 2**32 - 1, TENTH], "u4"), points, SECOND)
+    found, _ = find_offsets(np.array([0, 2**32 - 1, TENTH], "u4"), points, SECOND)
 
     assert found is not None
     assert found.tolist() == [0, 0, TENTH]

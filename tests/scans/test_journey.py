@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.posing.options import DropReason
-from occmap.scans.journey import JourneyRecorder
+from occmap.scans.tally import JourneyRecorder
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Attached, PosedScans, ScanBatch
 

@@ -15,8 +15,7 @@ from occmap.pipeline import build
 from occmap.scans.tracing import Remarks
 from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
 from occmap.scoring.score import Score, estimate_error
-from occmap.scoring.trials import HoldOut, ScoredVariant
-from occmap.scoring.variants import Variant, combine, shorten_model
+from occmap.scoring.trials import HoldOut, ScoredVariant, Variant, combine, shorten_model
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from occmap.sensor.rules import occupancy, probability, visibility
+from occmap.sensor.models import occupancy, probability, visibility
 
 
 def test_visibility_falls_from_the_sensor_to_where_the_hit_begins() -> None:

@@ -16,7 +16,7 @@ from occmap.scans.tally import Tally
 from occmap.scans.tracing import Remarks
 from occmap.scoring.compare import compare
 from occmap.scoring.score import Gain
-from occmap.scoring.variants import Variant
+from occmap.scoring.trials import Variant
 from occmap.tuning import tune
 from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
 from occmap.tuning.search import TIME, YAW, Correction, Verdict, X

@@ -1,0 +1,275 @@
+"""Messages of points as clouds: PointCloud2, Livox's own, and depth images.
+
+Points stay as their driver wrote them, with NaN or zeros where nothing came back.
+"""
+
+import math
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from occmap.errors import DamageError
+from occmap.readers.fields import (
+    get,
+    get_bytes,
+    get_frame,
+    get_list,
+    get_row,
+    get_stamp,
+    get_whole,
+    look,
+)
+from occmap.types import Cloud, Float32, Int64, UInt8
+from occmap.values import as_text, shorten
+
+TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
+"""What drivers call the time of a point."""
+LONGEST_SWEEP_NS = 1_000_000_000
+"""No sensor takes longer for a cloud; times beyond this are not those of points."""
+UNITS = {1.0: "ns", 1e3: "us", 1e9: "s"}
+
+ROS_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""NumPy's names of the number types of sensor_msgs/PointField."""
+FOXGLOVE_KINDS = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"}
+"""Those of foxglove.PackedElementField."""
+
+_DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""What depths are written as by encoding, and how many metres one is (REP 118)."""
+_COMPRESSED_HEAD = np.dtype([("form", "<i4"), ("a", "<f4"), ("b", "<f4")])
+"""What compressed_depth_image_transport puts before a PNG."""
+
+
+class Camera(NamedTuple):
+    """The pinhole camera of a depth image: pixels a metre at 1 m, and where its axis meets it."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/PointCloud2; raises DamageError where it is not as it says."""
+    order = ">" if get_whole(message, "is_bigendian") else "<"
+    sizes = ("height", "width", "point_step", "row_step")
+    rows, width, step, row_step = (get_whole(message, name) for name in sizes)
+    steps = row_step if rows > 1 else width * step, step
+    fields = read_fields(message, "datatype", ROS_KINDS)
+    columns = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)
+    stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+    return make_cloud(columns, frame, stamp_ns, topic, record_ns)
+
+
+def read_fields(
+    message: Any, type_name: str, kinds: Mapping[int, str]
+) -> dict[str, tuple[str, int]]:
+    """Read what the points of a message hold that is used: NumPy's type and the place of each."""
+    fields = {}
+    for field in get_list(message, "fields"):
+        name, kind = as_text(get(field, "name")), kinds.get(get_whole(field, type_name))
+        if kind and name in (*"xyz", *TIME_FIELDS):
+            fields[name] = kind, get_whole(field, "offset")
+    return fields
+
+
+def view_columns(
+    data: UInt8,
+    fields: Mapping[str, tuple[str, int]],
+    shape: tuple[int, int],
+    steps: tuple[int, int],
+    order: str = "<",
+) -> dict[str, NDArray[Any]]:
+    """See the fields of points, (N,) each, by their names.
+
+    Parameters
+    ----------
+    shape, steps
+        How many rows and points in each, and how many bytes from one to the next.
+
+    Raises
+    ------
+    DamageError
+        The points do not lie beside one another within the data.
+    """
+    (rows, width), (row_step, step) = shape, steps
+    if min(rows, width) < 0 or (rows - 1) * row_step + width * step > len(data):
+        raise DamageError(f"announces {rows} x {width} points in {len(data)} bytes")
+    data, columns = np.ascontiguousarray(data), {}
+    for name, (kind, at) in fields.items():
+        number = np.dtype(order + kind)
+        if row_step < width * step or not 0 <= at <= step - number.itemsize:
+            raise DamageError("is a cloud whose points lie over one another")
+        if rows * width:
+            columns[name] = np.ndarray(shape, number, data.data, at, steps).ravel()
+        else:
+            columns[name] = np.empty(0, number)
+    return columns
+
+
+def make_cloud(
+    columns: Mapping[str, NDArray[Any]], frame: str, stamp_ns: int, topic: str, record_ns: int
+) -> Cloud:
+    """Make a cloud of the fields of its points; raises DamageError where x, y or z is absent."""
+    if not all(name in columns for name in "xyz"):
+        raise DamageError("is a cloud of points without x, y and z")
+    points = np.empty((len(columns["x"]), 3), np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):  # a flipped bit makes any number
+        for axis, name in enumerate("xyz"):
+            points[:, axis] = columns[name]
+    for name in TIME_FIELDS:
+        if name in columns:
+            offset_ns, found = find_offsets(columns[name], points, stamp_ns)
+            times = f"{name}, {found}" if found else ""
+            return Cloud(stamp_ns, frame, points, offset_ns, None, topic, record_ns, times)
+    return Cloud(stamp_ns, frame, points, None, None, topic, record_ns)
+
+
+def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> tuple[Int64 | None, str]:
+    """Find when points were measured, in ns after the stamp (N,), whatever their driver's unit.
+
+    Times may be relative to the stamp or absolute, in s, us or ns. Those of a clock other than
+    the stamp's are taken from the first point on. None where all points have one time, or times
+    are further apart than any sensor's sweep.
+
+    Returns
+    -------
+    offset_ns, found
+        The times, and in words how they were read; "" where they say nothing.
+    """
+    with np.errstate(invalid="ignore"):
+        values = times.astype(np.float64)
+        used = np.isfinite(values) & np.isfinite(points).all(axis=1) & points.any(axis=1)
+    if not used.any():
+        return None, ""
+    low, high = float(values[used].min()), float(values[used].max())
+    if low == high:
+        return None, ""
+    unit, is_absolute = find_time_unit(low, high)
+    after = "of a clock" if is_absolute else "after the stamp"
+    # Counted from the earliest one, since nanoseconds of a clock are more than a float can tell.
+    start_ns = low * unit - (stamp_ns if is_absolute else 0)
+    if is_absolute and abs(start_ns) > LONGEST_SWEEP_NS:
+        start_ns, after = 0, "of a clock other than the stamp's, so they begin at the stamp"
+    if max(abs(start_ns), abs(start_ns + (high - low) * unit)) > LONGEST_SWEEP_NS:
+        return None, "which reach more than a second from the stamp: all points are taken at it"
+    passed_ns = np.rint((np.where(used, values, low) - low) * unit).astype(np.int64)
+    return passed_ns + round(start_ns), f"in {UNITS[unit]} {after}"
+
+
+def find_time_unit(low: float, high: float) -> tuple[float, bool]:
+    """Find how many ns the unit of points' times has, and whether they are a clock's.
+
+    A clock has counted 1e9 seconds since 2001; a sweep takes less than two seconds.
+    """
+    for unit in (1.0, 1e3, 1e9):
+        if low * unit > 1e18 and (high - low) * unit <= 10 * LONGEST_SWEEP_NS:
+            return unit, True
+    largest = max(abs(low), abs(high))
+    return next((unit for unit, most in ((1e9, 2), (1e3, 2e6)) if largest <= most), 1.0), False
+
+
+def parse_livox(data: memoryview, encoding: str) -> Mapping[str, Any]:
+    """Parse a livox_ros_driver/CustomMsg, whose points a library would read one by one."""
+    raw = bytes(data) + b"\0"  # CDR leaves out what would fill up the last point
+    end = 16 + int.from_bytes(raw[12:16], "little")  # of the frame's name
+    is_cdr = encoding == "cdr"
+    start = end + (4 - end) % 8 * is_cdr  # of the time that those of points are counted from
+    count, step = int.from_bytes(raw[start + 16 : start + 20], "little"), 20 if is_cdr else 19
+    if (is_cdr and raw[:2] != b"\0\1") or len(raw) < start + 20 + count * step:
+        raise DamageError(f"announces {count} points in {len(data)} bytes")
+    sec, nanosec = np.frombuffer(raw, "<u4", 2, 4).tolist()
+    fields = {"offset_time": ("u4", 0), "x": ("f4", 4), "y": ("f4", 8), "z": ("f4", 12)}
+    points = np.frombuffer(raw, np.uint8, count * step, start + 20)
+    columns = view_columns(points, fields, (1, count), (count * step, step))
+    stamp = {"sec": sec, "nanosec": nanosec}
+    frame = raw[16:end].rstrip(b"\0").decode("utf-8", "surrogateescape")
+    return {"header": {"stamp": stamp, "frame_id": frame}, "points": columns}
+
+
+def convert_livox(message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert what `parse_livox` gives: its times are ns after the stamp."""
+    stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+    columns = dict(message["points"])
+    offset_ns = columns.pop("offset_time").astype(np.int64)
+    cloud = make_cloud(columns, frame, stamp_ns, topic, record_ns)
+    if offset_ns.any() and offset_ns.max() <= LONGEST_SWEEP_NS:
+        return cloud._replace(offset_ns=offset_ns, times="offset_time, in ns after the stamp")
+    return cloud
+
+
+def read_camera(message: Any) -> Camera:
+    """Read a sensor_msgs/CameraInfo; raises DamageError where it is of no pinhole camera."""
+    name = "k" if look(message, "k") is not None else "K"  # in ROS 1
+    k, p = get_row(message, name), get_row(message, name.replace("k", "p").replace("K", "P"))
+    # Depth images are rectified, which P is for; drivers that do not rectify leave it empty.
+    row = p if len(p) == 12 and p[0] else k
+    if len(row) not in {9, 12}:
+        raise DamageError("states no matrix")
+    fx, cx, fy, cy = row[[0, 2, 5, 6] if len(row) == 12 else [0, 2, 4, 5]].tolist()
+    camera = Camera(get_whole(message, "width"), get_whole(message, "height"), fx, fy, cx, cy)
+    if not (math.isfinite(sum(camera)) and min(fx, fy) > 0):
+        raise DamageError("states no focal length")
+    return camera
+
+
+def is_depth(message: Any) -> bool:
+    """Whether an image, or a compressed one, holds depths; raises DamageError."""
+    if look(message, "encoding") is not None:
+        return get(message, "encoding") in _DEPTHS
+    return "compressedDepth" in as_text(get(message, "format"))
+
+
+def convert_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/Image of depths: a point for each pixel that has one."""
+    encoding, order = get(message, "encoding"), ">" if get_whole(message, "is_bigendian") else "<"
+    if encoding not in _DEPTHS:
+        raise DamageError(f"is written as {shorten(encoding)}, which no depth is")
+    kind, unit = _DEPTHS[encoding]
+    rows, width, step = (get_whole(message, name) for name in ("height", "width", "step"))
+    fields = {"z": (kind, 0)}
+    steps = step, np.dtype(kind).itemsize
+    depth = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)["z"]
+    return _project(
+        camera, depth.reshape(rows, width) * np.float32(unit), message, topic, record_ns
+    )
+
+
+def convert_compressed_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/CompressedImage, as compressed_depth_image_transport writes it.
+
+    Depths that were floats lie in the PNG as a / depth + b, and 0 where there is none.
+    """
+    from PIL import Image  # noqa: PLC0415  late: few logs need it
+
+    data, head = get_bytes(message, "data"), _COMPRESSED_HEAD
+    try:
+        _, a, b = np.frombuffer(data, head, 1)[0].tolist()
+        with Image.open(BytesIO(data[head.itemsize :].tobytes()), formats=["PNG"]) as image:
+            packed = np.asarray(image).astype(np.float32)
+    except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise DamageError(f"holds no PNG of depths ({type(error).__name__})") from None
+    if packed.ndim != 2:
+        raise DamageError("holds a PNG of colours, which no depth is")
+    depth = packed * np.float32(1e-3)
+    if get(message, "format").startswith("32FC1"):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = np.where(packed > 0, np.float32(a) / (packed - np.float32(b)), 0)
+    return _project(camera, depth, message, topic, record_ns)
+
+
+def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns: int) -> Cloud:
+    """Put the pixels of an image (H, W), of depths in m, where they lie in the optical frame."""
+    if depth.shape != (camera.height, camera.width):
+        found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
+        raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0))
+    z = depth[row, column]
+    x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
+    columns = {"x": x, "y": y, "z": z}
+    stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+    return make_cloud(columns, frame, stamp_ns, topic, record_ns)

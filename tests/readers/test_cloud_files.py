@@ -1,0 +1,254 @@
+"""Folders of clouds: what each format holds, what is damaged, and which poses are theirs."""
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.errors import DamageError, LogError
+from occmap.posing.trajectory import read_trajectory
+from occmap.readers import HoldingClouds, Role, open_log
+from occmap.readers.cloud_files import Points, read_bin, read_pcd, read_ply
+from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_time
+from occmap.readers.lzf import inflate
+from occmap.types import Cloud, Moments, Pose
+
+POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
+XYZ = struct.pack("<9f", *(number for point in POINTS for number in point))
+SECOND = 1_000_000_000
+
+
+def pcd(
+    form: str, data: bytes, fields: str = "x y z", points: int = 3, kinds: str = "F F F"
+) -> bytes:
+    size = " ".join("4" if kind in "FU" else "2" for kind in kinds.split())
+    head = f"# .PCD v0.7\nVERSION 0.7\nFIELDS {fields}\nSIZE {size}\nTYPE {kinds}\n"
+    return f"{head}WIDTH {points}\nHEIGHT 1\nPOINTS {points}\nDATA {form}\n".encode() + data
+
+
+def ply(form: str, properties: list[str], data: bytes, count: int = 3) -> bytes:
+    lines = ["ply", f"format {form} 1.0", "comment by hand", f"element vertex {count}"]
+    lines += [f"property {each}" for each in properties]
+    lines += ["element face 0", "property list uchar int vertex_indices", "end_header", ""]
+    return "\n".join(lines).encode() + data
+
+
+def stored(data: bytes) -> bytes:
+    """As LZF that copies nothing, behind both of its sizes."""
+    runs = [data[at : at + 32] for at in range(0, len(data), 32)]
+    packed = b"".join(bytes([len(run) - 1]) + run for run in runs)
+    return struct.pack("<II", len(packed), len(data)) + packed
+
+
+def by_field(data: bytes) -> bytes:
+    return np.frombuffer(data, "<f4").reshape(-1, 3).T.tobytes()
+
+
+FLOATS = ["float x", "float y", "float z"]
+SWAPPED = np.frombuffer(XYZ, "<f4").byteswap().tobytes()
+TEXT = b"1 -2 0.5\n3.25 4 -1.5\n0 0 0\n"
+
+
+@pytest.mark.parametrize(
+    ("read", "data"),
+    [
+        (read_pcd, pcd("ascii", TEXT)),
+        (read_pcd, pcd("binary", XYZ)),
+        (read_pcd, pcd("binary_compressed", stored(by_field(XYZ)))),
+        (read_ply, ply("ascii", FLOATS, TEXT.replace(b"\n", b"\r\n"))),
+        (read_ply, ply("binary_little_endian", FLOATS, XYZ)),
+        (read_ply, ply("binary_big_endian", FLOATS, SWAPPED)),
+        (read_bin, b"".join(XYZ[at : at + 12] + b"\0\0\0\0" for at in (0, 12, 24))),
+    ],
+    ids=["pcd", "pcd binary", "pcd compressed", "ply", "ply little", "ply big", "bin"],
+)  # fmt: skip
+def test_each_format_holds_the_same_points(read: Callable[[bytes], Points], data: bytes) -> None:
+    found = read(data)
+
+    assert list(zip(*(found.columns[name].tolist() for name in "xyz"), strict=True)) == POINTS
+    assert found.announced == 3
+
+
+def test_fields_of_other_types_and_counts_lie_between() -> None:
+    row = struct.Struct("<2H f h 2H f f")
+    data = b"".join(row.pack(7, 7, x, 9, 7, 7, y, z) for x, y, z in POINTS)
+    head = "FIELDS _ x ring _ y z\nSIZE 2 4 2 2 4 4\nTYPE U F I U F F\nCOUNT 2 1 1 2 1 1\n"
+    found = read_pcd(f"{head}POINTS 3\nDATA binary\n".encode() + data)
+
+    assert found.columns["y"].tolist() == [-2, 4, 0]
+    assert found.columns["ring"].tolist() == [9, 9, 9]
+
+
+def test_lzf_copies_what_it_has_just_written() -> None:
+    packed = np.frombuffer(bytes([1]) + b"ab" + bytes([(2 << 5) | 0, 1, 7 << 5, 3, 0]), np.uint8)
+    out = np.empty(2 + 4 + 12, np.uint8)
+
+    assert inflate(packed, out) == len(out)
+    assert out.tobytes() == b"ababab" + b"b" * 12
+
+
+@pytest.mark.parametrize("kind", ["<f8", "<i2", ">f4"])
+def test_arrays_of_any_number(tmp_path: Path, kind: str) -> None:
+    np.save(tmp_path / "1.npy", np.array([(1, 2, 3, 99), (4, 5, 6, 99)], kind))
+    fields = [(name, kind) for name in ("intensity", "x", "y", "z")]
+    np.save(tmp_path / "2.npy", np.array([(99, 1, 2, 3), (99, 4, 5, 6)], fields))
+
+    for cloud in read(tmp_path):
+        assert cloud.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+        assert cloud.points.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "found"),
+    [
+        ("a.pcd", b"", "ends within its header"),
+        ("a.pcd", pcd("binary", XYZ, fields="x y i"), "no field z"),
+        ("a.pcd", pcd("zipped", XYZ), "'zipped'"),
+        ("a.pcd", pcd("binary", XYZ, points=-1), "header"),
+        ("a.pcd", pcd("binary", XYZ, kinds="F F"), "header"),
+        ("a.pcd", pcd("ascii", b"1 2 x\n"), "numbers"),
+        ("a.pcd", pcd("binary_compressed", stored(by_field(XYZ))[:-5]), "33 of 38 bytes"),
+        ("a.pcd", pcd("binary_compressed", struct.pack("<II", 3, 36) + b"\xff\xff\xff"), "damaged"),
+        ("a.ply", b"ply\nformat ascii 1.0\n", "ends within its header"),
+        ("a.ply", ply("binary_little_endian", ["list uchar float x"], XYZ), "lists"),
+        ("a.ply", ply("ascii", ["float x"], TEXT), "no field y"),
+        ("a.bin", b"0123456789", "10 bytes"),
+        ("a.npy", b"\x93NUMPY", "no array"),
+    ],
+)
+def test_a_file_that_is_no_cloud_is_left_out_and_named(
+    tmp_path: Path, name: str, data: bytes, found: str
+) -> None:
+    (tmp_path / name).write_bytes(data)
+    (tmp_path / "b.pcd").write_bytes(pcd("binary", XYZ))
+    log = CloudFolder(tmp_path)
+
+    assert [len(cloud.points) for cloud in log.clouds({"clouds"})] == [3]
+    (note,) = [note.text for note in log.notes if note.damage]
+    assert name in note
+    assert found in note
+
+
+def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path: Path) -> None:
+    (tmp_path / "1.pcd").write_bytes(pcd("binary", XYZ[:-1]))
+    (tmp_path / "2.pcd").write_bytes(pcd("ascii", TEXT[:-4]))
+    (tmp_path / "3.ply").write_bytes(ply("binary_little_endian", FLOATS, XYZ[:12]))
+    log = CloudFolder(tmp_path)
+
+    assert [len(cloud.points) for cloud in log.clouds({"clouds"})] == [2, 2, 1]
+    notes = [note.text for note in log.notes if note.damage]
+    assert [note.split()[0] for note in notes] == ["1.pcd", "2.pcd", "3.ply"]
+    assert all("of 3 points" in note for note in notes)
+
+
+def read(folder: Path) -> list[Cloud]:
+    log = open_log(folder)
+    assert isinstance(log, HoldingClouds)
+    assert [(s.topic, s.role) for s in log.streams] == [("clouds", Role.CLOUD)]
+    return list(log.clouds({"clouds"}))
+
+
+def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
+    for number in (10, 9, 100):
+        np.save(tmp_path / f"scan_{number}.npy", np.full((1, 3), number, np.float32))
+
+    clouds = read(tmp_path)
+
+    assert [cloud.points[0, 0] for cloud in clouds] == [9, 10, 100]
+    assert [cloud.stamp_ns for cloud in clouds] == [0, SPACING_NS, 2 * SPACING_NS]
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp_ns"),
+    [
+        ("1700000000.25.pcd", 1_700_000_000 * SECOND + SECOND // 4),
+        ("cloud_1700000000_000000007.ply", 1_700_000_000 * SECOND + 7),
+        ("1700000000000000007.bin", 1_700_000_000 * SECOND + 7),
+        ("n015__LIDAR_TOP__1533151603547590.pcd.bin", 1_533_151_603_547_590_000),
+        ("000123.bin", None),
+    ],
+)
+def test_times_in_names(name: str, stamp_ns: int | None) -> None:
+    assert read_time(Path(name)) == stamp_ns
+
+
+def test_points_have_the_times_that_a_file_gives_them(tmp_path: Path) -> None:
+    rows = np.array(
+        [(1, 2, 3, 0.0), (4, 5, 6, 0.05)], [(n, "<f4") for n in ("x", "y", "z", "time")]
+    )
+    np.save(tmp_path / "1700000000.0.npy", rows)
+    (cloud,) = read(tmp_path)
+
+    assert cloud.offset_ns is not None
+    assert cloud.offset_ns.tolist() == [0, 50_000_001]  # as 32 bits hold it
+    assert cloud.times == "time, in s after the stamp"
+
+
+COUNTED = Moments([0, SPACING_NS, 2 * SPACING_NS], is_timed=False)
+TUM = "".join(f"{7 + k} {k} 0 0 0 0 0 1\n" for k in range(3))
+KITTI = "".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(3))
+CSV = "stamp,x,y,yaw\n" + "".join(f"{7 + k},{k},0,0\n" for k in range(3))
+
+
+@pytest.mark.parametrize("text", [TUM, KITTI, CSV], ids=["tum", "kitti", "csv"])
+def test_poses_are_for_the_files_one_by_one(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(text)
+
+    samples = list(read_trajectory(path, [], COUNTED))
+
+    assert [sample.stamp_ns for sample in samples] == COUNTED.stamp_ns
+    assert [sample.pose.x for sample in samples] == [0, 1, 2]
+
+
+def test_poses_keep_their_times_where_those_of_the_clouds_are_known(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(TUM)
+    timed = Moments([5, 6], is_timed=True)
+    assert [sample.stamp_ns for sample in read_trajectory(path, [], timed)] == [
+        7 * SECOND, 8 * SECOND, 9 * SECOND
+    ]  # fmt: skip
+
+    path.write_text(KITTI)
+    with pytest.raises(LogError, match="3 poses, and the log 2 clouds"):
+        list(read_trajectory(path, [], timed))
+
+
+@pytest.mark.parametrize("text", [TUM, KITTI, CSV], ids=["tum", "kitti", "csv"])
+def test_as_many_poses_as_files_minus_one_are_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text("".join(text.splitlines(keepends=True)[:-1]))
+
+    with pytest.raises(LogError, match="2 poses, and the log 3 clouds") as error:
+        list(read_trajectory(path, [], COUNTED))
+    assert str(path) in str(error.value)
+
+
+def test_a_pose_that_is_not_finite_is_kept_for_its_cloud(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    path.write_text(KITTI.replace("1 0 0 1", "1 0 0 nan"))
+
+    poses = [sample.pose for sample in read_trajectory(path, [], COUNTED)]
+
+    assert poses[0] == Pose(0, 0, 0, 0, 0, 0, 1)
+    assert np.isnan(poses[1].x)
+
+
+def test_bytes_that_are_flipped_never_crash() -> None:
+    rng = np.random.default_rng(3)
+    sound = [
+        (read_pcd, pcd("ascii", TEXT)),
+        (read_pcd, pcd("binary_compressed", stored(by_field(XYZ)))),
+        (read_ply, ply("binary_little_endian", FLOATS, XYZ)),
+        (read_ply, ply("ascii", FLOATS, TEXT)),
+    ]
+    for read_it, data in sound:
+        for _ in range(500):
+            spoilt = bytearray(data)
+            spoilt[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+            try:
+                read_it(bytes(spoilt[: rng.integers(len(data)) + 1]))
+            except DamageError:
+                continue
