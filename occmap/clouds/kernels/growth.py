@@ -149,7 +149,7 @@ def seed_ground(
 
 @step
 def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
-    """The mean height of the nearest measured columns, those of one ring up to `reach` away (mm)."""
+    """The mean height (mm) of the nearest measured columns: those of one ring, up to `reach`."""
     row, col = place_row(blocks, at), place_col(blocks, at)
     for ring in range(1, reach + 1):
         total, many = 0, 0
