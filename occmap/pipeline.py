@@ -113,7 +113,7 @@ def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
     past = read_all(open_saved(path))
     if options.posing.align is None:
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
-    if past.ground is not None and options.update is DEFAULT_UPDATE:
+    if past.manifest.update == Update.CLOUD and options.update is DEFAULT_UPDATE:
         model = choose_model(Update.CLOUD)
         options = replace(options, update=Update.CLOUD, model=model)
     refuse_different(plan_manifest(options), past)

@@ -421,6 +421,10 @@ class Update(StrEnum):
     """A cloud of points at once: what stands on the ground, and what was seen free before it."""
 
 
+BEAM_UPDATES = (Update.BEAM, Update.POLYGON, Update.SURFACE)
+"""Those for scans"""
+
+
 class Rays(NamedTuple):
     """Beams of S scans in the map frame; what each range value means is decided.
 

@@ -21,7 +21,7 @@ from occmap.scoring.trials import DEFAULT_MODELS, combine
 from occmap.sensor.models import parse_model
 from occmap.tuning import Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.types import Update
+from occmap.types import BEAM_UPDATES, Update
 
 VARIANTS = "What to compare"
 
@@ -30,7 +30,7 @@ variants = join(
         VARIANTS,
         "--update",
         "updates",
-        type=click.Choice([update.value for update in Update]),
+        type=click.Choice([update.value for update in BEAM_UPDATES]),
         multiple=True,
         show_default="all",
         help="How a scan becomes observations. May repeat.",

@@ -10,7 +10,7 @@ from occmap.posing.options import Deskew, PosingOptions
 from occmap.scoring.score import score_map
 from occmap.scoring.trials import make_scans
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel
-from occmap.types import Update
+from occmap.types import BEAM_UPDATES
 
 HEADER = "# angle_min: 0\n# angle_increment: 1\n# time_increment: 0.0001\nstamp,r0,r1\n"
 
@@ -18,7 +18,7 @@ HEADER = "# angle_min: 0\n# angle_increment: 1\n# time_increment: 0.0001\nstamp,
 def compile_kernels() -> None:
     """Build maps of few scans and of many by every update and kind of model, and score one."""
     models: tuple[SensorModel, ...] = CountingModel(), QuadraticModel()
-    choices = product((1, 500), Update, models, Deskew)
+    choices = product((1, 500), BEAM_UPDATES, models, Deskew)
     with TemporaryDirectory(prefix="occmap-") as name:
         log, poses = Path(name) / "drive.csv", Path(name) / "drive.tum"
         for scans, update, model, deskew in choices:

@@ -1,17 +1,19 @@
 """The engine of clouds: hits and misses of cells, cloud by cloud, over ground that is known."""
 
+from functools import partial
 from threading import Lock
 
 import numpy as np
 
 from occmap.cells import Ground, Slices
 from occmap.clouds.ground import index_blocks
-from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks
+from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import COLUMN_MM, Cloud, find_reach
 from occmap.clouds.kernels.tracing import COUNTS, SECTORS, Band, Canvas, lay_ground, trace_cloud
 from occmap.clouds.options import CloudOptions
 from occmap.clouds.posed import list_clouds
 from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid.slices import mark_observed, unite
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 from occmap.types import Float64, Int32, Int64, PosedScans
 
@@ -32,6 +34,8 @@ class Sheet:
         table = np.full(box.shape, -2, np.int32)
         self.canvas = allocate(table, np.array(box[:2], np.int64), FIRST_TILES)
         self.used = 0
+        self.number = 0
+        """The slice of time of what it holds"""
         self.counts = np.zeros(COUNTS, np.int64)
         self.touched = np.zeros(0, np.int32)
 
@@ -64,14 +68,16 @@ class Sheet:
         scale = self.lattice.units_per_metre
         trace_cloud(cloud, band, self.canvas, scale, self.touched, self.counts)
 
-    def read(self) -> tuple[Int64, Int32]:
-        """The places of tiles in which something was observed, and their cells."""
+    def empty(self) -> tuple[Int64, Int32]:
+        """Give the places of tiles in which something was observed, and their cells."""
         table = self.canvas.table
         places = np.empty((self.used, 2), np.int64)
         places[table[table >= 0]] = np.argwhere(table >= 0) + self.canvas.corner
         cells = self.canvas.counts[: self.used].reshape(-1, 2, TILE, TILE)
         seen = cells.any(axis=(1, 2, 3))
-        return places[seen], cells[seen]
+        places, taken = places[seen], cells[seen]
+        cells[seen] = 0
+        return places, taken
 
 
 def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
@@ -88,37 +94,65 @@ def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
 
 
 class CloudEngine:
-    """Adds up what clouds observe over the ground; any number of threads may call `add`."""
+    """Adds up what clouds observe over the ground; any number of threads may call `add`.
+
+    Parameters
+    ----------
+    limits
+        Points between these distances from the sensor count (m).
+    slice_ns
+        It keeps what each slice of time observed, if they are so long; None: it keeps none.
+    """
 
     def __init__(
-        self, lattice: Lattice, options: CloudOptions, ground: Ground, limits: tuple[float, float]
+        self,
+        lattice: Lattice,
+        options: CloudOptions,
+        ground: Ground,
+        limits: tuple[float, float],
+        slice_ns: int | None = None,
     ) -> None:
-        """Observe points between two distances from the sensor (m)."""
         self.grid = TileGrid(lattice, EvidenceKind.COUNTS)
         self.ground = ground
         blocks = index_blocks(ground.blocks)
         # A table of its own for each thread, of tiles around all ground.
         columns = np.stack([blocks.places.min(axis=0), blocks.places.max(axis=0) + 1])
         metres = columns[:, ::-1] * (BLOCK * COLUMN_MM / 1000)
-        self._box = lattice.enclose(metres).align(TILE).shrink(TILE)
+        box = lattice.enclose(metres).align(TILE).shrink(TILE)
         height = np.ascontiguousarray(ground.height_mm).reshape(-1)
-        if not len(ground.blocks):
-            height = np.full(BLOCK**2, NO_GROUND, np.int32)
-        self._surface = lattice, blocks, height
+        self._make_sheet = partial(Sheet, lattice, blocks, height, box)
         low, high = round(options.min_height * 1000), round(options.max_height * 1000)
         nearest, farthest = max(limits[0], SHORTEST_M), limits[1]
         self._band = Band(low, high, options.range_margin * 1000, LEVEL_M, nearest, farthest)
+        self._slice_ns = slice_ns
+        self._slices: list[Slices] = []
         self._idle: list[Sheet] = []
         self._lock = Lock()
 
     def add(self, posed: PosedScans) -> None:
         """Observe the cells of some clouds."""
-        with self._lock:
-            sheet = self._idle.pop() if self._idle else Sheet(*self._surface, self._box)
-        for cloud in list_clouds(posed):
+        numbers = posed.batch.stamp_ns // (self._slice_ns or 1 << 62)
+        for cloud, number in zip(list_clouds(posed), numbers.tolist(), strict=True):
+            with self._lock:
+                sheet = self._idle.pop() if self._idle else self._make_sheet()
+            if sheet.number != number:
+                self._fold(sheet)
+                sheet.number = number
             sheet.observe(cloud, self._band, min(find_reach(cloud), self._band.farthest))
+            with self._lock:
+                self._idle.append(sheet)
+
+    def _fold(self, sheet: Sheet) -> None:
+        """Add what a sheet holds to the whole, and empty it."""
+        places, cells = sheet.empty()
+        if not len(places):
+            return
+        grid = TileGrid(self.grid.lattice, EvidenceKind.COUNTS)
+        grid.add(view_tiles(places, cells), int(cells.max()))
+        seen = None if self._slice_ns is None else mark_observed(grid, sheet.number)
         with self._lock:
-            self._idle.append(sheet)
+            self.grid.merge(grid)
+            self._slices += [] if seen is None else [seen]
 
     @property
     def points(self) -> dict[str, int]:
@@ -127,13 +161,14 @@ class CloudEngine:
         return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
 
     def finish(self) -> TileGrid:
-        """Give the evidence; nothing more may be added."""
+        """Give the evidence; more may be added later."""
         for sheet in self._idle:
-            places, cells = sheet.read()
-            bound = int(cells.max(initial=0))
-            self.grid.add(view_tiles(places, cells), bound)
+            self._fold(sheet)
         return self.grid
 
     def read_slices(self) -> tuple[Slices, ...]:
-        """No slices of time: this engine keeps none."""
-        return ()
+        """Which cells each slice observed of what `finish` gave; none where none are kept."""
+        if self._slice_ns is None:
+            return ()
+        self._slices = [unite(self._slices)]
+        return tuple(self._slices)

@@ -21,13 +21,17 @@ LIMITS = Near(least=0.0, near=12.0, far=60.0, rise=0.3, deepest=3.0)
 POINTS_A_CLOUD = 25_000
 """About so many points of each cloud are counted, or a quarter: whichever is more."""
 LEAST_SHARE = 0.25
+FEWEST_CLOUDS = 200
+"""About so many clouds of a build are counted at least, if it has them."""
 LEAST_DEPTH, MOST_DEPTH = 100, 3000
 """The ground lies so far below a sensor (mm)."""
-BESIDE, UNDER = 7, 2
-"""Columns beside the path that the ground grows from, and those that the robot stands on"""
+BESIDE, UNDER = (7, 20, 40), 2
+"""Columns beside the path that the ground grows from, and those that the robot stands on; it is
+looked for farther away only where nearer ones hold too few points"""
+FEWEST_SEEDS = 100
 STEP_MM = 80
 """The ground of a column is at most this far from the mean of what is beside it."""
-REACHES = (1, 2, 4)
+REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
 FILLED = 10
 """Columns so far from measured ground have ground"""
@@ -37,19 +41,21 @@ SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
 
-def is_counted(stamp_ns: int, points: int) -> bool:
+def is_counted(stamp_ns: int, points: int, least_share: float) -> bool:
     """Whether a cloud shows the ground, by its stamp and its number of points.
 
     The choice is the same however logs are cut into batches and parts, and as good as random.
     """
     drawn = (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
-    return drawn < max(POINTS_A_CLOUD / max(points, 1), LEAST_SHARE)
+    return drawn < max(POINTS_A_CLOUD / max(points, 1), least_share)
 
 
 class GroundFinder:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
-    def __init__(self) -> None:
+    def __init__(self, clouds: int) -> None:
+        """Make one for a build of so many clouds."""
+        self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._path: list[Float64] = []
         self._lock = Lock()
@@ -57,7 +63,7 @@ class GroundFinder:
     def wants(self, batch: ScanBatch) -> bool:
         """Whether the clouds of a batch are among those that are counted."""
         points = sum(len(cloud.points) for cloud in batch.clouds or ())
-        return is_counted(int(batch.stamp_ns[0]), points)
+        return is_counted(int(batch.stamp_ns[0]), points, self._least_share)
 
     def add(self, posed: PosedScans) -> None:
         """Count the points of some clouds."""
@@ -140,11 +146,11 @@ def find_ground(
     """
     columns = read_columns(table, known)
     blocks, peaks, tall, filled = columns
-    depth, spread = measure_depth(columns, path, options.sensor_height)
+    depth, spread, beside = measure_depth(columns, path, options.sensor_height)
     if options.ground == FLAT:
         return make_flat(path, depth), []
     height, stood = np.full(len(tall), NO_GROUND, np.int32), np.zeros(len(tall), np.uint8)
-    span = np.array([BESIDE, UNDER, depth - spread, depth + spread], np.int64)
+    span = np.array([beside, UNDER, depth - spread, depth + spread], np.int64)
     growth.seed_ground(blocks, peaks, path, span, height, stood)
     lay_known(blocks, known, height, stood)
     for reach in REACHES:
@@ -218,21 +224,27 @@ def index_blocks(places: Int64) -> Blocks:
     return Blocks(table, corner, places)
 
 
-def measure_depth(columns: Columns, path: Int64, sensor_height: float | None) -> tuple[int, int]:
+def measure_depth(
+    columns: Columns, path: Int64, sensor_height: float | None
+) -> tuple[int, int, int]:
     """Measure how far below the sensor the ground lies, and how much that differs (mm).
 
-    It is the median of the lowest peaks beside the path.
+    It is the median of the lowest peaks beside the path; how far beside it comes third (columns).
 
     Raises
     ------
     MapError
         Nothing lies below it.
     """
-    if sensor_height is not None:
-        return round(sensor_height * 1000), 150
     depths = np.zeros(MOST_DEPTH // BIN_MM + 1, np.int64)
-    span = np.array([BESIDE, LEAST_DEPTH, MOST_DEPTH], np.int64)
-    growth.count_depths(columns.blocks, columns.peaks, path, span, depths)
+    for beside in BESIDE:
+        depths[:] = 0
+        span = np.array([beside, LEAST_DEPTH, MOST_DEPTH], np.int64)
+        growth.count_depths(columns.blocks, columns.peaks, path, span, depths)
+        if depths.sum() >= FEWEST_SEEDS:
+            break
+    if sensor_height is not None:
+        return round(sensor_height * 1000), 150, beside
     if not depths.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
     middle = np.arange(len(depths)) * BIN_MM + BIN_MM // 2
@@ -241,7 +253,7 @@ def measure_depth(columns: Columns, path: Int64, sensor_height: float | None) ->
     off = np.abs(middle - depth)
     order = np.argsort(off, kind="stable")
     deviation = int(off[order][np.searchsorted(np.cumsum(depths[order]), half)])
-    return depth, int(np.clip(4 * deviation + 60, 100, 450))
+    return depth, int(np.clip(4 * deviation + 60, 100, 450)), beside
 
 
 def lay_known(blocks: Blocks, known: Ground | None, height: Int32, stood: UInt8) -> None:

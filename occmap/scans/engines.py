@@ -27,12 +27,13 @@ def make_engine(
     return GridEngine(spec, window_cells, options.max_cells)
 
 
-def make_cloud_engine(options: BuildOptions, ground: Ground) -> "CloudEngine":
+def make_cloud_engine(options: BuildOptions, ground: Ground, keep_slices: bool) -> "CloudEngine":
     """Make an engine for clouds over ground that is known."""
     from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
 
     limits = options.returns.min_range, options.returns.max_range
-    return CloudEngine(Lattice(options.resolution), options.clouds, ground, limits)
+    slice_ns = round(options.pass_gap_s * 1e9) if keep_slices else None
+    return CloudEngine(Lattice(options.resolution), options.clouds, ground, limits, slice_ns)
 
 
 def make_grid(options: BuildOptions) -> TileGrid:

@@ -75,7 +75,6 @@ def settle_update(logs: Sequence[Log], options: BuildOptions) -> BuildOptions:
         return options
     found = f"{kinds.get(Role.SCAN)} holds laser scans, {kinds[Role.CLOUD]} clouds of points"
     require(Role.SCAN not in kinds, found, "map one kind at a time: choose with `topics`")
-    require(options.min_passes is None, "`min_passes` is not for clouds of points", "leave it out")
     if options.update is Update.CLOUD:
         return options
     found = f"{kinds[Role.CLOUD]} holds clouds of points, which the {options.update} update"

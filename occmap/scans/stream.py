@@ -233,5 +233,6 @@ class Drive:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
         first_ns, reach = self.selector.first_ns or 0, self._options.returns.max_range
         concerns = self.poser.list_concerns(first_ns, reach)
-        told = [f"{topic}: {concern.text}" for topic, concern in concerns]  # which adds notes
+        # A list, as the poser takes notes meanwhile.
+        told = [f"{topic}: {concern.text}" for topic, concern in concerns]
         return [*self.poser.notes, *self._odd, *told, *self.limits.list_notes()]

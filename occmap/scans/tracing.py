@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -82,7 +81,8 @@ def find_ground(
     """
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    finder = GroundFinder()
+    topics = options.selection.topics
+    finder = GroundFinder(sum(count_scans(log, topics) for log in logs))
     for log in logs:
         drive = open_drive(log, options)
         with name_log(log.path), Workers(finder.add, options.jobs) as workers:
@@ -228,8 +228,10 @@ def observe_log(
     def begin() -> AddRays:
         engines.clear()  # where the log is read once more, the first one is of no use
         over = keep.ground if options.update is Update.CLOUD else None
-        make = partial(make_engine, options, keep.slices)
-        engines.append(make() if over is None else make_cloud_engine(options, over))
+        if over is None:
+            engines.append(make_engine(options, keep.slices))
+        else:
+            engines.append(make_cloud_engine(options, over, keep.slices))
         return engines[-1].add
 
     traced = trace_logs([log], options, begin, tally)

@@ -16,7 +16,7 @@ from occmap.report.printed import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scans.engines import make_engine
 from occmap.scoring.score import Gain, Score, score_map
 from occmap.sensor.models import SensorModel, make_model, parse_model
-from occmap.types import Float64, Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
 from occmap.workers import Workers
 
 DEFAULT_MODELS = ("simple", "quadratic")
@@ -63,7 +63,7 @@ def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Va
     others = models or [parse_model(text) for text in DEFAULT_MODELS]
     variants = [
         Variant(update, model)
-        for update in updates or list(Update)
+        for update in updates or BEAM_UPDATES
         for model in ([] if models else [choose_model(update)]) + list(others)
     ]
     return list({each.name: each for each in variants}.values())

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.cells import Evidence, Manifest
+from occmap.clouds.fit import join_grounds
 from occmap.errors import MapError
 from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
@@ -101,11 +102,12 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     if not others:
         return first
     grid = to_grid(first)
-    slices = first.slices
+    slices, ground = first.slices, first.ground
     builds, subtracted = first.manifest.builds, first.manifest.subtracted
     notes = list(first.notes)
     for other in others:
         refuse_different(first.manifest, other)
+        ground = join_grounds(ground, other.ground, other.where)
         if model is not None:
             tiles = view_tiles(other.tiles, other.cells)
             found = list_misfit(grid, tiles, model, "the evidence before it")
@@ -115,7 +117,8 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return Evidence(manifest, *stack_tiles(grid.tiles), slices, notes=tuple(notes))
+    whole = stack_tiles(grid.tiles)
+    return Evidence(manifest, *whole, slices, notes=tuple(notes), ground=ground)
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
@@ -145,7 +148,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
     left = tuple(restrict(each, grid) for each in slices)
-    return Evidence(manifest, *stack_tiles(grid.tiles), left)
+    return Evidence(manifest, *stack_tiles(grid.tiles), left, ground=evidence.ground)
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:

@@ -13,8 +13,12 @@
 | `slice_rows` | (K, 16) uint8 | a bit for each row of hit, then of seen cells: is any byte kept? |
 | `slice_parts` | (R,) uint8 | for each row that says so, a bit for each of its 8 bytes |
 | `slice_changes` | (C,) uint8 | for each byte that is kept, that byte |
+| `ground_blocks` | (G, 2) int64 | of clouds only: row and column of each block of 64 x 64 columns |
+| `ground_mm` | (G, 4096) int32 | height of the ground of each column; -2^30: none is known |
+| `ground_measured` | (G, 512) uint8 | a bit for each column: whether points showed it |
 
 N counts the observed cells, tile by tile, row by row.
+A column of the ground is 0.15 m wide: (row, col) begins at (0.15 col, 0.15 row) m.
 Cell (row, col) reaches from (col, row) * resolution to (col + 1, row + 1) * resolution in metres.
 Slice n lasts from n to n + 1 times `pass_gap_s` (in the manifest). In a slice each tile has a bit
 for each of 64 x 64 cells that was hit, none for log-odds, and then for each that was seen. Of the 8
@@ -46,7 +50,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Ground, Manifest, Slices
 from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import OneFile
@@ -66,6 +70,8 @@ WIDTHS = ("<i1", "<i2", "<i4", "<i8")
 SLICES = ("slice_tiles", "slices", "slice_rows", "slice_parts", "slice_changes")
 """The arrays of `Slices`, in its order"""
 ARRAYS = ("tiles", "observed", "first", "second", "layers", *SLICES)
+GROUND = ("ground_blocks", "ground_mm", "ground_measured")
+"""The arrays of the ground, in evidence of clouds"""
 Arrays = dict[str, Any]
 
 
@@ -110,6 +116,7 @@ def pack(evidence: Evidence) -> Arrays:
         "first": narrow(evidence.cells[:, 0][seen]),
         "second": narrow(evidence.cells[:, 1][seen]),
         **pack_slices(evidence.slices),
+        **pack_ground(evidence.ground),
     }
 
 
@@ -141,7 +148,8 @@ def read_evidence(path: Path) -> Evidence:
                 raise MapError("is an .npz, but not evidence of occmap", where=path)
             head = json.loads(read_array(archive, "manifest").tobytes())
             refuse_other_version(path, head, FORMAT, VERSION)
-            arrays = {name: read_array(archive, name) for name in ARRAYS}
+            names = ARRAYS + GROUND * (f"{GROUND[0]}.npy" in archive.namelist())
+            arrays = {name: read_array(archive, name) for name in names}
         return unpack(path, head, arrays)
 
 
@@ -180,9 +188,30 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     slices = unpack_slices(arrays)
     if len(slices) != len(manifest.builds):
         raise ValueError("layers")
-    evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path))
+    ground = unpack_ground(arrays)
+    evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path), ground=ground)
     refuse_faults(path, list_faults(evidence))
     return evidence
+
+
+def pack_ground(ground: Ground | None) -> Arrays:
+    """Lay out the arrays of the ground, where there is one."""
+    if ground is None:
+        return {}
+    measured = np.packbits(ground.measured, axis=1)
+    arrays = ground.blocks.astype("<i8"), ground.height_mm.astype("<i4"), measured
+    return dict(zip(GROUND, arrays, strict=True))
+
+
+def unpack_ground(arrays: Arrays) -> Ground | None:
+    """Read the ground, where there is one; raises ValueError where its arrays do not fit."""
+    if GROUND[0] not in arrays:
+        return None
+    blocks, height, bits = (arrays[name] for name in GROUND)
+    measured = np.unpackbits(bits, axis=1).astype(np.bool_)
+    if blocks.shape != (len(height), 2) or height.shape != measured.shape:
+        raise ValueError("ground")
+    return Ground(blocks.astype(np.int64), height.astype(np.int32), measured)
 
 
 def narrow(values: Int64) -> Any:

@@ -14,7 +14,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import open_log, read_scans
 from occmap.scans.logs import choose_topics
-from occmap.types import Scan, ScanRun, Update
+from occmap.types import BEAM_UPDATES, Scan, ScanRun, Update
 from tests.bench.engine import COUNTS, trace
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
@@ -96,7 +96,7 @@ def compare_updates(times: Times, scans: int, workload: str) -> Row:
 def compare_threads(workload: Workload, rounds: int) -> list[Row]:
     """Two threads against one: ranges to evidence, without reading."""
     rows = []
-    for update in Update:
+    for update in BEAM_UPDATES:
         runs = {str(jobs): partial(trace, workload, update, COUNTS, jobs) for jobs in (2, 1)}
         times = time_in_turn(runs, rounds)
         what = f"{update.value}: two threads / one, engine only, {workload.scans} scans"
@@ -126,7 +126,7 @@ def compare_builds(log: Path, rounds: int) -> list[Row]:
 
     builds = {
         f"{update.value}, {jobs}": make_build(update, log, jobs)
-        for update in Update
+        for update in BEAM_UPDATES
         for jobs in (1, 2)
     }
     times = time_in_turn({"rosbags": read_all, **builds}, rounds)
@@ -160,7 +160,7 @@ def compare_tenfold_time(logs: Mapping[int, Path], rounds: int) -> list[Row]:
     """Ten times the scans of the same rooms, in this process."""
     few, many = map(str, sorted(logs))
     rows = []
-    for update in Update:
+    for update in BEAM_UPDATES:
         runs = {str(scans): make_build(update, log, 2) for scans, log in logs.items()}
         times = time_in_turn(runs, rounds)
         rows.append(

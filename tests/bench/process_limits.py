@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from occmap.types import Update
+from occmap.types import BEAM_UPDATES, Update
 from tests.bench.foreign import Mrpt
 from tests.bench.limits import Row, compare
 from tests.bench.logs import write_mcap
@@ -26,13 +26,13 @@ MIB = 2**20
 
 def compare_mrpt(log: Path, folder: Path, rounds: int) -> list[Row]:
     """Warm, on a real log, against MRPT's two programs one after the other."""
-    names = {update: f"build {update.value} freiburg-079 / MRPT" for update in Update}
+    names = {update: f"build {update.value} freiburg-079 / MRPT" for update in BEAM_UPDATES}
     missing = Mrpt.find_missing() if log.exists() else [log.name]
     if missing:
         why = f"absent: {', '.join(missing)}"
         return [Row(name, MRPT_LIMIT, None, why) for name in names.values()]
     timers: dict[str, Callable[[], float]] = {"mrpt": Mrpt(log, folder).build}
-    for update in Update:
+    for update in BEAM_UPDATES:
         command = build_command(update, log, folder / "mrpt.pgm", "--resolution", "0.05")
         timers[update.value] = partial(time_process, *command)
     times = take_in_turn(timers, rounds)
@@ -45,7 +45,7 @@ def compare_tenfold_memory(logs: Mapping[int, Path], rounds: int) -> list[Row]:
     """Ten times the scans of the same rooms."""
     few, many = sorted(logs)
     rows = []
-    for update in Update:
+    for update in BEAM_UPDATES:
         peaks = {
             scans: median(run_build(update, log).peak_bytes for _ in range(rounds))
             for scans, log in logs.items()
@@ -62,7 +62,7 @@ def measure_corridor(length: float, folder: Path) -> list[Row]:
     constant = run_build(Update.POLYGON, find_smallest_sample(), folder).peak_bytes
     what = f"peak memory on {length / 1000:g} km / (16 B x cells + constant)"
     rows = []
-    for update in Update:
+    for update in BEAM_UPDATES:
         usage = run_build(update, log)
         cells = count_observed(json.loads(usage.output)["map"])
         rows.append(
@@ -86,7 +86,7 @@ def count_observed(grid: Mapping[str, Any]) -> int:
 def compare_slices(log: Path, rounds: int) -> list[Row]:
     """Processor time of evidence, which keeps slices of time, against that of a picture."""
     rows = []
-    for update in Update:
+    for update in BEAM_UPDATES:
         timers = {
             suffix: partial(
                 time_processor, *build_command(update, log, log.with_suffix(f".{suffix}"))
@@ -103,7 +103,7 @@ def measure_field(folder: Path) -> list[Row]:
     """Peak memory of a build that keeps slices of time, on a field that is seen once."""
     log = write_mcap(make_corridor(Sensor.spanning(541, 270, 30.0), **FIELD), folder)
     rows = []
-    for update in Update:
+    for update in BEAM_UPDATES:
         usage = run(build_command(update, log, folder / "field.npz", "--pass-gap", "1"))
         cells = count_observed(json.loads(usage.output)["map"])
         what = f"build {update.value} -o map.npz: bytes of peak memory for a cell of a field"

@@ -20,7 +20,7 @@ from occmap.readers.decimals import parse_rows
 from occmap.scoring.compare import compare
 from occmap.scoring.trials import combine
 from occmap.sensor.models import parse_model
-from occmap.types import Update
+from occmap.types import BEAM_UPDATES, Update
 
 KERNELS: list[Any] = [
     parse_rows,
@@ -43,7 +43,7 @@ def write_log(folder: Path) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("deskew", [Deskew.OFF, Deskew.ON])
-@pytest.mark.parametrize("update", Update)
+@pytest.mark.parametrize("update", BEAM_UPDATES)
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 def test_a_build_needs_no_kernel_that_was_not_compiled_before(
     update: Update, model: str, deskew: Deskew, tmp_path: Path

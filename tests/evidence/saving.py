@@ -12,12 +12,12 @@ from occmap.cells import Evidence
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
-from occmap.types import Update
+from occmap.types import BEAM_UPDATES, Update
 from occmap.writers.npz import NpzWriter, read_evidence
 from tests.samples import SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
-COMBINATIONS = list(product(Update, ["simple", "quadratic", "counting"]))
+COMBINATIONS = list(product(BEAM_UPDATES, ["simple", "quadratic", "counting"]))
 each_combination = pytest.mark.parametrize(("update", "model"), COMBINATIONS)
 MIDDLE_S = 20.0005
 

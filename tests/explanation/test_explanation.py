@@ -26,14 +26,14 @@ from occmap.sensor.models import (
 )
 from occmap.store.merging import merge, subtract
 from occmap.store.publishing import RenderOptions, render_kept
-from occmap.types import Update
+from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.npz import read_evidence
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
 each_combination = pytest.mark.parametrize(
-    ("update", "model"), list(product(Update, ["simple", "quadratic", "counting"]))
+    ("update", "model"), list(product(BEAM_UPDATES, ["simple", "quadratic", "counting"]))
 )
 TENTH = replace(PLAIN, resolution=0.1)
 """Cells of 0.1 m"""
@@ -198,7 +198,7 @@ def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
-@pytest.mark.parametrize("update", Update)
+@pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_deskewed_scans_add_up(tmp_path: Path, update: Update, model: str) -> None:
     log = tmp_path / "turning.csv"
     ranges = ",".join(["1.0"] * 8)

@@ -16,7 +16,7 @@ from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.tiles import LOG_ODDS_UNIT
 from occmap.sensor.models import QuadraticModel
 from occmap.sensor.returns import ReturnOptions, interpret
-from occmap.types import Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from tests.bench.workloads import Sensor, make_office
 from tests.grid import radial_reference
 from tests.grid.radial_reference import Observed, Quadratic
@@ -62,7 +62,7 @@ def check(evidence: Evidence, expected: Observed, model: Quadratic) -> None:
         assert abs(error) <= count * tolerance(model), cell
 
 
-@pytest.mark.parametrize("update", list(Update))
+@pytest.mark.parametrize("update", BEAM_UPDATES)
 @FEW
 @given(
     drive=drives(),
@@ -81,7 +81,7 @@ def test_random_scans_follow_the_rule(
     check(observe(spec, [rays], window_cells), expected, model)
 
 
-@pytest.mark.parametrize("update", list(Update))
+@pytest.mark.parametrize("update", BEAM_UPDATES)
 @FEW
 @given(drive=upright_drives(), cells_deep=st.sampled_from([0.5, 3.3]))
 def test_beams_straight_up_and_down_follow_the_rule(
@@ -107,7 +107,7 @@ def look_around(distance: list[float], degrees: float) -> Rays:
     )
 
 
-@pytest.mark.parametrize("update", list(Update))
+@pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
     """Range 4, depth 1: free before 3 with p = (d / 3)^2 / 2, the hit from 3 to 5."""
     model = Quadratic(depth=1.0, p_min=0.1)

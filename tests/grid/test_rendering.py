@@ -21,7 +21,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.spec import GridSpec, find_unit
 from occmap.grid.tiles import PART, TILE, EvidenceKind, TileGrid
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
-from occmap.types import Float64, Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
 from tests.grid.scans import FEW, MANY, Drive, add_cell, aim, drives
 
 Cell = tuple[int, int]
@@ -144,7 +144,7 @@ def test_agreement_is_not_known_without_hits() -> None:
     assert count_agreeing(grid, np.ones((1, 1), np.bool_), box) == (0, 0)
 
 
-@pytest.mark.parametrize("update", Update)
+@pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_where_two_scans_tell_of_walls_that_cross_each_other_agreement_is_low(
     update: Update,
 ) -> None:

@@ -149,18 +149,20 @@ def seed_ground(
 
 @step
 def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
-    """The mean height of the measured columns up to `reach` away (mm)."""
+    """The mean height (mm) of the nearest measured columns: those of one ring, up to `reach`."""
     row, col = place_row(blocks, at), place_col(blocks, at)
-    total, many = 0, 0
-    for up in range(-reach, reach + 1):
-        for right in range(-reach, reach + 1):
-            near = find_column(blocks, row + up, col + right)
-            if near >= 0 and height[near] != NO_GROUND:
-                total += height[near]
-                many += 1
-    if many == 0:
-        return NO_GROUND
-    return (2 * total + many) // (2 * many)
+    for ring in range(1, reach + 1):
+        total, many = 0, 0
+        for up in range(-ring, ring + 1):
+            pace = 1 if abs(up) == ring else 2 * ring
+            for right in range(-ring, ring + 1, pace):
+                near = find_column(blocks, row + up, col + right)
+                if near >= 0 and height[near] != NO_GROUND:
+                    total += height[near]
+                    many += 1
+        if many:
+            return (2 * total + many) // (2 * many)
+    return NO_GROUND
 
 
 @kernel

@@ -164,12 +164,11 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
                 total += bins[i]
             for i in range(AROUND, AROUND + size):
                 here = bins[i - 1] + bins[i] + bins[i + 1]
-                below = bins[i - 2] + bins[i - 1] + bins[i]
+                # The middle counts twice, so that a bin alone stands above those beside it.
                 if (
-                    here >= 2
-                    and bins[i] > 0
-                    and (here > below or (here == below and bins[i - 1] == 0))  # of two, the lower
-                    and here >= bins[i] + bins[i + 1] + bins[i + 2]
+                    bins[i] > 0
+                    and here + bins[i] > bins[i - 2] + 2 * bins[i - 1] + bins[i]
+                    and here + bins[i] >= bins[i] + 2 * bins[i + 1] + bins[i + 2]
                     and here * 100 >= total * PEAK_PERCENT
                 ):
                     column[found] = keys[start] >> 20
