@@ -723,3 +723,12 @@ def test_oddities_of_the_real_logs() -> None:
     matcher = look(REAL_LOGS / "ros1/laser_scan_matcher_demo.bag")
     assert matcher.command == ()
     assert "`poses=FILE`" in matcher.problems[0]
+
+
+def test_clouds_are_told_by_the_ground_below_them() -> None:
+    log = SAMPLE_LOGS / "hall.mcap"
+    found = inspect([log], BuildOptions())
+    (topic,) = found.logs[0].scans
+    assert (topic.is_of_clouds, topic.scans, found.problems) == (True, 40, ())
+    assert found.command[:2] == ("occmap", "build")
+    assert any("0.59 m above the ground" in note for note in found.logs[0].notes)  # of 0.6

@@ -73,7 +73,8 @@ def list_log(log: LogFindings) -> Iterator[Row]:
     for topic in log.scans:
         yield "", ""
         yield from telling.list_scan_facts(topic)
-        yield from label_first("ranges", list_ranges(topic.ranges))
+        if not topic.is_of_clouds:
+            yield from label_first("ranges", list_ranges(topic.ranges))
         yield from telling.list_pose_facts(topic)
     if log.coverage:
         yield "", ""

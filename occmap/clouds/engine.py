@@ -22,6 +22,8 @@ LEVEL_M = 8.0
 SHORTEST_M = 0.05
 """Nearer points are no returns."""
 FIRST_TILES = 64
+TILE_BYTES = TILE * TILE * 11
+"""What a tile takes: two counts, the ground, and what a cloud says of each cell"""
 POINT_KINDS = ("ground", "obstacle", "above", "below", "too far", "no return")
 """What becomes of points, in the order of the kernel's counts"""
 
@@ -159,6 +161,12 @@ class CloudEngine:
         """What became of all points so far, by kind."""
         counts = sum((sheet.counts for sheet in self._idle), np.zeros(COUNTS, np.int64))
         return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
+
+    @property
+    def bytes_held(self) -> int:
+        """How much memory holds what was observed so far, about."""
+        tiles = sum(sheet.used for sheet in self._idle) + len(self.grid.tiles)
+        return tiles * TILE_BYTES
 
     def finish(self) -> TileGrid:
         """Give the evidence; more may be added later."""

@@ -50,6 +50,14 @@ def is_counted(stamp_ns: int, points: int, least_share: float) -> bool:
     return drawn < max(POINTS_A_CLOUD / max(points, 1), least_share)
 
 
+class Counted(NamedTuple):
+    """What clouds show of the ground, as one process counted it for another."""
+
+    table: Histogram
+    path: Int64
+    """(P, 3) where the sensor went (mm)"""
+
+
 class GroundFinder:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
@@ -79,6 +87,21 @@ class GroundFinder:
             self._idle.append(table)
             self._path += path
 
+    def count(self) -> Counted:
+        """Give what was counted so far."""
+        table = self._idle[0] if self._idle else make_table(1)
+        for other in self._idle[1:]:
+            size = 1 << (2 * int(table.used[0] + other.used[0])).bit_length()
+            table = grow_table(table, max(size, len(table.keys)))
+            heights.add_histogram(other.keys, other.counts, table)
+        self._idle = [table]
+        return Counted(table, thin_path(np.array(self._path).reshape(-1, 3)))
+
+    def join(self, counted: Counted) -> None:
+        """Add what another process counted."""
+        self._idle.append(counted.table)
+        self._path += list(counted.path / 1000)
+
     def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
         """Find the ground below the drive, and say what there is to say of it.
 
@@ -92,14 +115,7 @@ class GroundFinder:
         MapError
             No ground is found.
         """
-        table = self._idle[0] if self._idle else make_table(1)
-        for other in self._idle[1:]:
-            size = 1 << (2 * int(table.used[0] + other.used[0])).bit_length()
-            table = grow_table(table, max(size, len(table.keys)))
-            heights.add_histogram(other.keys, other.counts, table)
-        self._idle = [table]
-        path = thin_path(np.array(self._path).reshape(-1, 3))
-        return find_ground(table, path, options, known)
+        return find_ground(*self.count(), options, known)
 
 
 def make_table(size: int) -> Histogram:

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.cells import Manifest
-from occmap.errors import OutputError
+from occmap.cells import Ground, Manifest
+from occmap.errors import OutputError, require
 from occmap.evidence.manifest import (
     UNRECORDED,
     describe_build,
@@ -45,6 +45,7 @@ from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observed, Progress, Remarks
 from occmap.store.blocks import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
+from occmap.types import Update
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 from occmap.writers.outputs import check_outputs
 
@@ -123,7 +124,9 @@ class Fleet:
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", tasks.reduce_block, work.list_reductions())
             work.remarks.notes += work.cluster.list_losses()
-            return Observed(*tasks.add_up(work.setting, pieces), work.tally, work.remarks)
+            seen = tasks.add_up(work.setting, pieces)
+            settled = work.setting.keep.ground, work.setting.options
+            return Observed(*seen, work.tally, work.remarks, *settled)
 
     def _build_store(
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
@@ -132,7 +135,7 @@ class Fleet:
         check_outputs([output], list_inputs(paths, options))
         options, unaligned = settle_align(paths, options)
         with self.work(paths, options, Keep(slices=True), progress) as work:
-            tally, remarks = work.tally, work.remarks
+            tally, remarks, options = work.tally, work.remarks, work.setting.options
             refuse_unused(paths, tally)
             refuse_unseen(paths, tally, work.blocks)
             with tally.time("fold"):
@@ -183,7 +186,19 @@ class Fleet:
             setting = Setting(options, keep, folder, len(paths), window, spare)
             jobs = [Job(setting, f"log{place:05}", str(each)) for place, each in enumerate(paths)]
             with tally.time("open"):
-                total = sum(cluster.run("open", tasks.survey_log, jobs))
+                counts, settled = zip(*cluster.run("open", tasks.survey_log, jobs), strict=True)
+            total = sum(counts)
+            found = "some of the logs hold laser scans, others clouds of points"
+            fix = "map one kind at a time: choose with `topics`"
+            require(len({each.update for each in settled}) == 1, found, fix)
+            setting = replace(setting, options=settled[0], scans=total)
+            jobs = [replace(job, setting=setting) for job in jobs]
+            if settled[0].update is Update.CLOUD and settled[0].clouds.file is None:
+                with tally.time("ground"):
+                    ground, notes = find_ground(cluster, jobs)
+                remarks.notes += notes
+                setting = replace(setting, keep=keep._replace(ground=ground))
+                jobs = [replace(job, setting=setting) for job in jobs]
             traced = cluster.run(
                 "trace", tasks.trace_log, jobs, lambda one: progress(one.tally.scans_read, total)
             )
@@ -194,6 +209,17 @@ class Fleet:
                 for block, pieces in log.pieces.items():
                     blocks[block][place] = pieces
             yield Work(cluster, setting, jobs, tally, remarks, blocks)
+
+
+def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> tuple[Ground, list[str]]:
+    """Find the ground below the clouds of all logs; say what there is to say of it."""
+    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+    setting = jobs[0].setting
+    finder = GroundFinder(setting.scans)
+    for counted in cluster.run("ground", tasks.survey_ground, jobs):
+        finder.join(counted)
+    return finder.find(setting.options.clouds, setting.keep.ground)
 
 
 @contextmanager
@@ -216,7 +242,8 @@ def open_scratch(
     what = [
         version("occmap"),
         {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
-        keep,
+        keep[:2],
+        keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
         [str(path) for path in inputs],
         [[state.st_size, state.st_mtime_ns] for state in states],
     ]

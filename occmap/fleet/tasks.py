@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import zstandard
 
@@ -24,14 +24,19 @@ from occmap.grid.tiles import TileGrid, stack_tiles, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
-from occmap.scans.engines import make_engine, make_grid
-from occmap.scans.logs import count_scans
+from occmap.scans.engines import make_cloud_engine, make_engine, make_grid
+from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import AddRays, Keep, trace_logs
+from occmap.scans.tracing import AddRays, Keep, count_ground, trace_logs
 from occmap.store.blocks import Block, BlockContent, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
-from occmap.types import Int64, Rays
+from occmap.types import Int64, Update
 from occmap.writers.atomic import open_atomic
+
+if TYPE_CHECKING:  # these bring numba
+    from occmap.clouds.engine import CloudEngine
+    from occmap.clouds.ground import Counted
+    from occmap.grid.engine import GridEngine
 
 AnyJob = TypeVar("AnyJob", bound="Job")
 Result = TypeVar("Result")
@@ -54,6 +59,8 @@ class Setting:
     """The largest window of an engine"""
     most_bytes: int
     """How much evidence is kept in memory before it goes to a run file"""
+    scans: int = 0
+    """How many scans all logs have, where that is known"""
 
 
 @dataclass(frozen=True)
@@ -127,10 +134,22 @@ def once(task: Callable[[AnyJob], Result]) -> Callable[[AnyJob], Result]:
 
 
 @once
-def survey_log(job: Job) -> int:
-    """Count the scans of a log; raises LogError if it cannot be read or has none."""
+def survey_log(job: Job) -> tuple[int, BuildOptions]:
+    """Count the scans of a log, and choose its update; raises LogError if it cannot be read."""
     options = job.setting.options
-    return count_scans(open_log(Path(job.where), options.reading), options.selection.topics)
+    log = open_log(Path(job.where), options.reading)
+    return count_scans(log, options.selection.topics), settle_update([log], options)
+
+
+@once
+def survey_ground(job: Job) -> "Counted":
+    """Count what the clouds of a log show of the ground; raises OccmapError as `count_ground`."""
+    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+    finder = GroundFinder(job.setting.scans)
+    options = replace(job.setting.options, jobs=1)
+    count_ground(open_log(Path(job.where), options.reading), options, finder)
+    return finder.count()
 
 
 @once
@@ -173,11 +192,16 @@ class RunWriter:
 
     def _renew(self) -> None:
         setting = self._job.setting
-        self._engine = make_engine(setting.options, setting.keep.slices, setting.window_cells)
+        keep, options = setting.keep, setting.options
+        self._engine: GridEngine | CloudEngine
+        if options.update is Update.CLOUD and keep.ground is not None:
+            self._engine = make_cloud_engine(options, keep.ground, keep.slices)
+        else:
+            self._engine = make_engine(options, keep.slices, setting.window_cells)
 
-    def add(self, rays: Rays) -> None:
-        """Observe rays."""
-        self._engine.add(rays)
+    def add(self, seen: Any) -> None:
+        """Observe rays, or posed clouds."""
+        self._engine.add(seen)
         if self._engine.bytes_held > self._job.setting.most_bytes:
             self.flush()
 

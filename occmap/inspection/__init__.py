@@ -21,10 +21,11 @@ from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.readers import Log, open_log, read_recorded
+from occmap.readers import Log, Role, open_log, read_recorded
 from occmap.report.words import write_unused
 from occmap.scans.logs import choose_topics, count_messages
 from occmap.scans.mounts import estimate_agreement, find_better
+from occmap.scans.tracing import find_ground
 from occmap.sensor.models import Spreading
 from occmap.sensor.no_return import RangeLimits
 
@@ -74,8 +75,13 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {found}"
-    known = describe_log(log)
-    notes = *posing.poser.notes, *survey.limits.list_notes(), *survey.list_notes()
+    known, ground = describe_log(log), list[str]()
+    if not problem and any(topic.is_of_clouds for topic in scans):
+        try:
+            _, ground = find_ground([log], options, None)
+        except OccmapError as error:
+            problem = str(error.placed(log.path))
+    notes = *ground, *posing.poser.notes, *survey.limits.list_notes(), *survey.list_notes()
     findings = replace(
         known,
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
@@ -137,6 +143,7 @@ def sum_up(
         topic=topic.topic,
         type=kind,
         frames=tuple(topic.frames),
+        is_of_clouds=any(s.role is Role.CLOUD for s in log.streams if s.topic == topic.topic),
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),

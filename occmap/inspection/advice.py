@@ -29,7 +29,8 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
     too_large = find_size_problem(box, max((log.longest for log in logs), default=0.0), options)
-    is_unseen = not box and any(topic.poses.posed for log in logs for topic in log.scans)
+    topics = [topic for log in logs for topic in log.scans]
+    is_unseen = not box and any(each.poses.posed and not each.is_of_clouds for each in topics)
     unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
 
     problems = [log.problem for log in logs if log.problem]
@@ -216,7 +217,7 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
-    if not topic.ranges.measured:
+    if not topic.ranges.measured and not topic.is_of_clouds:
         yield Concern("no range value is a measurement")
 
 

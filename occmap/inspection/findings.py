@@ -165,6 +165,8 @@ class ScanFindings:
     """Message type"""
     frames: tuple[str, ...]
     """Frames that the scans are in"""
+    is_of_clouds: bool
+    """They are clouds of points, which have no beams, ranges or shape"""
     scans: int
     """Scans of the topic"""
     left_out: dict[str, int]

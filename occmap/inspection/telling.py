@@ -24,9 +24,11 @@ def list_scan_facts(topic: findings.ScanFindings) -> Iterator[Row]:
     duration = f"{topic.times.duration_s:.6g} s, {topic.times.rate_hz:.3g} a second"
     left = f"{topic.kept:,} of " if topic.left_out else ""
     scans = f"{topic.topic}: {left}{topic.scans:,} in {duration}"
-    yield "scans", f"{scans}, frame {', '.join(topic.frames)}"
+    yield "clouds" if topic.is_of_clouds else "scans", f"{scans}, frame {', '.join(topic.frames)}"
     if topic.left_out:
         yield "dropped", write_counts(topic.left_out)
+    if topic.is_of_clouds:
+        return
     for index, shape in enumerate(topic.shapes):
         scans = "" if topic.shape_count == 1 else f"{count(shape.scans, 'scan')}: "
         yield "" if index else "shape", scans + describe_shape(shape)

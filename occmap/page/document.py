@@ -194,7 +194,9 @@ def list_log(log: LogFindings) -> Iterator[Block]:
     ]
     yield Block("table", streams, ("topic", "type", "#messages", "used as"), title="Topics")
     for topic in log.scans:
-        facts = [*telling.list_scan_facts(topic), ("ranges", telling.tell_ranges(topic.ranges))]
+        facts = list(telling.list_scan_facts(topic))
+        if not topic.is_of_clouds:
+            facts.append(("ranges", telling.tell_ranges(topic.ranges)))
         if crossed := telling.tell_crossed(topic.ranges):
             facts.append(("", crossed))
         facts += telling.list_pose_facts(topic)
@@ -202,6 +204,7 @@ def list_log(log: LogFindings) -> Iterator[Block]:
         kinds = list(telling.list_kinds(topic.ranges))
         for metres, share, meaning in telling.list_repeated(topic.ranges):
             kinds.append((f"{metres} m, repeated", "", share, meaning))
+        kinds = [] if topic.is_of_clouds else kinds
         yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
     yield Block("list", title="Pose sources", texts=telling.tell_sources(log.coverage))
 

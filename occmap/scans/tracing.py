@@ -27,6 +27,7 @@ from occmap.workers import Workers
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.clouds.engine import CloudEngine
+    from occmap.clouds.ground import GroundFinder
     from occmap.grid.engine import GridEngine
 
 
@@ -81,15 +82,19 @@ def find_ground(
     """
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    topics = options.selection.topics
-    finder = GroundFinder(sum(count_scans(log, topics) for log in logs))
+    finder = GroundFinder(sum(count_scans(log, options.selection.topics) for log in logs))
     for log in logs:
-        drive = open_drive(log, options)
-        with name_log(log.path), Workers(finder.add, options.jobs) as workers:
-            for attached in drive.read(Tally(), finder.wants):
-                if attached.posed is not None:
-                    workers.give(attached.posed)
+        count_ground(log, options, finder)
     return finder.find(options.clouds, known)
+
+
+def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:
+    """Let a finder of the ground see the clouds of a log."""
+    drive = open_drive(log, options)
+    with name_log(log.path), Workers(finder.add, options.jobs) as workers:
+        for attached in drive.read(Tally(), finder.wants):
+            if attached.posed is not None:
+                workers.give(attached.posed)
 
 
 def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:

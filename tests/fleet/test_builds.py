@@ -12,7 +12,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
 from occmap.report.results import Report
-from tests.samples import DRIVES
+from tests.samples import DRIVES, SAMPLE_LOGS
 
 LOGS = [*DRIVES, DRIVES[0]]
 """One of them twice"""
@@ -72,3 +72,13 @@ def test_a_part_of_the_scans_is_the_same_part(
 ) -> None:
     options = BuildOptions(jobs=1, selection=selection, min_passes=2, pass_gap_s=1.0)
     hold_equal(alone(options), options, Fleet(address, tmp_path / "scratch"), tmp_path)
+
+
+def test_clouds_of_several_logs_are_traced_over_one_ground(address: str, tmp_path: Path) -> None:
+    logs, options = [SAMPLE_LOGS / "hall.mcap"] * 2, BuildOptions(jobs=1)
+    files = [tmp_path / name for name in ("alone.npz", "fleet.npz")]
+    alone = build(logs, options, files[:1]).report
+    fleet = Fleet(address, tmp_path / "scratch")
+    report = build(logs, options, files[1:], observe=fleet.observe).report
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert sorted(report.notes) == sorted(alone.notes)

@@ -1,0 +1,117 @@
+"""What a cloud observes, slowly and plainly: each point and each cell by itself, in Python."""
+
+import math
+from collections import defaultdict
+
+import numpy as np
+
+from occmap.cells import Ground
+from occmap.clouds.options import CloudOptions
+from occmap.types import Float64, PosedScans
+
+Cell = tuple[int, int]
+NONE = -(1 << 30)
+
+
+def find_height(ground: dict[Cell, int], x: float, y: float) -> int | None:
+    """The height of the ground (mm) at a point (m); None where there is none."""
+    own = ground.get((math.floor(y / 0.15), math.floor(x / 0.15)))
+    if own is None:
+        return None
+    along, across = y / 0.15 - 0.5, x / 0.15 - 0.5
+    row, col = math.floor(along), math.floor(across)
+    around = [ground.get((row + i, col + j)) for i in (0, 1) for j in (0, 1)]
+    if None in around or max(around) - min(around) > 80:  # type: ignore[type-var, operator]
+        return own
+    up, right = along - row, across - col
+    shares = (1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right
+    return round(sum(share * each for share, each in zip(shares, around, strict=True)))  # type: ignore[operator, misc]
+
+
+def list_line(start: Cell, end: Cell) -> list[Cell]:
+    """The cells of Bresenham's line before its end; halves are rounded away from the start."""
+    steps = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
+    cells = []
+    for k in range(steps):
+        moved = [
+            math.copysign(math.floor(abs(to - at) * k / steps + 0.5), to - at)
+            for at, to in zip(start, end, strict=True)
+        ]
+        cells.append((start[0] + int(moved[0]), start[1] + int(moved[1])))
+    return cells
+
+
+def find_sector(x: int, y: int) -> int:
+    """Which of 720 bearings a direction has, of equal widths in x / (|x| + |y|)."""
+    if not (x or y):
+        return 0
+    part = x * 180 // (abs(x) + abs(y))
+    return (180 - part if y >= 0 else 540 + part) % 720
+
+
+class SlowEngine:
+    """Counts hits and misses of cells of 5 cm."""
+
+    def __init__(self, ground: Ground, options: CloudOptions) -> None:
+        self.ground: dict[Cell, int] = {}
+        for (row, col), block in zip(
+            ground.blocks.tolist(), ground.height_mm.tolist(), strict=True
+        ):
+            for at, height in enumerate(block):
+                if height != NONE:
+                    self.ground[row * 64 + at // 64, col * 64 + at % 64] = height
+        self.options = options
+        self.cells: dict[Cell, int | None] = {}
+        self.hits: defaultdict[Cell, int] = defaultdict(int)
+        self.misses: defaultdict[Cell, int] = defaultdict(int)
+
+    def find_ground(self, cell: Cell) -> int | None:
+        """The height of the ground of a cell (mm)."""
+        if cell not in self.cells:
+            x, y = (cell[1] + 0.5) * 0.05, (cell[0] + 0.5) * 0.05
+            self.cells[cell] = find_height(self.ground, x, y)
+        return self.cells[cell]
+
+    def measure(self, point: Float64, origin: Float64) -> tuple[Cell, float, float] | None:
+        """The cell of a point in the map, its height above the ground and its distance (m)."""
+        x, y, z = point.tolist()
+        distance = math.hypot(x - origin[0], y - origin[1])
+        cell = round(y * 5120) // 256, round(x * 5120) // 256
+        height = self.find_ground(cell)
+        if distance < 0.05 or height is None:
+            return None
+        return cell, (round(z * 1000) - height) / 1000, distance
+
+    def add(self, posed: PosedScans) -> None:
+        """Observe one cloud whose points share a pose."""
+        assert posed.batch.clouds
+        points = posed.batch.clouds[0].points.astype(np.float64)
+        points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
+        origin: Float64 = posed.position[0]
+        start_x, start_y = (round(each * 5120) for each in origin[:2])
+        hit: set[Cell] = set()
+        missed: set[Cell] = set()
+        near: defaultdict[int, list[tuple[int, Cell]]] = defaultdict(list)
+        far: defaultdict[int, list[tuple[int, Cell]]] = defaultdict(list)
+        for point in points @ posed.rotation[0].T + origin:
+            if not (found := self.measure(point, origin)):
+                continue
+            cell, above, distance = found
+            away = round(point[0] * 5120) - start_x, round(point[1] * 5120) - start_y
+            sector, apart = find_sector(*away), away[0] ** 2 + away[1] ** 2
+            low = self.options.min_height
+            if abs(above) < low:
+                missed.add(cell)
+                far[sector].append((-apart, cell))
+            margin = self.options.range_margin * max(distance - 8, 0)
+            if low + margin <= above < self.options.max_height:
+                hit.add(cell)
+                near[sector].append((apart, cell))
+        for sector in near.keys() | far.keys():
+            _, end = min(near.get(sector) or far[sector])
+            line = list_line((start_y // 256, start_x // 256), end)
+            missed.update(cell for cell in line if self.find_ground(cell) is not None)
+        for cell in hit:
+            self.hits[cell] += 1
+        for cell in missed - hit:
+            self.misses[cell] += 1

@@ -1,0 +1,162 @@
+"""A room of boxes on a floor that may rise, seen by a lidar that drives through it; no noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from occmap.cells import Ground
+from occmap.clouds.engine import CloudEngine
+from occmap.clouds.ground import GroundFinder
+from occmap.clouds.options import CloudOptions
+from occmap.grid.lattice import CellBox, Lattice
+from occmap.options import choose_model
+from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
+
+Solid: TypeAlias = tuple[float, float, float, float, float, float]
+"""x, y and z from and to"""
+WALLS: list[Solid] = [
+    (-0.32, -0.02, -0.3, 6.3, 0, 2.5),
+    (10.02, 10.32, -0.3, 6.3, 0, 2.5),
+    (-0.3, 10.3, -0.32, -0.02, 0, 2.5),
+    (-0.3, 10.3, 6.02, 6.32, 0, 2.5),
+]
+"""Around a room of 10 x 6 m"""
+SENSOR_M = 0.6
+LATTICE = Lattice(0.05)
+ROOM = CellBox(-10, -10, 130, 210)
+"""Its cells, and half a metre around"""
+
+
+@dataclass
+class Room:
+    """What stands in it, and where its floor rises."""
+
+    solids: list[Solid] = field(default_factory=list)
+    slope: float = 0.0
+    """How much the floor rises from x = 4 to x = 8, for each metre"""
+
+    def floor(self, x: Float64) -> Float64:
+        """How high the floor is."""
+        return np.asarray(np.clip(x - 4, 0, 4) * self.slope)
+
+    def cast(self, origin: Float64, rays: Float64) -> Float64:
+        """Where rays (N, 3) from one place end: (N, 3), NaN where they meet nothing."""
+        nearest = np.full(len(rays), np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            for low, high, slope in ((-9, 4, 0.0), (4, 8, self.slope), (8, 99, 0.0)):
+                level = float(self.floor(np.array(float(low)))) if low > 0 else 0.0
+                foot = max(low, 4) if slope else 0.0
+                down = rays[:, 2] - slope * rays[:, 0]
+                away = (level - origin[2] + slope * (origin[0] - foot)) / down
+                x = origin[0] + away * rays[:, 0]
+                met = (away > 0) & (x >= low) & (x <= high)
+                nearest = np.where(met, np.minimum(nearest, away), nearest)
+            for solid in [*WALLS, *self.solids]:
+                near, far = np.array(solid).reshape(3, 2).T
+                one, other = (near - origin) / rays, (far - origin) / rays
+                enter = np.minimum(one, other).max(axis=1)
+                leave = np.maximum(one, other).min(axis=1)
+                met = (enter < leave) & (enter > 0)
+                nearest = np.where(met, np.minimum(nearest, enter), nearest)
+        nearest[~np.isfinite(nearest)] = np.nan
+        return np.asarray(origin + nearest[:, None] * rays)
+
+
+def turn(roll: float, pitch: float, yaw: float) -> Float64:
+    """The rotation by angles about fixed axes (degrees), from the sensor to the map."""
+    made = np.eye(3)
+    for axis, angle in enumerate((roll, pitch, yaw)):
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        one, other = (axis + 1) % 3, (axis + 2) % 3
+        step = np.eye(3)
+        step[one, one], step[one, other], step[other, one], step[other, other] = c, -s, s, c
+        made = step @ made
+    return made
+
+
+def list_rays(rings: int = 40, azimuths: int = 240) -> Float64:
+    """Unit vectors of a lidar that looks 40 degrees up and down (N, 3)."""
+    up, around = np.meshgrid(
+        np.radians(np.linspace(-40, 40, rings)), np.arange(azimuths) * 2 * np.pi / azimuths
+    )
+    flat = np.cos(up)
+    return np.stack([flat * np.cos(around), flat * np.sin(around), np.sin(up)], -1).reshape(-1, 3)
+
+
+def drive(
+    room: Room, mounts: Sequence[Float64] = (np.eye(3),), clouds: int = 30
+) -> list[PosedScans]:
+    """Drive through the middle of a room.
+
+    Parameters
+    ----------
+    mounts
+        How the sensor sits at each of as many moments of a cloud; the points are those of a level
+        one, so that only their frame differs.
+    """
+    made, rays = [], list_rays()
+    for number, x in enumerate(np.linspace(0.8, 9.2, clouds)):
+        origin = np.array([x, 3.03, SENSOR_M + float(room.floor(np.array(x)))])
+        ends = room.cast(origin, rays)
+        which = np.arange(len(ends)) * len(mounts) // len(ends)
+        points = np.einsum("nji,nj->ni", np.array(mounts)[which], ends - origin)
+        offset_ns = which * 1_000_000 if len(mounts) > 1 else None
+        cloud = Cloud(number, "lidar", points.astype(np.float32), offset_ns)
+        made.append(place(cloud, origin, np.array(mounts)))
+    return made
+
+
+def place(cloud: Cloud, origin: Float64, rotation: Float64) -> PosedScans:
+    """Pose a cloud, by one or several rotations (M, 3, 3) at one place."""
+    moments = len(rotation)
+    ranges = np.zeros((1, moments), np.float32)
+    stamp_ns = np.array([cloud.stamp_ns * 10**9])
+    shape = ("lidar", 0.0, 1.0, 0.0, np.inf, stamp_ns, ranges, np.zeros(1))
+    batch = ScanBatch(*shape, clouds=(cloud,))
+    position = np.broadcast_to(origin, (1, moments, 3))
+    if moments == 1:
+        return PosedScans(batch, position[:, 0], rotation)
+    return PosedScans(batch, position, rotation[None])
+
+
+def find_ground(drives: Sequence[PosedScans]) -> Ground:
+    """Find the ground below a drive."""
+    finder = GroundFinder(len(drives))
+    for posed in drives:
+        finder.add(posed)
+    return finder.find(CloudOptions())[0]
+
+
+def observe(
+    drives: Sequence[PosedScans], ground: Ground, options: CloudOptions | None = None
+) -> CloudEngine:
+    """Observe all clouds of a drive."""
+    engine = CloudEngine(LATTICE, options or CloudOptions(), ground, (0.0, np.inf))
+    for posed in drives:
+        engine.add(posed)
+    return engine
+
+
+def count(engine: CloudEngine) -> Float32:
+    """(2, H, W) hits and misses of the cells of the room."""
+    return engine.finish().gather(ROOM)
+
+
+def classify(
+    drives: Sequence[PosedScans], options: CloudOptions | None = None
+) -> tuple[Bool, Bool]:
+    """(H, W) each: which cells of the room are occupied, and which free."""
+    hits, misses = count(observe(drives, find_ground(drives), options)).astype(np.float64)
+    model = choose_model(Update.CLOUD)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        odds = model.log_odds(hits, misses)  # type: ignore[union-attr]  # it counts
+    seen, cut = hits + misses > 0, np.log(0.05 / 0.95)
+    return seen & (odds > cut), seen & (odds < cut)
+
+
+def find_cells(x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, slice]:
+    """The cells between some x and y (m), in arrays of the room."""
+    rows, cols = (slice(round(low / 0.05) + 10, round(high / 0.05) + 10) for low, high in (y, x))
+    return rows, cols

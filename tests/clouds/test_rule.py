@@ -1,0 +1,175 @@
+"""What becomes of simple things in a map of clouds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from occmap.clouds.options import CloudOptions
+from occmap.errors import MapError, UsageError
+from occmap.types import Float64, PosedScans
+from tests.clouds.reference import SlowEngine
+from tests.clouds.simulation import (
+    ROOM,
+    Room,
+    classify,
+    count,
+    drive,
+    find_cells,
+    find_ground,
+    observe,
+    turn,
+)
+
+TABLE = [
+    (3.0, 4.0, 4.5, 5.0, 0.72, 0.76),
+    *((x, x + 0.04, y, y + 0.04, 0.0, 0.72) for x in (3.0, 3.96) for y in (4.5, 4.96)),
+]
+BOX = (5.0, 5.3, 1.5, 1.8, 0.0, 0.18)
+OPTICAL = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
+
+
+def test_the_kernel_equals_the_reference_in_every_cell() -> None:
+    posed = drive(Room([*TABLE, BOX], slope=0.06), clouds=6)
+    ground = find_ground(posed)
+    slow = SlowEngine(ground, CloudOptions())
+    for each in posed[::2]:
+        slow.add(each)
+
+    hits, misses = count(observe(posed[::2], ground))
+
+    for found, expected in ((hits, slow.hits), (misses, slow.misses)):
+        wanted = np.zeros(found.shape, np.int64)
+        for (row, col), number in expected.items():
+            wanted[row - ROOM.row, col - ROOM.col] = number
+        assert wanted.sum() > 500
+        np.testing.assert_array_equal(found, wanted)
+
+
+def test_a_table_stands_in_the_way_of_a_high_robot_only() -> None:
+    posed = drive(Room(TABLE))
+    top = find_cells((3.2, 3.8), (4.5, 4.6))
+
+    assert classify(posed)[0][top].any(axis=0).all()
+    assert not classify(posed, CloudOptions(max_height=0.6))[0][top].any()
+
+
+def test_a_lintel_above_the_robot_is_free() -> None:
+    occupied, free = classify(drive(Room([(6.0, 6.2, 0.0, 6.0, 2.0, 2.5)])))
+    below = find_cells((6.0, 6.2), (1.0, 5.0))
+
+    assert free[below].all()
+    assert not occupied[below].any()
+
+
+def test_a_low_box_stays_though_beams_pass_over_it() -> None:
+    occupied, _ = classify(drive(Room([BOX])))
+
+    assert occupied[find_cells((5.0, 5.3), (1.75, 1.8))].all()
+
+
+def test_a_duct_lower_than_the_clearance_does_not_appear() -> None:
+    occupied, free = classify(drive(Room([(2.0, 2.1, 0.0, 6.0, 0.0, 0.06)])))
+    there = find_cells((1.9, 2.2), (0.5, 5.5))
+
+    assert not occupied[there].any()
+    assert free[there].mean() > 0.97
+
+
+def test_a_ramp_is_free_and_what_stands_on_it_is_not() -> None:
+    occupied, free = classify(drive(Room([(6.5, 6.8, 4.0, 4.3, 0.2, 0.6)], slope=0.1)))
+    ramp = find_cells((4.0, 8.0), (0.5, 3.9))
+
+    assert not occupied[ramp].any()
+    assert free[ramp].mean() > 0.99
+    assert occupied[find_cells((6.5, 6.8), (4.0, 4.05))].mean() > 0.6
+
+
+def test_a_kerb_is_an_edge() -> None:
+    occupied, _ = classify(drive(Room([(0.0, 10.0, 4.5, 6.0, 0.0, 0.14)])))
+
+    assert occupied[find_cells((1.0, 9.0), (4.5, 4.55))].mean() > 0.8
+
+
+@pytest.mark.parametrize(
+    "mounts",
+    [
+        [turn(0, 20, 30)],
+        [turn(180, 0, 45)],
+        [OPTICAL],
+        [turn(4 * np.sin(k), 5 * np.cos(k), k) for k in range(33)],  # it walks
+    ],
+    ids=["tilted", "upside-down", "optical", "walking"],
+)
+def test_however_the_sensor_sits_the_map_is_the_same(mounts: list[Float64]) -> None:
+    room = Room([*TABLE, BOX])
+    level, other = (classify(drive(room, each, clouds=12)) for each in ([np.eye(3)], mounts))
+
+    # Points are kept as float32: a few lie on the other side of the border of a cell.
+    for mine, its in zip(level, other, strict=True):
+        assert (mine != its).mean() < 1e-3
+
+
+def shuffle(posed: PosedScans) -> PosedScans:
+    (cloud,) = posed.batch.clouds or ()
+    order = np.random.default_rng(7).permutation(len(cloud.points))
+    mixed = replace(posed.batch, clouds=(cloud._replace(points=cloud.points[order]),))
+    return replace(posed, batch=mixed)
+
+
+def test_neither_the_order_of_points_nor_that_of_clouds_counts() -> None:
+    posed = drive(Room([BOX], slope=0.05), clouds=8)
+    mixed = [shuffle(each) for each in posed[::-1]]
+
+    ground, other = find_ground(posed), find_ground(mixed)
+
+    np.testing.assert_array_equal(ground.height_mm, other.height_mm)
+    np.testing.assert_array_equal(count(observe(posed, ground)), count(observe(mixed, other)))
+
+
+def test_halves_over_one_ground_add_up_to_the_whole() -> None:
+    posed = drive(Room([BOX]), clouds=8)
+    ground = find_ground(posed)
+
+    whole = count(observe(posed, ground))
+
+    halves = [count(observe(some, ground)) for some in (posed[:3], posed[3:])]
+    np.testing.assert_array_equal(sum(halves), whole)
+
+
+def test_the_ground_is_measured_to_a_centimetre() -> None:
+    room = Room(slope=0.08)
+    ground = find_ground(drive(room))
+    (at,) = np.flatnonzero((ground.blocks == 0).all(axis=1))  # 0 to 9.6 m along x and y
+    height, measured = ground.height_mm[at], ground.measured[at]
+    x = (np.arange(64) + 0.5) * 0.15
+    level = np.broadcast_to(room.floor(np.asarray(x, np.float64)) * 1000, (64, 64)).reshape(-1)
+
+    assert measured.sum() > 200
+    assert np.quantile(np.abs(height - level)[measured], 0.95) < 15
+
+
+def test_no_floor_in_view_is_refused_with_what_to_type() -> None:
+    posed = drive(Room(), clouds=4)
+    above = [
+        replace(
+            each,
+            batch=replace(
+                each.batch,
+                clouds=tuple(
+                    c._replace(points=c.points[c.points[:, 2] > 0]) for c in each.batch.clouds or ()
+                ),
+            ),
+        )
+        for each in posed
+    ]
+
+    with pytest.raises(MapError, match="sensor_height"):
+        find_ground(above)
+
+
+def test_heights_that_leave_no_band_are_refused() -> None:
+    with pytest.raises(UsageError, match="`min_height` below the `max_height`"):
+        CloudOptions(min_height=1.0, max_height=1.0)
+    with pytest.raises(UsageError, match="`ground=flat`"):
+        CloudOptions(ground="level")
