@@ -180,6 +180,7 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
         builds=1,
         resumed=None,
         beams=tally.beams,
+        points=tally.points,
         map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),

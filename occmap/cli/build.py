@@ -82,7 +82,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     rows = [
         *tell_map(report.map),
         *tell_scans(report),
-        tell_beams(report),
+        *tell_beams(report),
         ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"),
         *label_first("files", report.files),
     ]

@@ -6,6 +6,7 @@ renamed into place, and a result comes after the run files that it tells of.
 """
 
 import pickle
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import wraps
@@ -169,6 +170,7 @@ def trace_log(job: Job) -> Traced:
     ((_, notes),) = trace_logs([log], options, runs.begin, tally)
     with name_log(log.path):
         runs.flush()
+    tally.count_points(runs.points)
     return Traced(tally, notes, tuple(log.notes), runs.pieces)
 
 
@@ -179,6 +181,7 @@ class RunWriter:
         self._job = job
         self._runs = 0
         self.pieces: dict[Block, list[Piece]] = {}
+        self.points: Counter[str] = Counter()
         self._renew()
 
     def begin(self) -> AddRays:
@@ -187,6 +190,7 @@ class RunWriter:
         Names of run files are not used again: another worker may be at the same log.
         """
         self.pieces.clear()
+        self.points.clear()
         self._renew()
         return self.add
 
@@ -207,6 +211,7 @@ class RunWriter:
 
     def flush(self) -> None:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
+        self.points.update(self._engine.points)
         parts = split_blocks(self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
         for block, piece in write_run(self._job.setting.folder, name, parts).items():

@@ -3,6 +3,7 @@
 One that keeps slices of time has an ordinary engine for each of them.
 """
 
+from collections.abc import Mapping
 from functools import partial
 from threading import Lock
 
@@ -44,6 +45,9 @@ class GridEngine:
     scan that would make one much larger before it is traced. Nearly always a `Reach` has refused it
     before, in words that do not depend on threads.
     """
+
+    points: Mapping[str, int] = {}
+    """What became of points: rays have none"""
 
     def __init__(
         self,

@@ -1,6 +1,6 @@
 """What a build did: numbers for programs, and the rows that a terminal and a page lay out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
@@ -138,6 +138,9 @@ class Report(Noted):
     here; null where there is none"""
     beams: ReturnCounts
     """How many beams of the used scans were read as what"""
+    points: dict[str, Count]
+    """What became of the points of clouds, by kind; empty where there are none, or where no log
+    was read"""
     map: MapSummary
     """The map"""
     notes: tuple[str, ...]
@@ -225,6 +228,9 @@ def tell_scans(report: Report) -> list[Row]:
     return [("scans", used), *([("dropped", dropped)] if dropped else [])]
 
 
-def tell_beams(report: Report) -> Row:
-    """Say what the beams of the used scans meant."""
-    return "beams", f"{sum(report.beams):,}: {write_counts(report.beams.by_name)}"
+def tell_beams(report: Report) -> Iterator[Row]:
+    """Say what the beams of the used scans meant, and what became of the points of clouds."""
+    if report.points:
+        yield "points", f"{sum(report.points.values()):,}: {write_counts(report.points)}"
+    elif report.map.update is not Update.CLOUD:
+        yield "beams", f"{sum(report.beams):,}: {write_counts(report.beams.by_name)}"

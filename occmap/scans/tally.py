@@ -179,6 +179,8 @@ class Tally:
         self.scans_read = self.scans_used = 0
         self.dropped: dict[str, int] = {}
         self.beams = ReturnCounts()
+        self.points: dict[str, int] = {}
+        """What became of the points of clouds, by kind"""
         self.frames: dict[str, str | None] = {}
         """In which frame each log is mapped; None where it states poses and names no frame"""
         self.lasers = 0
@@ -207,6 +209,7 @@ class Tally:
         self.scans_read += other.scans_read
         self.drop(other.dropped)
         self.use(other.scans_used, other.beams)
+        self.count_points(other.points)
         for stage, seconds in other.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
@@ -220,6 +223,10 @@ class Tally:
         """Count scans that are used, and what their beams meant."""
         self.scans_used += scans
         self.beams += beams
+
+    def count_points(self, kinds: Mapping[str, int]) -> None:
+        """Count what became of points."""
+        self.points = {kind: self.points.get(kind, 0) + many for kind, many in kinds.items()}
 
     def to_json(self) -> dict[str, Any]:
         """What became of the scans and their beams, as JSON values."""

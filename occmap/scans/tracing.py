@@ -210,6 +210,7 @@ def observe(
     for log, scans in zip(logs, counts, strict=True):
         of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
         engine, notes = observe_log(log, options, keep._replace(ground=ground), of_log)
+        of_log.count_points(engine.points)
         tally.add(of_log)
         with tally.time("fold"):
             seen = engine.finish()

@@ -168,6 +168,7 @@ def summarise(
         builds=len(beams),
         resumed=None,
         beams=ReturnCounts(**kinds),
+        points={},
         map=MapSummary.describe(facts, manifest, options.min_passes),
         notes=(
             *list_doubts(manifest),
