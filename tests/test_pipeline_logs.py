@@ -184,7 +184,7 @@ def test_a_topic_that_is_not_there_names_those_that_are(tmp_path: Path) -> None:
 def test_a_log_without_scans_says_what_it_holds(tmp_path: Path) -> None:
     others = [message for message in drive(ROS2) if message.topic != "/scan"]
     log = write_mcap(tmp_path / "log.mcap", others)
-    with pytest.raises(LogError, match=r"no laser scans; it holds .*/tf \(tf2_msgs/msg/TFM"):
+    with pytest.raises(LogError, match=r"no clouds; it holds .*/tf \(tf2_msgs/msg/TFM"):
         build([log], BEAM)
 
 
@@ -333,7 +333,7 @@ def test_damage_is_named_where_it_leaves_no_scan(tmp_path: Path) -> None:
     log = write_mcap(tmp_path / "log.mcap", drive(ROS2))
     content = log.read_bytes()
     log.write_bytes(content[: content.index(b"sensor_msgs/msg/LaserScan")])
-    with pytest.raises(LogError, match=r"no laser scans; it holds .*; the file ends in the middle"):
+    with pytest.raises(LogError, match=r"no clouds; it holds .*; the file ends in the middle"):
         build([log], BEAM)
 
 

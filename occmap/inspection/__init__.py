@@ -21,7 +21,7 @@ from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions
 from occmap.posing.attach import Poser
-from occmap.readers import Log, Role, open_log, read_recorded
+from occmap.readers import Log, Role, Stream, open_log, read_recorded
 from occmap.report.words import write_unused
 from occmap.scans.logs import choose_topics, count_messages
 from occmap.scans.mounts import estimate_agreement, find_better
@@ -64,11 +64,11 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
     posing = replace(posing, poser=survey.poser)
-    types = {stream.topic: stream.type for stream in reversed(log.streams)}
+    streams = {stream.topic: stream for stream in reversed(log.streams)}
     topics = choose_topics(log, options.selection.topics)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
     scans = tuple(
-        sum_up(log, types[topic.topic], topic, posing, options) for topic in seen if topic.shapes
+        sum_up(log, streams[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
     spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
     if not scans and not problem:
@@ -128,9 +128,9 @@ def describe_log(log: Log) -> LogFindings:
 
 
 def sum_up(
-    log: Log, kind: str, topic: TopicSurvey, posing: Posing, options: BuildOptions
+    log: Log, stream: Stream, topic: TopicSurvey, posing: Posing, options: BuildOptions
 ) -> ScanFindings:
-    """Sum up all about one topic of scans, whose messages are of some kind."""
+    """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
     crossed = measure_crossing(topic.sample.parts, options.returns)
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
@@ -141,9 +141,9 @@ def sum_up(
         mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(
         topic=topic.topic,
-        type=kind,
+        type=stream.type,
         frames=tuple(topic.frames),
-        is_of_clouds=any(s.role is Role.CLOUD for s in log.streams if s.topic == topic.topic),
+        is_of_clouds=stream.role is Role.CLOUD,
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),

@@ -32,8 +32,8 @@ from rosbags.typesys.store import Typestore
 from occmap.errors import OccmapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import Role, open_log
-from occmap.types import Scan
+from occmap.readers import HoldingClouds, Role, open_log
+from occmap.types import Cloud, Scan
 from tests.readers import foxglove_logs as foxglove
 from tests.readers.ros import ROS1, ROS2, SCAN, SECOND, TF, header, pose, scan, transforms
 from tests.readers.runs import list_fields
@@ -391,7 +391,9 @@ def run_case(case: Case, folder: Path) -> str:
     start = time.monotonic()
     log = open_log(path)
     topics = [stream.topic for stream in log.streams if stream.role in {Role.SCAN, Role.CLOUD}]
-    scans = list(log.scans(topics))
+    scans: list[Scan | Cloud] = list(log.scans(topics))
+    if isinstance(log, HoldingClouds):
+        scans += log.clouds(topics)
     poses = list(log.poses())
     by_topic = {topic: [one for one in scans if one.topic == topic] for topic in topics}
     damaged = any(note.damage for note in log.notes)
@@ -409,7 +411,7 @@ def run_case(case: Case, folder: Path) -> str:
     return f"{end}, {'noted' if damaged else 'no note'}"
 
 
-def check_scans(case: Case, scans: Sequence[Scan], damaged: bool) -> None:
+def check_scans(case: Case, scans: Sequence[Scan | Cloud], damaged: bool) -> None:
     """See that what is not spoilt is read as it was written, and that no other is lost unsaid."""
     assert len(scans) == MESSAGES or damaged, case.name
     if len(case.spoilt) == 1:

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from occmap.readers import Log
-from occmap.types import Pose, Scan, ScanRun
+from occmap.types import Cloud, Pose, Scan, ScanRun
 
 
 def count_scans(log: Log) -> int:
@@ -20,7 +20,7 @@ def flatten(items: Iterable[Scan | ScanRun]) -> list[Scan]:
     ]
 
 
-def list_fields(scans: Iterable[Scan]) -> list[list[object]]:
+def list_fields(scans: Iterable[Scan | Cloud]) -> list[list[object]]:
     """Every field, in a form in which what is not a number equals itself."""
     return [
         [str(list(field)) if isinstance(field, Pose | np.ndarray) else field for field in scan]
