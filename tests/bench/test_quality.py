@@ -200,7 +200,7 @@ def test_the_last_step_is_a_bare_build() -> None:
 def test_the_tables_of_a_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
     log = tmp_path / "drive.csv"
-    log.write_text("".join(lines[:100]))
+    log.write_text("".join(lines[:40]))
     quality.main([str(log), "--resolution", "0.2"])
     text = capsys.readouterr().out
     shares, walked, leads = (table.splitlines() for table in text.split("\n\n"))

@@ -32,6 +32,11 @@ KERNELS: list[Any] = [
 ]
 
 
+@pytest.fixture(autouse=True, scope="module")
+def compiled_ahead() -> None:
+    compile_kernels()
+
+
 def write_log(folder: Path) -> tuple[Path, Path]:
     """A CSV that states the time between beams, and its poses."""
     log, poses = folder / "drive.csv", folder / "drive.tum"
@@ -49,7 +54,6 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(
     update: Update, model: str, deskew: Deskew, tmp_path: Path
 ) -> None:
     log, poses = write_log(tmp_path)
-    compile_kernels()
     compiled = [len(kernel.signatures) for kernel in KERNELS]
     assert min(compiled) >= 1
     posing = PosingOptions(poses=str(poses), deskew=deskew)
@@ -60,7 +64,6 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(
 
 def test_a_comparison_needs_no_kernel_that_was_not_compiled_before(tmp_path: Path) -> None:
     log, poses = write_log(tmp_path)
-    compile_kernels()
     kernels = [*KERNELS, cast_beams]
     compiled = [len(kernel.signatures) for kernel in kernels]
     assert min(compiled) >= 1

@@ -22,13 +22,13 @@ STAMPS = st.integers(-20, 30)
 """Some scans then are of one time, or of one second before zero and after it."""
 
 FEW = settings(
-    max_examples=50,
+    max_examples=40,
     deadline=None,
     derandomize=True,
     database=None,
     suppress_health_check=[HealthCheck.too_slow],  # as for the deadline: machines are noisy
 )
-MANY = settings(FEW, max_examples=150)
+MANY = settings(FEW, max_examples=100)
 
 
 class Evidence(NamedTuple):

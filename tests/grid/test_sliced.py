@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from itertools import permutations
+from itertools import islice, permutations
 from threading import Thread
 
 import numpy as np
@@ -137,7 +137,7 @@ def test_batches_windows_and_order_change_no_byte(
     spec = all_specs(resolution)[kind_of_map]
     whole = keep(spec, [rays])
     scans = range(len(rays.kind))
-    for order in permutations(scans):
+    for order in islice(permutations(scans), 0, None, 5):
         assert_equal(keep(spec, [take(rays, list(order))], window_cells), whole)
         assert_equal(keep(spec, [take(rays, [s]) for s in order], window_cells), whole)
 
