@@ -9,7 +9,7 @@ import pytest
 from occmap.cells import OccupancyMap
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
-from occmap.grid.spec import GridSpec
+from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, Rays, Update
