@@ -64,7 +64,7 @@ class Sheet:
         """Observe the cells of one cloud, whose points lie up to so far from the sensor (m)."""
         self.reach(cloud.origin, farthest)
         cells = int(farthest / self.lattice.resolution) + 2
-        room = min(len(cloud.points) + SECTORS * 2 * cells, self.used * TILE * TILE)
+        room = min(len(cloud.points) + SECTORS * 2 * cells, self.used * TILE * TILE) + 1
         if len(self.touched) < room:
             self.touched = np.empty(room, np.int32)
         scale = self.lattice.units_per_metre

@@ -14,7 +14,7 @@ from occmap.clouds.kernels.heights import BIN_MM, COLUMN_MM, EMPTY, WIDE, Histog
 from occmap.clouds.options import FLAT, CloudOptions
 from occmap.clouds.posed import list_clouds
 from occmap.errors import MapError
-from occmap.types import Bool, Float64, Int32, Int64, PosedScans, ScanBatch, UInt8
+from occmap.types import Bool, Float64, Int32, Int64, PosedScans, UInt8
 
 LIMITS = Near(least=0.0, near=12.0, far=60.0, rise=0.3, deepest=3.0)
 """Up to 12 m poses are off by a few centimetres; farther points count where there are no others."""
@@ -68,10 +68,9 @@ class GroundFinder:
         self._path: list[Float64] = []
         self._lock = Lock()
 
-    def wants(self, batch: ScanBatch) -> bool:
-        """Whether the clouds of a batch are among those that are counted."""
-        points = sum(len(cloud.points) for cloud in batch.clouds or ())
-        return is_counted(int(batch.stamp_ns[0]), points, self._least_share)
+    def wants(self, stamp_ns: int, points: int) -> bool:
+        """Whether a cloud is among those that are counted."""
+        return is_counted(stamp_ns, points, self._least_share)
 
     def add(self, posed: PosedScans) -> None:
         """Count the points of some clouds."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from occmap.clouds.kernels.heights import Cloud
 from occmap.types import Cloud as RecordedCloud
-from occmap.types import Int32, PosedScans
+from occmap.types import Float32, Int32, PosedScans
 
 ALL_AT_ONCE = np.zeros(0, np.int32)
 """All points of a cloud have one pose."""
@@ -22,7 +22,16 @@ def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
     middle = place[:, place.shape[1] // 2, :, 3]
     origins = np.ascontiguousarray(middle if posed.origin is None else posed.origin)
     for cloud, poses, origin in zip(posed.batch.clouds or (), place, origins, strict=True):
-        yield Cloud(cloud.points, find_moments(cloud, len(poses)), poses, origin)
+        yield Cloud(pack_points(cloud.points), find_moments(cloud, len(poses)), poses, origin)
+
+
+def pack_points(points: Float32) -> Float32:
+    """Bring points (N, 3) that may lie among other fields of a message side by side."""
+    if points.flags.carray:
+        return points
+    packed = np.empty((len(points), 1), "V12")  # three floats at once: 2 to 4 times as fast
+    packed[:] = points.view("V12")
+    return packed.view(np.float32)
 
 
 def find_moments(cloud: RecordedCloud, moments: int) -> Int32:

@@ -78,6 +78,8 @@ BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
 seldom wait for Python's lock."""
 
+BATCH_POINTS = 1 << 19
+"""Points of clouds that are gathered, unless one has more"""
 CLOUD_MOMENTS = 33
 """Poses looked up for one cloud whose points have times of their own"""
 
@@ -98,10 +100,14 @@ def find_geometry(scan: Scan) -> Geometry:
 def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
     held: dict[Geometry, dict[int, Scan]] = {}
+    clouds: list[Cloud] = []
     beams = 0
     for number, some in enumerate(scans):
         if isinstance(some, Cloud):
-            yield make_cloud_batch(some, stamps)
+            if clouds and not can_join(clouds, some):
+                yield make_cloud_batch(clouds, stamps)
+                clouds = []
+            clouds.append(some)
             continue
         if isinstance(some, Scan):
             held.setdefault(find_geometry(some), {})[number] = some
@@ -111,7 +117,19 @@ def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
             held, beams = {}, 0
         if isinstance(some, ScanRun):
             yield make_batch(some, stamps)
+    if clouds:
+        yield make_cloud_batch(clouds, stamps)
     yield from release(held, stamps)
+
+
+def can_join(clouds: Sequence[Cloud], other: Cloud) -> bool:
+    """Whether a cloud goes into one batch with those before it."""
+    kinds = {
+        (cloud.topic, cloud.frame, cloud.pose is None, cloud.offset_ns is None)
+        for cloud in (clouds[-1], other)
+    }
+    points = sum(len(cloud.points) for cloud in (*clouds, other))
+    return len(kinds) == 1 and points <= BATCH_POINTS
 
 
 def release(held: Mapping[Geometry, Mapping[int, Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
@@ -140,20 +158,28 @@ def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> Sca
     return ScanBatch(*shape, *differing, first.topic, number)
 
 
-def make_cloud_batch(cloud: Cloud, stamps: Stamps) -> ScanBatch:
-    """Make a batch of one cloud, which has a beam for each moment that its poses are looked up at.
+def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
+    """Make a batch of clouds, which have a beam for each moment that poses are looked up at.
 
-    It begins where its earliest point does.
+    A cloud begins where its earliest point does.
     """
-    start, stop, moments = 0, 0, 1
-    if cloud.offset_ns is not None:
-        start, stop, moments = int(cloud.offset_ns.min()), int(cloud.offset_ns.max()), CLOUD_MOMENTS
-    stamp_ns = stamps.choose(np.array([cloud.stamp_ns]), np.array([cloud.record_ns])) + start
-    pose = None if cloud.pose is None else np.array([cloud.pose])
-    ranges, step = np.zeros((1, moments), np.float32), (stop - start) / 1e9 / max(moments - 1, 1)
-    shape = cloud.frame, 0.0, math.tau / moments, 0.0, math.inf
-    times = stamp_ns, ranges, np.array([step])
-    return ScanBatch(*shape, *times, pose, cloud.topic, clouds=(cloud,))
+    first = clouds[0]
+    moments = 1 if first.offset_ns is None else CLOUD_MOMENTS
+    span = np.array([find_span(cloud) for cloud in clouds])
+    stamp_ns, record_ns = np.array([(cloud.stamp_ns, cloud.record_ns) for cloud in clouds]).T
+    times = stamps.choose(stamp_ns, record_ns) + span[:, 0]
+    step = (span[:, 1] - span[:, 0]) / 1e9 / max(moments - 1, 1)
+    ranges = np.zeros((len(clouds), moments), np.float32)
+    pose = None if first.pose is None else np.array([cloud.pose for cloud in clouds])
+    shape = first.frame, 0.0, math.tau / moments, 0.0, math.inf
+    return ScanBatch(*shape, times, ranges, step, pose, first.topic, clouds=tuple(clouds))
+
+
+def find_span(cloud: Cloud) -> tuple[int, int]:
+    """When its first and its last point were measured, after its stamp (ns)."""
+    if cloud.offset_ns is None:
+        return 0, 0
+    return int(cloud.offset_ns.min()), int(cloud.offset_ns.max())
 
 
 def list_oddities(batch: ScanBatch) -> Iterator[str]:
@@ -206,18 +232,26 @@ class Drive:
         return self
 
     def read(
-        self, tally: Tally, wants: Callable[[ScanBatch], bool] | None = None
+        self, tally: Tally, wants: Callable[[int, int], bool] | None = None
     ) -> Iterator[Attached]:
         """Read the scans that are used, holding no more than a batch; count what becomes of all.
 
         Parameters
         ----------
         wants
-            Says of each batch whether it is posed; None: all are.
+            Says of each cloud, by its stamp and its number of points, whether it is posed; None:
+            all are.
         """
         scans = self.limits.watch(read_recorded(self.log, self.topics))
-        batches = stack(self.selector.select(scans), self.selector.stamps)
-        batches = batches if wants is None else filter(wants, batches)
+        chosen, stamps = self.selector.select(scans), self.selector.stamps
+        if wants is not None:
+            chosen = (
+                some
+                for some in chosen
+                if not isinstance(some, Cloud)
+                or wants(stamps.choose(some.stamp_ns, some.record_ns), len(some.points))
+            )
+        batches = stack(chosen, stamps)
         limited = tally.time_each("read", map(self.limits.apply, batches))
         for attached in tally.time_each("pose", self.poser.attach(limited)):
             self._odd |= dict.fromkeys(list_oddities(attached.batch))

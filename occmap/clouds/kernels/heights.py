@@ -21,6 +21,10 @@ WIDE = 1 << 20
 PIECE_BITS = 19
 HALF = 1 << PIECE_BITS - 1
 EMPTY = -1
+SOME = 512
+"""Points that are placed at once"""
+FARTHEST_M = 1e5
+"""Points farther away are none"""
 
 
 class Cloud(NamedTuple):
@@ -72,49 +76,90 @@ def pack(layer: int, row: int, col: int, piece: int) -> int:
 def find_place(keys: Int64, key: int) -> int:
     """Where a key is in the table, or where it belongs."""
     mask = keys.size - 1
-    place = ((key * -7046029254386353131) >> 20) & mask
+    # Folded, since a product's lower bits know nothing of a factor's upper ones: of the row.
+    place = (((key ^ (key >> 31)) * -7046029254386353131) >> 32) & mask
     while keys[place] != EMPTY and keys[place] != key:
         place = (place + 1) & mask
     return place
 
 
 @kernel
+def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -> None:
+    """Fill x, y and z (N,) with where points from `start` on lie in the map, NaN for no return."""
+    points, which, poses, _ = cloud
+    some = points[start : start + len(x)]
+    if which.size:
+        pose_of = which[start : start + len(x)]
+        for i in range(len(x)):
+            u, v, w = float(some[i, 0]), float(some[i, 1]), float(some[i, 2])
+            size = abs(u) + abs(v) + abs(w)
+            u, k = u if size > 0.0 and size < FARTHEST_M else np.nan, pose_of[i]
+            x[i] = poses[k, 0, 0] * u + poses[k, 0, 1] * v + poses[k, 0, 2] * w + poses[k, 0, 3]
+            y[i] = poses[k, 1, 0] * u + poses[k, 1, 1] * v + poses[k, 1, 2] * w + poses[k, 1, 3]
+            z[i] = poses[k, 2, 0] * u + poses[k, 2, 1] * v + poses[k, 2, 2] * w + poses[k, 2, 3]
+        return
+    # As above; but a pose that stays lets processors place several points at once.
+    one = poses[0].copy()
+    for i in range(len(x)):
+        u, v, w = float(some[i, 0]), float(some[i, 1]), float(some[i, 2])
+        size = abs(u) + abs(v) + abs(w)
+        u = u if size > 0.0 and size < FARTHEST_M else np.nan
+        x[i] = one[0, 0] * u + one[0, 1] * v + one[0, 2] * w + one[0, 3]
+        y[i] = one[1, 0] * u + one[1, 1] * v + one[1, 2] * w + one[1, 3]
+        z[i] = one[2, 0] * u + one[2, 1] * v + one[2, 2] * w + one[2, 3]
+
+
+@kernel
 def count_heights(cloud: Cloud, limits: Near, table: Histogram, start: int) -> int:
     """Count the heights of the points from `start` on; return where the table was full."""
-    points, which, poses, origin = cloud
     keys, counts, used = table
-    most = keys.size // 2
-    last_row, last_col, last_piece, last_layer, place = 0, 0, 0, -1, 0
-    for i in range(start, len(points)):
-        u, v, w = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
-        if not (abs(u) + abs(v) + abs(w) > 0.0 and abs(u) + abs(v) + abs(w) < 1e6):
-            continue
-        pose = poses[which[i] if which.size else 0]
-        x = pose[0, 0] * u + pose[0, 1] * v + pose[0, 2] * w + pose[0, 3]
-        y = pose[1, 0] * u + pose[1, 1] * v + pose[1, 2] * w + pose[1, 3]
-        z = pose[2, 0] * u + pose[2, 1] * v + pose[2, 2] * w + pose[2, 3]
-        distance = np.hypot(x - origin[0], y - origin[1])
+    x, y, z = np.empty(SOME), np.empty(SOME), np.empty(SOME)
+    key, bins = np.empty(SOME, np.int64), np.empty(SOME, np.int64)
+    while start < len(cloud.points):
+        size = min(SOME, len(cloud.points) - start)
+        if 2 * (used[0] + size) > keys.size:
+            return start
+        place_points(cloud, start, x[:size], y[:size], z[:size])
+        many = list_heights(x[:size], y[:size], z[:size], cloud.origin, limits, key, bins)
+        # Loops of their own, so that a processor waits for many places in memory at once.
+        for i in range(many):
+            place = find_place(keys, key[i])
+            used[0] += keys[place] == EMPTY
+            keys[place] = key[i]
+            key[i] = place
+        for i in range(many):
+            counts[key[i], bins[i]] += 1
+        start += size
+    return start
+
+
+@step
+def round_mm(metres: float) -> int:
+    """Round a length to whole millimetres."""
+    return int(np.rint(metres * 1000))
+
+
+@step
+def list_heights(
+    x: Float64, y: Float64, z: Float64, origin: Float64, limits: Near, key: Int64, bins: Int64
+) -> int:
+    """List the pieces of columns, and the bins of these, in which points lie; return how many."""
+    many = 0
+    for i in range(len(x)):
+        away_x, away_y, rise = x[i] - origin[0], y[i] - origin[1], z[i] - origin[2]
+        distance = np.sqrt(away_x * away_x + away_y * away_y)
         reach = limits.rise * distance
-        rise = z - origin[2]
-        if not (limits.least <= distance < limits.far):
-            continue
-        if rise > reach or rise < -limits.deepest - reach:
-            continue
-        layer = 0 if distance < limits.near else 1
-        row, col = int(np.rint(y * 1000)) // COLUMN_MM, int(np.rint(x * 1000)) // COLUMN_MM
-        height = int(np.rint(z * 1000)) // BIN_MM
-        piece = height >> 4
-        if row != last_row or col != last_col or piece != last_piece or layer != last_layer:
-            key = pack(layer, row, col, piece)
-            place = find_place(keys, key)
-            if keys[place] == EMPTY:
-                if used[0] >= most:
-                    return i
-                keys[place] = key
-                used[0] += 1
-            last_row, last_col, last_piece, last_layer = row, col, piece, layer
-        counts[place, height & 15] += 1
-    return len(points)
+        is_used = limits.least <= distance < limits.far
+        if is_used and rise <= reach and rise >= -limits.deepest - reach:
+            row, col = (
+                int(np.rint(y[i] * 1000)) // COLUMN_MM,
+                int(np.rint(x[i] * 1000)) // COLUMN_MM,
+            )
+            height = int(np.rint(z[i] * 1000)) // BIN_MM
+            key[many] = pack(0 if distance < limits.near else 1, row, col, height >> 4)
+            bins[many] = height & 15
+            many += 1
+    return many
 
 
 @kernel

@@ -5,23 +5,23 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.clouds.kernels.growth import NO_GROUND, Blocks, find_column
-from occmap.clouds.kernels.heights import COLUMN_MM, Cloud
+from occmap.clouds.kernels.heights import COLUMN_MM, SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, TILE_BITS
 from occmap.jit import kernel, step
-from occmap.types import Int16, Int32, Int64, UInt8
+from occmap.types import Float64, Int16, Int32, Int64, UInt8
 
-NONE = -(1 << 15)
-"""A cell without ground."""
 STEP_MM = 80
 """The ground is bilinear between columns that differ by no more."""
-HIT, MISS = 1, 2
-"""Bits of a cell in one cloud."""
+MISS, HIT, UNKNOWN = 1, 2, 4
+"""Bits of a cell in one cloud; the last one stays where there is no ground."""
 SECTORS_OF_QUARTER = 180
 SECTORS = 4 * SECTORS_OF_QUARTER
 """Bearings of the map: equal widths in x / (|x| + |y|), half a degree on average."""
 GROUND, OBSTACLE, ABOVE, BELOW, TOO_FAR, NO_RETURN = range(6)
 """Places in the counts of points."""
 COUNTS = 6
+FAR = -(1 << 31) + 1
+"""The height of what is too far away"""
 
 
 class Canvas(NamedTuple):
@@ -36,7 +36,7 @@ class Canvas(NamedTuple):
     state: UInt8
     """(T, 4096) what the cloud at hand says"""
     ground: Int16
-    """(T, 4096) height of the ground over that of the tile (mm), or `NONE`"""
+    """(T, 4096) height of the ground over that of the tile (mm)"""
     base: Int32
     """(T,) height of the tile (mm)"""
 
@@ -99,8 +99,10 @@ def lay_ground(
             canvas.table[up, right] = used
             canvas.base[used] = lowest
             for i in range(cells * cells):
-                above = heights[i] - lowest
-                canvas.ground[used, i] = NONE if heights[i] == NO_GROUND else min(above, 32767)
+                if heights[i] == NO_GROUND:
+                    canvas.state[used, i] = UNKNOWN
+                else:
+                    canvas.ground[used, i] = min(heights[i] - lowest, 32767)
             used += 1
     return used
 
@@ -135,15 +137,42 @@ def find_cell(canvas: Canvas, row: int, col: int) -> int:
     return (tile << 2 * TILE_BITS) | ((row & inside) << TILE_BITS) | (col & inside)
 
 
-@step
-def find_sector(x: int, y: int) -> int:
-    """Which of the bearings of the map a direction has."""
-    size = abs(x) + abs(y)
-    if size == 0:
-        return 0
-    part = x * SECTORS_OF_QUARTER // size
-    sector = SECTORS_OF_QUARTER - part if y >= 0 else 3 * SECTORS_OF_QUARTER + part
-    return sector % SECTORS
+class Aside(NamedTuple):
+    """Some points of a cloud, seen from its sensor; so few that they stay in a core's cache."""
+
+    x: Float64
+    y: Float64
+    z: Float64
+    """m in the map, NaN where nothing came back"""
+    right: Int32
+    up: Int32
+    """Lattice units from the sensor; both 0 beyond the distances that count"""
+    sector: Int32
+    """The bearing"""
+    level: Int32
+    """Height in the map (mm), or `FAR`"""
+    clear: Float64
+    """From which height above the ground on it is an obstacle (mm)"""
+
+
+@kernel
+def measure_points(some: Aside, origin: Float64, band: Band, scale: float) -> None:
+    """Find out what points are seen from their sensor; one loop that processors run in lanes."""
+    least, most = band.nearest * band.nearest, band.farthest * band.farthest
+    at_x, at_y = np.rint(origin[0] * scale), np.rint(origin[1] * scale)
+    for i in range(len(some.x)):
+        away_x, away_y = some.x[i] - origin[0], some.y[i] - origin[1]
+        square = away_x * away_x + away_y * away_y
+        is_used = least <= square < most
+        right = np.rint(some.x[i] * scale) - at_x if is_used else 0.0
+        up = np.rint(some.y[i] * scale) - at_y if is_used else 0.0
+        # No quotient of whole numbers as small as these is rounded to a whole one.
+        part = np.floor(right * SECTORS_OF_QUARTER / max(abs(right) + abs(up), 1.0))
+        sector = SECTORS_OF_QUARTER - part if up >= 0 else 3 * SECTORS_OF_QUARTER + part
+        some.right[i], some.up[i] = np.int32(right), np.int32(up)
+        some.sector[i] = np.int32(sector if sector < SECTORS else 0.0)
+        some.level[i] = np.int32(np.rint(some.z[i] * 1000) if is_used else FAR)
+        some.clear[i] = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
 
 
 @kernel
@@ -157,77 +186,62 @@ def trace_cloud(
     scale
         Lattice units in a metre.
     touched
-        Room for the places of cells.
+        Room for the places of cells, and one more.
     counts
-        (7,) points of each kind; they are added.
+        (6,) points of each kind; they are added.
     """
-    points, which, poses, origin = cloud
+    origin = cloud.origin
     state, ground = canvas.state.reshape(-1), canvas.ground.reshape(-1)
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
-    nearest = np.full(SECTORS, 1 << 62, np.int64)
-    farthest = np.full(SECTORS, -1, np.int64)
+    # Of each bearing, the farthest floor and the nearest hit: how far, and in which cell.
+    apart = np.empty((2, SECTORS), np.int64)
+    apart[GROUND], apart[OBSTACLE] = -1, 1 << 62
     ends = np.zeros((2, SECTORS, 2), np.int64)
+    x, y, z, clear = np.empty(SOME), np.empty(SOME), np.empty(SOME), np.empty(SOME)
+    right, up = np.empty(SOME, np.int32), np.empty(SOME, np.int32)
+    sector, level = np.empty(SOME, np.int32), np.empty(SOME, np.int32)
     many = 0
-    for i in range(len(points)):
-        u, v, w = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
-        if not (abs(u) + abs(v) + abs(w) > 0.0 and abs(u) + abs(v) + abs(w) < 1e6):
-            counts[NO_RETURN] += 1
-            continue
-        pose = poses[which[i] if which.size else 0]
-        x = pose[0, 0] * u + pose[0, 1] * v + pose[0, 2] * w + pose[0, 3]
-        y = pose[1, 0] * u + pose[1, 1] * v + pose[1, 2] * w + pose[1, 3]
-        z = pose[2, 0] * u + pose[2, 1] * v + pose[2, 2] * w + pose[2, 3]
-        away_x, away_y = x - origin[0], y - origin[1]
-        distance = np.sqrt(away_x * away_x + away_y * away_y)
-        if not (band.nearest <= distance < band.farthest):
-            counts[TOO_FAR] += 1
-            continue
-        unit_x, unit_y = int(np.rint(x * scale)), int(np.rint(y * scale))
-        row, col = unit_y >> CELL_SHIFT, unit_x >> CELL_SHIFT
-        at = find_cell(canvas, row, col)
-        if at < 0 or ground[at] == NONE:
-            counts[TOO_FAR] += 1
-            continue
-        above = int(np.rint(z * 1000)) - canvas.base[at >> 2 * TILE_BITS] - ground[at]
-        if above >= band.high:
-            counts[ABOVE] += 1
-            continue
-        if above <= -band.low:
-            counts[BELOW] += 1
-            continue
-        x_off, y_off = unit_x - at_x, unit_y - at_y
-        apart = x_off * x_off + y_off * y_off
-        sector = find_sector(x_off, y_off)
-        if above < band.low:
-            counts[GROUND] += 1
-            if state[at] == 0:
-                touched[many] = at
-                many += 1
-            state[at] |= MISS
-            if apart > farthest[sector] or (
-                apart == farthest[sector] and (row, col) < (ends[1, sector, 0], ends[1, sector, 1])
+    for start in range(0, len(cloud.points), SOME):
+        size = min(SOME, len(cloud.points) - start)
+        place_points(cloud, start, x[:size], y[:size], z[:size])
+        some = Aside(x[:size], y[:size], z[:size], right, up, sector, level, clear)
+        measure_points(some, origin, band, scale)
+        for i in range(size):
+            unit_x, unit_y = at_x + right[i], at_y + up[i]
+            row, col = unit_y >> CELL_SHIFT, unit_x >> CELL_SHIFT
+            at = find_cell(canvas, row, col)
+            if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
+                counts[NO_RETURN if np.isnan(x[i]) else TOO_FAR] += 1
+                continue
+            above = level[i] - canvas.base[at >> 2 * TILE_BITS] - ground[at]
+            if above >= band.high:
+                counts[ABOVE] += 1
+                continue
+            if above <= -band.low:
+                counts[BELOW] += 1
+                continue
+            kind = GROUND if above < band.low else OBSTACLE
+            if kind == OBSTACLE and above < clear[i]:
+                continue
+            counts[kind] += 1
+            touched[many] = at
+            many += state[at] == 0
+            state[at] |= HIT if kind else MISS
+            far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
+            bearing = sector[i]
+            known = apart[kind, bearing]
+            if (far < known if kind else far > known) or (
+                far == known and (row, col) < (ends[kind, bearing, 0], ends[kind, bearing, 1])
             ):
-                farthest[sector] = apart
-                ends[1, sector, 0], ends[1, sector, 1] = row, col
-        elif above >= band.low + band.margin * max(distance - band.level, 0.0):
-            counts[OBSTACLE] += 1
-            if state[at] == 0:
-                touched[many] = at
-                many += 1
-            state[at] |= HIT
-            if apart < nearest[sector] or (
-                apart == nearest[sector] and (row, col) < (ends[0, sector, 0], ends[0, sector, 1])
-            ):
-                nearest[sector] = apart
-                ends[0, sector, 0], ends[0, sector, 1] = row, col
-    for sector in range(SECTORS):
-        if nearest[sector] < 1 << 62:
-            row, col = ends[0, sector, 0], ends[0, sector, 1]
-        elif farthest[sector] >= 0:
-            row, col = ends[1, sector, 0], ends[1, sector, 1]
-        else:
-            continue
-        many = clear_line(at_y >> CELL_SHIFT, at_x >> CELL_SHIFT, row, col, canvas, touched, many)
+                apart[kind, bearing] = far
+                ends[kind, bearing, 0], ends[kind, bearing, 1] = row, col
+    for bearing in range(SECTORS):
+        kind = OBSTACLE if apart[OBSTACLE, bearing] < 1 << 62 else GROUND
+        if apart[kind, bearing] >= 0:
+            row, col = ends[kind, bearing, 0], ends[kind, bearing, 1]
+            many = clear_line(
+                at_y >> CELL_SHIFT, at_x >> CELL_SHIFT, row, col, canvas, touched, many
+            )
     for i in range(many):
         at = touched[i]
         hit = state[at] & HIT
@@ -240,19 +254,27 @@ def clear_line(
     row: int, col: int, to_row: int, to_col: int, canvas: Canvas, touched: Int32, many: int
 ) -> int:
     """Mark the cells of Bresenham's line before its last one; return how many are touched."""
-    state, ground = canvas.state.reshape(-1), canvas.ground.reshape(-1)
+    state = canvas.state.reshape(-1)
     up, right = to_row - row, to_col - col
-    steps = max(abs(up), abs(right))
-    for k in range(steps):
-        # Halves are rounded away from the first cell.
-        rise = (2 * k * abs(up) + steps) // (2 * steps)
-        run = (2 * k * abs(right) + steps) // (2 * steps)
-        at = find_cell(
-            canvas, row + (rise if up > 0 else -rise), col + (run if right > 0 else -run)
-        )
-        if at >= 0 and ground[at] != NONE:
-            if state[at] == 0:
-                touched[many] = at
-                many += 1
+    steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
+    is_steep = abs(up) == steps
+    row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
+    rest, start, last = steps, -1, (1 << TILE_BITS) - 1
+    tile_row, tile_col = (row >> TILE_BITS) - 1, 0
+    for _ in range(steps):
+        if row >> TILE_BITS != tile_row or col >> TILE_BITS != tile_col:
+            tile_row, tile_col = row >> TILE_BITS, col >> TILE_BITS
+            start = find_cell(canvas, tile_row << TILE_BITS, tile_col << TILE_BITS)
+        if start >= 0:
+            at = start | ((row & last) << TILE_BITS) | (col & last)
+            # The room behind the last place is free; a cell without ground is never 0.
+            touched[many] = at
+            many += state[at] == 0
             state[at] |= MISS
+        # Halves are rounded away from the first cell.
+        rest += 2 * fewer
+        aside = 1 if rest >= 2 * steps else 0
+        rest -= aside * 2 * steps
+        row += row_way if is_steep else aside * row_way
+        col += aside * col_way if is_steep else col_way
     return many
