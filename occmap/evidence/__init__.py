@@ -12,8 +12,14 @@ from occmap.errors import MapError, OccmapError
 from occmap.evidence.manifest import describe_profile
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
-from occmap.grid.spec import find_unit
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, TileGrid, add_stack, refuse_large
+from occmap.grid.tiles import (
+    LOG_ODDS_UNIT,
+    EvidenceKind,
+    TileGrid,
+    add_stack,
+    find_unit,
+    refuse_large,
+)
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel, find_decision, parse_model
 from occmap.types import Float64

@@ -15,8 +15,7 @@ from occmap.errors import UsageError
 from occmap.explanation.provenance import Use
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import count_visits, take, unite, unpack
-from occmap.grid.spec import find_unit
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, find_unit
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
 from occmap.report.printed import Count
@@ -210,7 +209,7 @@ def find_sightings(
     sightings, used
         In the order of the logs; and how many scans of these logs the builds used.
     """
-    from occmap.grid.projection import look_at_cell  # noqa: PLC0415  late: it brings numba
+    from occmap.grid.windows import look_at_cell  # noqa: PLC0415  late: it brings numba
 
     opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
     total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)

@@ -35,7 +35,7 @@ from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.tasks import BlockJob, Job, Piece, Setting
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import Framing
-from occmap.grid.spec import WINDOW_CELLS
+from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.pipeline import build, list_inputs, make_report
 from occmap.report.doubts import list_notes

@@ -11,13 +11,11 @@ import numpy as np
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.grid.kernels.projection import Beams
+from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.units import TILE
 from occmap.grid.lattice import MOST_CELLS_OF_BEAM, CellBox
-from occmap.grid.projection import prepare, project
 from occmap.grid.slices import mark_observed, unite
-from occmap.grid.spec import WINDOW_CELLS, GridSpec
-from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
+from occmap.grid.tiles import MAX_CELLS, WINDOW_CELLS, GridSpec, TileGrid, refuse_large
 from occmap.grid.windows import Window, choose_windows, count_observations
 from occmap.types import Rays
 

@@ -4,20 +4,19 @@ A window covers the scans at hand with room to spare, so that it is emptied into
 only when the scans leave it. What its arrays hold is the business of its kernels.
 """
 
+import math
 from abc import ABC, abstractmethod
 
 import numpy as np
 
-from occmap.grid.kernels.beams import Canvas, Tiles, trace_beams
+from occmap.grid.kernels.beams import Canvas, Changes, Tiles, read_tiles, trace_beams
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
-from occmap.grid.kernels.projection import Beams
+from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.sums import Changes, read_tiles
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.lattice import CellBox
-from occmap.grid.spec import GridSpec
-from occmap.grid.tiles import Key, Tile, view_tiles
-from occmap.types import Int64, Kind, Rays, Update
+from occmap.grid.tiles import GridSpec, Key, Tile, view_tiles
+from occmap.types import Bool, Int64, Kind, Rays, Update
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
@@ -189,3 +188,37 @@ def choose_windows(spec: GridSpec, beams: Beams) -> tuple[type[Window], ...]:
     often = cells.mean() * beams.ends_x.size >= CROSSED_OFTEN * beams.box.cells
     # Few scans cost less in a window that is there already than one of their own does.
     return (BeamWindow,) if often else (SparseBeamWindow, BeamWindow)
+
+
+def look_at_cell(rays: Rays, spec: GridSpec, row: int, col: int) -> Int64:
+    """(S, 2) the two numbers that each scan adds to a cell.
+
+    Raises
+    ------
+    MapError
+        As `prepare`.
+    """
+    seen, box = np.zeros((len(rays.kind), 2), np.int64), CellBox.at(row, col)
+    if not rays.kind.size:
+        return seen
+    rays = prepare(rays, spec)
+    for scan in np.flatnonzero(find_near(rays, spec, box)):
+        beams = project(rays.take(slice(scan, scan + 1)), spec)
+        window = choose_windows(spec, beams)[0](spec, box)
+        window.observe(beams)
+        for tile in window.read().values():  # the window is a single tile
+            seen[scan] = tile[:, row % TILE, col % TILE]
+    return seen
+
+
+def find_near(rays: Rays, spec: GridSpec, box: CellBox) -> Bool:
+    """(S,): the scans that may touch a cell; all others do not.
+
+    All that a scan touches lies in a circle about its first viewpoint: the ends of its beams, the
+    lines between these, and, to a cell's diagonal, the cells that they are in.
+    """
+    resolution, start = spec.lattice.resolution, rays.origin[:, 0]
+    away = np.hypot(*(start - (np.array([box.col, box.row]) + 0.5) * resolution).T)
+    spread = np.hypot(*np.moveaxis(rays.origin - start[:, None], -1, 0)).max(axis=1)
+    reach = rays.distance.max(axis=1) + spread + spec.tables.depth
+    return np.asarray(away <= reach + 2 * math.sqrt(2) * resolution)

@@ -4,8 +4,7 @@ from typing import TYPE_CHECKING
 
 from occmap.cells import Ground
 from occmap.grid.lattice import Lattice
-from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
-from occmap.grid.tiles import TileGrid
+from occmap.grid.tiles import WINDOW_CELLS, GridSpec, TileGrid, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor.models import RadialModel
 

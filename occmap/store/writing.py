@@ -11,8 +11,7 @@ from occmap.cells import Evidence, Manifest, OccupancyMap, keep_largest
 from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
 from occmap.grid.lattice import CellBox
-from occmap.grid.spec import find_unit
-from occmap.grid.tiles import TILE, TileGrid
+from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
 from occmap.store import layout
 from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells

@@ -1,6 +1,7 @@
 """The rules of peers, worked by hand on a few cells and scans, and the plain walk."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,11 @@ import pytest
 from occmap.cells import OccupancyMap
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import Lattice
-from occmap.grid.spec import GridSpec
+from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, Rays, Update
-from tests.bench import quality
+from tests.bench import people, quality
 from tests.bench.peers import (
     COUNT_RULES,
     SCAN_RULES,
@@ -209,3 +210,12 @@ def test_the_tables_of_a_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert [line[2:].split("  ")[0].strip(" |") for line in table[2:]] == rules
     assert leads[2].startswith("| drive.csv")
     assert leads[2].count("+-") == 2
+
+
+def test_the_default_keeps_what_stands_and_loses_what_stood_there_once(tmp_path: Path) -> None:
+    rules = {"default": DEFAULT, "two visits": replace(DEFAULT, min_passes=2)}
+    fates = people.judge(people.Scene(2, boxes=True), tmp_path, rules)
+    assert fates["default"].kept >= 0.99
+    assert fates["default"].removed >= 0.8
+    assert fates["two visits"].kept < fates["default"].kept
+    assert fates["two visits"].removed > fates["default"].removed

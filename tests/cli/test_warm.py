@@ -7,12 +7,11 @@ import pytest
 
 from occmap import jit
 from occmap.cli.warm import compile_kernels
-from occmap.grid.kernels.beams import trace_beams
+from occmap.grid.kernels.beams import read_tiles, trace_beams
 from occmap.grid.kernels.cast import cast_beams
 from occmap.grid.kernels.polygon import trace_polygons
 from occmap.grid.kernels.projection import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.sums import read_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions

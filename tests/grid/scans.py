@@ -10,8 +10,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 
 from occmap.grid.engine import GridEngine
-from occmap.grid.spec import WINDOW_CELLS, GridSpec
-from occmap.grid.tiles import INT32_LIMIT, TILE, TileGrid
+from occmap.grid.tiles import INT32_LIMIT, TILE, WINDOW_CELLS, GridSpec, TileGrid
 from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
 

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from occmap.errors import MapError, UsageError
 from occmap.grid.engine import GridEngine
+from occmap.grid.kernels.projection import join_viewpoints, prepare, project
 from occmap.grid.lattice import Lattice
-from occmap.grid.projection import join_viewpoints, prepare, project
-from occmap.grid.spec import WINDOW_CELLS, GridSpec, tabulate
-from occmap.grid.tiles import TILE
+from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, tabulate
 from occmap.grid.windows import BeamWindow, Window, choose_windows
 from occmap.sensor.models import QuadraticModel
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update

@@ -6,7 +6,7 @@ from textwrap import dedent
 import pytest
 
 from occmap.grid.lattice import Lattice
-from occmap.grid.spec import GridSpec
+from occmap.grid.tiles import GridSpec
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from tests.grid import reference
 from tests.grid.pictures import Wall, box, draw, look

@@ -18,8 +18,7 @@ from occmap.evidence import render
 from occmap.grid.engine import GridEngine
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
-from occmap.grid.spec import GridSpec, find_unit
-from occmap.grid.tiles import PART, TILE, EvidenceKind, TileGrid
+from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
 from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
 from tests.grid.scans import FEW, MANY, Drive, add_cell, aim, drives

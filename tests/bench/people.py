@@ -1,0 +1,165 @@
+"""Who keeps the walls and loses the people: `python -m tests.bench.people`.
+
+A robot drives through the office of the sample logs, once or several times, with rough poses and
+a glass front that reflects every fourth beam; people walk about, or boxes stand there on the first
+visit only. The same drive without them says what stands. Two shares, as benchmarks of dynamic
+points have them: of the cells that are occupied without people, those that stay; and of the cells
+that only people were hit in, those that are not occupied.
+"""
+
+import math
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from occmap.evidence import paint_box
+from occmap.evidence.persistence import keep_lasting
+from occmap.grid.lattice import CellBox
+from occmap.options import BuildOptions
+from occmap.pipeline import build
+from occmap.types import Bool, Float64
+from tests.bench.tables import draw
+from tests.samples import SAMPLE_LOGS
+
+BEAMS, REACH_M, STEP_S, VISIT_S = 271, 8.0, 0.2, 3600.0
+BEARINGS = np.radians(np.arange(BEAMS) - 135.0)
+BOXES = [(-2.9, -2.2), (0.9, 1.8), (-3.2, 8.0), (3.0, 8.2), (4.6, -2.4), (7.2, 1.8), (11.2, -2.2)]
+RADIUS_M = 0.22
+"""Of a person, or a box"""
+
+
+class Scene(NamedTuple):
+    """Who is there, and how often the robot comes."""
+
+    visits: int
+    people: int = 0
+    """They walk, and stand for a while, on every visit"""
+    boxes: bool = False
+    """They stand at the walls on the first visit"""
+
+
+SCENES = {
+    "six people, one visit": Scene(1, people=6),
+    "six people, two visits": Scene(2, people=6),
+    "boxes on the first of two visits": Scene(2, boxes=True),
+    "boxes on the first of three visits": Scene(3, boxes=True),
+}
+
+
+class Fate(NamedTuple):
+    """What became of the cells."""
+
+    kept: float
+    """Share of what stands that is occupied"""
+    removed: float
+    """Share of what only people were hit in that is not"""
+
+
+def walk(way: Float64, steps: int, rng: np.random.Generator) -> Float64:
+    """(N, 2) where a person is who goes up and down a way, and now and then stands for a while."""
+    corners = np.append(0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
+    stands = np.repeat(rng.random(steps // 50 + 1) < 0.3, 50)[:steps]
+    gone = rng.uniform(0, corners[-1]) + np.cumsum(~stands * rng.uniform(0.5, 1.4) * STEP_S)
+    at = corners[-1] - np.abs(gone % (2 * corners[-1]) - corners[-1])
+    aside = rng.normal(0, 0.25, 2)
+    return np.column_stack([np.interp(at, corners, way[:, axis]) + aside[axis] for axis in (0, 1)])
+
+
+def list_rows(scene: Scene, seed: int = 7) -> Iterator[tuple[str, str]]:
+    """Rows of a CSV without people, and with them, from the same poses."""
+    sys.path.insert(0, str(SAMPLE_LOGS))  # the generator is a script and no package
+    office, drive = import_module("office"), import_module("drive")
+    sys.path.remove(str(SAMPLE_LOGS))
+    faces, rng = office.office_faces(), np.random.default_rng(seed)
+    glass = np.array([face for box in office.GLASS for face in office.box_faces(box)])
+    places = np.array(list(drive._places_along(office.WAY)))
+    for visit in range(scene.visits):
+        # Half of the visits go the other way; poses drift by decimetres, and shake.
+        order = places if visit % 2 == 0 else np.add(places[::-1], (0, 0, math.pi))
+        drift = np.cumsum(rng.normal(0, [0.004, 0.004, 0.0006], places.shape), axis=0)
+        drift -= np.linspace(0, 1, len(places))[:, None] * drift[-1]
+        poses = order + drift + rng.normal(0, [0.008, 0.008, 0.002], places.shape)
+        there = [walk(office.WAY, len(places), rng) for _ in range(scene.people)]
+        if scene.boxes and visit == 0:
+            there += [np.tile(box, (len(places), 1)) for box in BOXES]
+        for step, (x, y, yaw) in enumerate(order):
+            aim = yaw + BEARINGS
+            stands = office.cast_rays((x, y), aim, faces, office.PILLAR)
+            shine = office.cast_rays((x, y), aim, glass, (1e6, 1e6, 0.1))
+            stands = np.where(rng.random(BEAMS) < 0.25, np.minimum(stands, shine), stands)
+            near = stands
+            for person in (each[step] for each in there):
+                if math.dist(person, (x, y)) > RADIUS_M + 0.3:
+                    circle = (*person, RADIUS_M)
+                    met = office.cast_rays((x, y), aim, np.zeros((0, 4)), circle)
+                    near = np.minimum(near, met)
+            noise = rng.normal(0, 0.01, BEAMS)
+            stamp = f"{visit * VISIT_S + step * STEP_S:.3f}"
+            start = ",".join([stamp, *(f"{value:.5f}" for value in poses[step])])
+            yield write_row(start, stands + noise), write_row(start, near + noise)
+
+
+def write_row(start: str, ranges: Float64) -> str:
+    """A row of a CSV: nothing comes back from beyond the laser's reach."""
+    cells = (f"{value:.3f}" if value < REACH_M else "inf" for value in ranges)
+    return ",".join([start, *cells]) + "\n"
+
+
+def find_near(cells: Bool) -> Bool:
+    """These cells and those around them."""
+    padded, (rows, cols) = np.pad(cells, 1), cells.shape
+    shifts = [(i, j) for i in range(3) for j in range(3)]
+    near: Bool = np.any([padded[i : i + rows, j : j + cols] for i, j in shifts], axis=0)
+    return near
+
+
+def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict[str, Fate]:
+    """Map a scene by some rules, which differ in what they make of the same evidence."""
+    head = f"# angle_min: {BEARINGS[0]}\n# angle_increment: {math.radians(1)}\n"
+    head += f"# range_max: {REACH_M}\nstamp,x,y,yaw," + ",".join(f"r{b}" for b in range(BEAMS))
+    texts = zip(*list_rows(scene), strict=True)
+    logs = [folder / "alone.csv", folder / "people.csv"]
+    for log, rows in zip(logs, texts, strict=True):
+        log.write_text(f"{head}\n{''.join(rows)}")
+    fates = {}
+    for name, options in rules.items():
+        plain = replace(options, min_passes=None)
+        alone, people = (build([log], plain, [log.with_suffix(".npz")]) for log in logs)
+        assert people.evidence is not None
+        box = CellBox.of(alone.map).join(CellBox.of(people.map))
+        stands = paint_box(alone.observed, options.model, box).occupied
+        (met, _), (hit, _) = (of.observed.gather(box, np.int64) for of in (alone, people))
+        ghosts = (hit > 0) & ~find_near(stands | (met > 0))
+        lasting = keep_lasting(people.observed, people.evidence.slices, options.min_passes)
+        occupied = paint_box(lasting, options.model, box).occupied
+        fates[name] = Fate(float(occupied[stands].mean()), 1 - float(occupied[ghosts].mean()))
+    return fates
+
+
+def main(scenes: Mapping[str, Scene] = SCENES, **changes: Any) -> None:
+    """Print a table: of each rule and scene, the shares of what is kept and what is removed."""
+    default = BuildOptions(jobs=1, **changes)
+    rules = {
+        "default": default,
+        "--min-passes 2": replace(default, min_passes=2),
+        "--min-passes 2 --pass-gap 2": replace(default, min_passes=2, pass_gap_s=2.0),
+    }
+    columns = []
+    for scene in scenes.values():
+        with tempfile.TemporaryDirectory() as folder:
+            columns.append(judge(scene, Path(folder), rules))
+    rows = [
+        (name, *(f"{100 * of[name].kept:.1f} / {100 * of[name].removed:.1f}" for of in columns))
+        for name in rules
+    ]
+    sys.stdout.write(draw(("kept / removed (%)", *scenes), rows))
+
+
+if __name__ == "__main__":
+    main()
