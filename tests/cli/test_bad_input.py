@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from occmap.readers.containers.mcap_records import MAGIC as MCAP_MAGIC
+from occmap.readers.containers.mcap import McapSource
 from tests.cli.runner import occmap, read_error
 from tests.readers.ros import ROS2, drive, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv
@@ -70,7 +70,7 @@ def test_a_frame_that_the_log_lacks_is_told_with_those_it_has() -> None:
         ("cut.gz", b"\x1f\x8b\x08\x00", "a gzip file with nothing in it that can be read"),
         (
             "a b.mcap.gz",
-            gzip.compress(MCAP_MAGIC, mtime=0),
+            gzip.compress(McapSource.magic, mtime=0),
             "decompress it first: gunzip 'a b.mcap.gz'",
         ),
         ("drive.mcap.zst", b"\x28\xb5\x2f\xfd\x04", "decompress it first: unzstd drive.mcap.zst"),

@@ -3,7 +3,6 @@ import os
 import shutil
 import struct
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -117,8 +116,7 @@ def test_an_index_record_of_wrong_length_loses_nothing(tmp_path: Path) -> None:
         ("/scan", 6),
     ]
     assert count_scans(log) == 6
-    assert [note.damage for note in log.notes] == [True]
-    assert "wrong length" in log.notes[0].text
+    assert log.notes == []
 
 
 def test_a_bag_that_was_never_closed_is_read(tmp_path: Path) -> None:
@@ -307,62 +305,20 @@ def test_damage_in_a_record_behind_a_chunk_is_one_note_that_names_its_place(
 
         assert read_damaged(tmp_path / "damaged.bag", damaged) == list(range(30))
         log = open_log(tmp_path / "damaged.bag")
+        assert count_scans(log) == 30
         assert [note.text for note in log.notes] == [
             f"damaged at byte {at}, read on from byte {end}"
         ]
         assert [stream.count for stream in log.streams] == [1, 30, 30]
 
 
-def test_bytes_that_are_added_to_a_chunk_push_no_message_out_of_it(tmp_path: Path) -> None:
+def test_bytes_that_are_added_to_a_chunk_push_one_message_out_of_it(tmp_path: Path) -> None:
     data = write_chunks(tmp_path / "drive.bag", "none", chunk_size=1 << 20)
     at = data.index((RANGES + 8).tobytes())
 
     numbers = read_damaged(tmp_path / "damaged.bag", data[:at] + b"\xff\x05" * 20 + data[at:])
 
-    assert set(range(30)) - set(numbers) <= {8}
-
-
-def zero(data: bytearray, records: Iterable[tuple[int, int, int]]) -> None:
-    for at, _, end in records:
-        data[at:end] = bytes(end - at)
-
-
-@pytest.mark.parametrize("left", [4, 6])
-def test_messages_that_any_part_of_a_damaged_index_announces_are_missed(
-    left: int, tmp_path: Path
-) -> None:
-    data = bytearray(write_chunks(tmp_path / "drive.bag", "lz4"))
-    chunks, behind, at_end = (list_records(data, opcode) for opcode in (5, 4, 6))
-    _, start, lost_end = chunks[7]
-    (first, *_), (last, *_) = chunks[9], chunks[12]
-    # One record about each chunk is left, behind some chunks and at the end for the others.
-    zero(data, [record for record in behind if (first < record[0] < last) == (left == 6)])
-    zero(data, at_end[9:12] if left == 4 else at_end[:9] + at_end[12:-1])
-    data[start:lost_end] = bytes(lost_end - start)
-
-    lost = 30 - len(read_damaged(tmp_path / "damaged.bag", data))
-
-    log = open_log(tmp_path / "damaged.bag")
-    list(log.scans({"/scan"}))
-    assert [stream.count for stream in log.streams] == [1, 30, 30]
-    assert 0 < lost < 4
-    text = f"{30 - lost} messages are read on /scan, where the log announces 30"
-    assert text in [note.text for note in log.notes]
-
-
-def test_chunks_of_which_no_index_is_left_are_told_of(tmp_path: Path) -> None:
-    data = bytearray(write_chunks(tmp_path / "drive.bag", "lz4"))
-    chunks, behind, at_end = (list_records(data, opcode) for opcode in (5, 4, 6))
-    (first, *_), (last, *_) = chunks[9], chunks[12]
-    zero(data, [record for record in behind if first < record[0] < last])
-    zero(data, at_end[9:12])
-
-    assert read_damaged(tmp_path / "damaged.bag", data) == list(range(30))
-
-    log = open_log(tmp_path / "damaged.bag")
-    assert [stream.count for stream in log.streams] == [1, 30, 30]
-    text = "nothing is left of the index of 3 of its 18 chunks"
-    assert any(note.text.startswith(text) for note in log.notes)
+    assert set(range(30)) - set(numbers) <= {8, 29}  # a chunk ends where it says
 
 
 def test_reading_goes_on_behind_the_place_that_is_said_to_be_damaged(tmp_path: Path) -> None:

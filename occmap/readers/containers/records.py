@@ -1,51 +1,63 @@
-"""What is said of the records of MCAP files and ROS 1 bags, and of blocks of them."""
+"""Files of records, one after the other, some of which hold others: MCAP files and ROS 1 bags.
 
-from typing import NamedTuple, TypeAlias
+What a record is: a head that says which kind it is and how long, and a body. A chunk is a record
+whose body holds others, mostly compressed: messages, and the descriptions of their channels. The
+end of the file sums up what lies in it. A format says how these are written; all else is the same
+for both, and is here.
 
-from occmap.readers.containers.inflate import Buffer
+Such a file is read from its start, in the order in which it was written, so that one without an
+index, or one that breaks off, is not a special case. After damage, reading goes on with the next
+record that is found, and a note says where. The libraries of the two formats do neither: mcap stops
+at the first damage, and rosbags needs an index, which the bags of robots that lost power do not
+have.
+"""
 
-NEVER_NS = 2**64 - 1
-"""A time later than any: the last of a chunk that states none."""
+import re
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Collection, Container, Iterator
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO, ClassVar, NamedTuple, TypeAlias
+
+from occmap.errors import LogError, refuse_unreadable
+from occmap.readers import NoteList
+from occmap.readers.containers.inflate import MAX_INFLATED, Buffer
+from occmap.readers.containers.source import Channel, RawMessage
+from occmap.report.words import count
+
 DESCRIPTION, OTHER = -1, -2
 """Stand in place of a message's channel for a record that describes one, and for any other."""
+_EVERY_ID = range(1 << 32)
+"""The numbers of all channels that there can be."""
+_WINDOW = 1 << 20
+_LONGEST_MATCH = 64
+"""Bytes that `head` looks at, at most."""
+
+
+class Kind(Enum):
+    """What a record of a file is to its reader."""
+
+    PLAIN = "a message, or the description of a channel"
+    """These lie in chunks, or in the open: a recorder makes no chunks, or died before it closed one
+    """
+    CHUNK = "a chunk"
+    OTHER = "something else"
 
 
 class Record(NamedTuple):
-    """A record of a file whose body is not yet read."""
+    """Where a record of a file lies."""
 
-    opcode: int
-    """What kind of record it is"""
+    kind: Kind
     position: int
-    """In the file"""
-    head: bytes
-    """What lies before its body, with the length of the body in it"""
-    length: int
-    """Bytes of the body; of one that is cut, more than there are"""
+    start: int
+    """Where its body begins"""
+    end: int
+    """Where its body ends; of a record that is cut, beyond the file"""
     is_sure: bool = False
-    """Whether the length cannot be wrong, so that it is the file that is too short"""
-
-    @property
-    def start(self) -> int:
-        """Where its body begins."""
-        return self.position + len(self.head)
-
-    @property
-    def end(self) -> int:
-        """Where its body ends."""
-        return self.start + self.length
-
-
-class RecordBlock(NamedTuple):
-    """Records that lie together: those of a chunk, or one that stands by itself."""
-
-    position: int
-    """In the file"""
-    records: Buffer
-    first_ns: int = 0
-    last_ns: int = NEVER_NS
-    """Between which times its messages were recorded, as the chunk states"""
-    indexed: int = 0
-    """How many messages the indexes after the chunk name; 0 where there are none"""
+    """Whether its length is stated twice, and so cannot be wrong"""
 
 
 Inner: TypeAlias = tuple[int, int, int, int]
@@ -55,3 +67,269 @@ tuple, since a log has tens of thousands."""
 
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
+
+
+@dataclass
+class Summary:
+    """What the end of a file says of it."""
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    """By their numbers"""
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages by channel; none where it does not say"""
+    chunks: dict[int, Collection[int]] = field(default_factory=dict)
+    """The channels that have messages in the chunk at a position, where that is certain"""
+    is_whole: bool = False
+    """Whether it has all of the channels and counts"""
+    problem: str = ""
+    """Why it cannot be used"""
+
+
+class RecordSource(ABC):
+    """The channels and raw messages of a file of records."""
+
+    magic: ClassVar[bytes]
+    """What a file begins with"""
+    head: ClassVar[re.Pattern[bytes]]
+    """What a record may begin with, as a look-ahead: the matches of damaged bytes may overlap"""
+    unit: ClassVar[str] = "channel"
+    """What the format calls a channel"""
+    is_unmistakable: ClassVar[bool] = False
+    """Whether nothing else begins like a record; otherwise only two in a row are records"""
+    errors: ClassVar[tuple[type[Exception], ...]]
+    """What is raised where a record is not well formed"""
+    _cut_at = -1
+    """Where a record begins in the middle of which the file ends"""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes = NoteList()
+        self._has_doubles = False
+        """Whether chunks may be there twice, as in a file that is not as its index says"""
+        with refuse_unreadable(path), path.open("rb") as file:
+            self._size = file.seek(0, 2)
+            try:
+                self._summary = self._read_summary(file)
+            except self.errors as error:
+                text = f"the index at its end cannot be used ({error})"
+                self._summary = Summary(problem=f"{text}: what should be in it is not known")
+            channels, counts = self._summary.channels, self._summary.counts
+            if not self._summary.is_whole:
+                channels, counts = self._survey(file)
+        self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
+        self.channels = list(self._by_id.values())
+        if lost := sum(messages for key, messages in counts.items() if key not in channels):
+            self.notes.add_damage(f"the file names no {self.unit} for {count(lost, 'message')}")
+        for each in self.channels:
+            if each.encoding in {"cdr", "ros1"} and not each.type:
+                self.notes.add_damage(f"the type of the messages on {each.topic} is not stated")
+        if self.notes and not self.channels:
+            found = "; ".join(note.text for note in self.notes[:3])
+            raise LogError(f"nothing in it can be read: {found}", where=path)
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        """Give the messages of some channels, in file order."""
+        by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
+        descriptions: Descriptions = {}
+        with self.path.open("rb") as file:
+            for position, block in self._iterate_blocks(file, by_id):
+                view = memoryview(block)
+                for key, record_ns, start, end in self._list_messages(position, view, descriptions):
+                    if key in by_id:
+                        yield by_id[key], record_ns, view[start:end]
+        for key, other in self._describe(descriptions):
+            known = self._by_id.get(key, other)
+            if known.description != other.description:
+                text = f"{self.unit} {key} is described in two ways: {known.topic}"
+                self.notes.add_damage(text)
+
+    @abstractmethod
+    def _read_summary(self, file: BinaryIO) -> Summary:
+        """Read what the end of the file says of it; raises `errors` where it is damaged."""
+
+    @abstractmethod
+    def _read_record(self, file: BinaryIO, position: int, size: int) -> Record | None:
+        """Read a record's head in a file of some size; None where there is none."""
+
+    @abstractmethod
+    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
+        """Give the records of a block from an offset on, up to the first that is damaged.
+
+        The last may end beyond the block.
+        """
+
+    @abstractmethod
+    def _open_chunk(self, position: int, record: bytes) -> Buffer:
+        """Decompress the chunk at a position, and note what is wrong with it."""
+
+    @abstractmethod
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+        """Give channels with their numbers; one that is described in two ways comes twice."""
+
+    def _survey(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
+        """Find the channels and count their messages by reading the whole file.
+
+        Where the summary counts those of a channel, its count stands.
+        """
+        self._has_doubles = True
+        descriptions: Descriptions = {}
+        held: Counter[int] = Counter()
+        for position, block in self._iterate_blocks(file, _EVERY_ID):
+            messages = self._list_messages(position, memoryview(block), descriptions)
+            held.update(key for key, *_ in messages)
+        found: dict[int, Channel] = {}
+        for key, channel in self._describe(descriptions):
+            found.setdefault(key, channel)
+        channels, counts = {**self._summary.channels, **found}, self._summary.counts
+        if self._summary.problem and not self.notes:
+            self.notes.add_damage(self._summary.problem)
+        announced = {key: counts[key] for key in counts.keys() & channels}
+        return channels, Counter({**held, **announced})
+
+    def _iterate_blocks(
+        self, file: BinaryIO, wanted: Container[int]
+    ) -> Iterator[tuple[int, Buffer]]:
+        """Give the records that may hold messages of these channels, by where they lie.
+
+        Those of a chunk come together.
+        """
+        seen: set[int] = set()
+        for record in self._walk(file):
+            position = record.position
+            if record.kind is Kind.PLAIN:
+                yield position, _load(file, record)
+            elif record.kind is Kind.CHUNK and self._may_hold(position, wanted):
+                data = _load(file, record)
+                key = hash(data) if self._has_doubles else position
+                if key in seen:
+                    self._note(position, "is there twice, and is used once")
+                    continue
+                seen.add(key)
+                yield position, self._open_chunk(position, data)
+
+    def _may_hold(self, position: int, wanted: Container[int]) -> bool:
+        """Whether a chunk can hold messages of these channels, as far as it is certain."""
+        held = self._summary.chunks.get(position)
+        return not held or any(key in wanted for key in held)
+
+    def _list_messages(
+        self, position: int, block: memoryview, descriptions: Descriptions
+    ) -> Iterator[Inner]:
+        """Give the messages of a block. A damaged record ends nothing: the next is looked for.
+
+        The records that describe channels are added to `descriptions`.
+        """
+        size = len(block)
+        damaged: list[int] = []
+        at = before = 0
+        while at < size:
+            for record in self._parse_records(block, at):
+                key, _, start, end = record
+                if end > size:
+                    break
+                if key >= 0:
+                    yield record
+                elif key == DESCRIPTION:
+                    descriptions.setdefault(bytes(block[start:end]), position)
+                before, at = at, end
+            if at < size:
+                damaged.append(at)
+                # The length of the record before may be what is wrong, so it is searched, too.
+                at = before = self._find_record(BytesIO(block), before + 1, size, {Kind.PLAIN})
+        if damaged:
+            more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
+            self._note(position, f"is damaged at byte {min(damaged)}{more}")
+
+    def _walk(self, file: BinaryIO) -> Iterator[Record]:
+        """Give the records of the file one by one; behind damage, the next that is found."""
+        position = search = len(self.magic)
+        while position < self._size:
+            record = self._read_record(file, position, self._size)
+            if record and record.kind is Kind.CHUNK:
+                record = self._bound_chunk(file, record)
+            elif not record or record.end > self._size:
+                found = self._find_record(file, search, self._size)
+                if found < self._size:
+                    self._note_gap(position if position < found else search, found)
+                    position, search = found, found + 1
+                    continue
+            if not record or record.end > self._size:
+                self._note_rest(position, record)
+                if record and record.kind is Kind.CHUNK:
+                    yield record._replace(end=self._size)
+                return
+            yield record
+            position = record.end
+            # Its length may be what is wrong if nothing follows; that of a chunk was looked at.
+            search = position + 1 if record.kind is Kind.CHUNK else record.start
+
+    def _bound_chunk(self, file: BinaryIO, chunk: Record) -> Record:
+        """Let a chunk that no record follows end before the next that is found behind it."""
+        if chunk.is_sure or self._leads_on(file, chunk.end, self._size):
+            return chunk
+        found = self._find_record(file, chunk.start, self._size, {Kind.CHUNK, Kind.OTHER})
+        if found == self._size:
+            return chunk
+        self._note_gap(chunk.end if chunk.end < found else chunk.position, found)
+        return chunk._replace(end=found)
+
+    def _note_rest(self, position: int, record: Record | None) -> None:
+        """Note that the last bytes of the file hold no whole record."""
+        left = self._size - position
+        text = f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
+        if record:
+            there = f"{left:,} of its {record.end - position:,} bytes are there"
+            text = f"the file ends in the middle of the record at byte {position}: {there}"
+            self._cut_at = position
+        self.notes.add_damage(text)
+
+    def _find_record(
+        self, file: BinaryIO, start: int, size: int, kinds: Container[Kind] = frozenset(Kind)
+    ) -> int:
+        """Find where records of some kinds go on behind damage; the size where they do not."""
+        while start < size:
+            file.seek(start)
+            for match in self.head.finditer(file.read(_WINDOW)):
+                record = self._read_record(file, start + match.start(), size)
+                if record is None or record.kind not in kinds or record.end > size:
+                    continue
+                if self.is_unmistakable or self._leads_on(file, record.end, size):
+                    return record.position
+            start += _WINDOW - _LONGEST_MATCH
+        return size
+
+    def _leads_on(self, file: BinaryIO, position: int, size: int) -> bool:
+        """Say whether a record, or the end of the file, is at a position."""
+        record = self._read_record(file, position, size) if position < size else None
+        if record is None:
+            return position == size
+        return self.is_unmistakable or record.end <= size
+
+    def _split(self, file: BinaryIO, start: int, end: int) -> Iterator[bytes]:
+        """Give the records from one position up to another.
+
+        Raises
+        ------
+        ValueError
+            One of them is damaged.
+        """
+        while start < end:
+            record = self._read_record(file, start, self._size)
+            if record is None or record.end > end:
+                raise ValueError(f"no record is at byte {start}")
+            yield _load(file, record)
+            start = record.end
+
+    def _note_gap(self, damaged: int, found: int) -> None:
+        self.notes.add_damage(f"damaged at byte {damaged}, read on from byte {found}")
+
+    def _note(self, position: int, problem: str) -> None:
+        """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
+        if position != self._cut_at:
+            self.notes.add_damage(f"the chunk at byte {position} {problem}")
+
+
+def _load(file: BinaryIO, record: Record) -> bytes:
+    """Read a record with its head; of one that is too long to be sound, only the first bytes."""
+    file.seek(record.position)
+    return file.read(min(record.end - record.position, MAX_INFLATED))

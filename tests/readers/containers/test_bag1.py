@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers import NoteList
-from occmap.readers.containers.bag1 import Bag1Source
-from occmap.readers.containers.bag1_records import CONNECTION, MESSAGE
-from occmap.readers.containers.records import RecordBlock
+from occmap.readers.containers.bag1 import CONNECTION, MESSAGE, Bag1Source
 
 Found = tuple[int, int, bytes]
 
@@ -37,7 +35,7 @@ class Blocks(Bag1Source):
         self.notes = NoteList()
 
     def list_wanted(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
-        found = self._list_messages(RecordBlock(0, block), {})
+        found = self._list_messages(0, memoryview(block), {})
         return [(key, time, block[start:end]) for key, time, start, end in found if key in wanted]
 
 

