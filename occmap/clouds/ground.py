@@ -21,7 +21,7 @@ LIMITS = Near(least=0.0, near=12.0, far=60.0, rise=0.3, deepest=3.0)
 POINTS_A_CLOUD = 25_000
 """About so many points of each cloud are counted, or a quarter: whichever is more."""
 LEAST_SHARE = 0.25
-FEWEST_CLOUDS = 200
+FEWEST_CLOUDS = 100
 """About so many clouds of a build are counted at least, if it has them."""
 LEAST_DEPTH, MOST_DEPTH = 100, 3000
 """The ground lies so far below a sensor (mm)."""

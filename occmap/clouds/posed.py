@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from occmap.clouds.kernels.heights import Cloud
+from occmap.clouds.kernels.heights import Cloud, choose_moments
 from occmap.types import Cloud as RecordedCloud
 from occmap.types import Float32, Int32, PosedScans
 
@@ -40,6 +40,6 @@ def find_moments(cloud: RecordedCloud, moments: int) -> Int32:
     if moments == 1 or offset_ns is None:
         return ALL_AT_ONCE
     start, stop = int(offset_ns.min()), int(offset_ns.max())
-    share = (offset_ns - start) * ((moments - 1) / max(stop - start, 1))
-    nearest: Int32 = np.rint(share).astype(np.int32)
+    nearest = np.empty(len(offset_ns), np.int32)
+    choose_moments(offset_ns, start, (moments - 1) / max(stop - start, 1), nearest)
     return nearest

@@ -169,9 +169,10 @@ def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> tuple[I
 
 def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str]:
     """Bring times (N,) to ns after the stamp, and say how."""
-    if not values.size or values.min() == values.max():
+    least, most = (values.min(), values.max()) if values.size else (0, 0)
+    if least == most:
         return None, ""
-    low, high = float(values.min()), float(values.max())
+    low, high = float(least), float(most)
     unit, is_absolute = find_time_unit(low, high)
     after = "of a clock" if is_absolute else "after the stamp"
     # Counted from the earliest one, since nanoseconds of a clock are more than a float can tell.
@@ -180,8 +181,11 @@ def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str
         start_ns, after = 0, "of a clock other than the stamp's, so they begin at the stamp"
     if not max(abs(start_ns), abs(start_ns + (high - low) * unit)) <= LONGEST_SWEEP_NS:
         return None, BEYOND  # or one is NaN
-    passed = (values - values.min()) * values.dtype.type(unit)
-    return np.rint(passed).astype(np.int64) + round(start_ns), f"in {UNITS[unit]} {after}"
+    passed = values - least
+    passed *= values.dtype.type(unit)
+    offset_ns = passed if passed.dtype == np.int64 else np.rint(passed).astype(np.int64)
+    offset_ns += round(start_ns)
+    return offset_ns, f"in {UNITS[unit]} {after}"
 
 
 def find_time_unit(low: float, high: float) -> tuple[float, bool]:

@@ -24,6 +24,7 @@ from typing import Any
 import numba
 
 from tests.bench import limits, process_limits, tables
+from tests.bench.clouds import measure_clouds
 from tests.bench.engine import Figure, check_equal, measure_engine
 from tests.bench.foreign import has_pyoctomap, time_pyoctomap
 from tests.bench.logs import write_carmen, write_csv, write_mcap
@@ -87,6 +88,7 @@ class Bench:
         self._measure_texts(few)
         self._measure_many(few)
         self._measure_processes()
+        self.results.rows += measure_clouds(self._folder, self._settings.rounds)
         show(tables.draw_rows(self.results.rows))
         return self.results
 

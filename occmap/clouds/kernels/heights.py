@@ -84,29 +84,32 @@ def find_place(keys: Int64, key: int) -> int:
 
 
 @kernel
+def choose_moments(offset_ns: Int64, start: int, scale: float, nearest: Int32) -> None:
+    """Fill in which moment is nearest to each time; `scale` is moments a nanosecond."""
+    for i in range(len(offset_ns)):
+        nearest[i] = np.int32(np.rint((offset_ns[i] - start) * scale))
+
+
+@kernel
 def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -> None:
     """Fill x, y and z (N,) with where points from `start` on lie in the map, NaN for no return."""
-    points, which, poses, _ = cloud
-    some = points[start : start + len(x)]
-    if which.size:
-        pose_of = which[start : start + len(x)]
-        for i in range(len(x)):
-            u, v, w = float(some[i, 0]), float(some[i, 1]), float(some[i, 2])
-            size = abs(u) + abs(v) + abs(w)
-            u, k = u if size > 0.0 and size < FARTHEST_M else np.nan, pose_of[i]
-            x[i] = poses[k, 0, 0] * u + poses[k, 0, 1] * v + poses[k, 0, 2] * w + poses[k, 0, 3]
-            y[i] = poses[k, 1, 0] * u + poses[k, 1, 1] * v + poses[k, 1, 2] * w + poses[k, 1, 3]
-            z[i] = poses[k, 2, 0] * u + poses[k, 2, 1] * v + poses[k, 2, 2] * w + poses[k, 2, 3]
-        return
-    # As above; but a pose that stays lets processors place several points at once.
+    # Flat, and with one pose for all where they have one: so processors place several at once.
+    flat = cloud.points.reshape(-1)[3 * start : 3 * (start + len(x))]
+    which, poses = cloud.which[start : start + len(x)], cloud.poses
     one = poses[0].copy()
     for i in range(len(x)):
-        u, v, w = float(some[i, 0]), float(some[i, 1]), float(some[i, 2])
+        u, v, w = float(flat[3 * i]), float(flat[3 * i + 1]), float(flat[3 * i + 2])
         size = abs(u) + abs(v) + abs(w)
         u = u if size > 0.0 and size < FARTHEST_M else np.nan
         x[i] = one[0, 0] * u + one[0, 1] * v + one[0, 2] * w + one[0, 3]
         y[i] = one[1, 0] * u + one[1, 1] * v + one[1, 2] * w + one[1, 3]
         z[i] = one[2, 0] * u + one[2, 1] * v + one[2, 2] * w + one[2, 3]
+    for i in range(len(which)):
+        k, u, v, w = which[i], float(flat[3 * i]), float(flat[3 * i + 1]), float(flat[3 * i + 2])
+        if not np.isnan(x[i]):
+            x[i] = poses[k, 0, 0] * u + poses[k, 0, 1] * v + poses[k, 0, 2] * w + poses[k, 0, 3]
+            y[i] = poses[k, 1, 0] * u + poses[k, 1, 1] * v + poses[k, 1, 2] * w + poses[k, 1, 3]
+            z[i] = poses[k, 2, 0] * u + poses[k, 2, 1] * v + poses[k, 2, 2] * w + poses[k, 2, 3]
 
 
 @kernel
@@ -228,16 +231,16 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
 
 @kernel
 def find_reach(cloud: Cloud) -> float:
-    """How far the farthest point is, from the sensor or from the points' own zero (m)."""
+    """How far no point is, from the sensor or from the points' own zero (m)."""
     points, _, poses, origin = cloud
-    farthest = 0.0
+    flat, farthest = points.reshape(-1), np.int32(0)
     for i in range(len(points)):
-        u, v, w = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
+        u, v, w = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
         square = u * u + v * v + w * w
-        if square < 1e12:
-            farthest = max(farthest, square)
+        # Whole metres, of which processors compare several at once.
+        square = square if square < np.float32(FARTHEST_M**2) else np.float32(0)
+        farthest = max(farthest, np.int32(np.sqrt(square)))
     away = 0.0
     for axis in range(3):
         away += (poses[0, axis, 3] - origin[axis]) ** 2
-    reach: float = np.sqrt(farthest) + np.sqrt(away)
-    return reach
+    return farthest + 1 + float(np.sqrt(away))

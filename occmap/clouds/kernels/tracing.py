@@ -214,16 +214,11 @@ def trace_cloud(
                 counts[NO_RETURN if np.isnan(x[i]) else TOO_FAR] += 1
                 continue
             above = level[i] - canvas.base[at >> 2 * TILE_BITS] - ground[at]
-            if above >= band.high:
-                counts[ABOVE] += 1
-                continue
-            if above <= -band.low:
-                counts[BELOW] += 1
-                continue
             kind = GROUND if above < band.low else OBSTACLE
-            if kind == OBSTACLE and above < clear[i]:
-                continue
+            kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
             counts[kind] += 1
+            if kind > OBSTACLE or (kind == OBSTACLE and above < clear[i]):
+                continue
             touched[many] = at
             many += state[at] == 0
             state[at] |= HIT if kind else MISS
@@ -257,24 +252,33 @@ def clear_line(
     state = canvas.state.reshape(-1)
     up, right = to_row - row, to_col - col
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
-    is_steep = abs(up) == steps
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
-    rest, start, last = steps, -1, (1 << TILE_BITS) - 1
-    tile_row, tile_col = (row >> TILE_BITS) - 1, 0
-    for _ in range(steps):
-        if row >> TILE_BITS != tile_row or col >> TILE_BITS != tile_col:
-            tile_row, tile_col = row >> TILE_BITS, col >> TILE_BITS
-            start = find_cell(canvas, tile_row << TILE_BITS, tile_col << TILE_BITS)
-        if start >= 0:
-            at = start | ((row & last) << TILE_BITS) | (col & last)
+    is_steep, last = abs(up) == steps, (1 << TILE_BITS) - 1
+    rest, done = steps, 0
+    while done < steps:
+        # Up to the tile's border it takes steps along the longer side, and fewer along the other.
+        rows = last - (row & last) if row_way > 0 else row & last
+        cols = last - (col & last) if col_way > 0 else col & last
+        ahead, aside = (rows, cols) if is_steep else (cols, rows)
+        left = min(steps - done, ahead + 1)
+        if fewer:
+            left = min(left, (2 * steps * (aside + 1) - rest + 2 * fewer - 1) // (2 * fewer))
+        at, moved = find_cell(canvas, row, col), (rest + 2 * fewer * left) // (2 * steps)
+        row_pace, col_pace = row_way << TILE_BITS, col_way
+        pace, sideways = (row_pace, col_pace) if is_steep else (col_pace, row_pace)
+        going = rest
+        for _ in range(left if at >= 0 else 0):
             # The room behind the last place is free; a cell without ground is never 0.
             touched[many] = at
             many += state[at] == 0
             state[at] |= MISS
-        # Halves are rounded away from the first cell.
-        rest += 2 * fewer
-        aside = 1 if rest >= 2 * steps else 0
-        rest -= aside * 2 * steps
-        row += row_way if is_steep else aside * row_way
-        col += aside * col_way if is_steep else col_way
+            # Halves are rounded away from the first cell.
+            going += 2 * fewer
+            turns = going >= 2 * steps
+            going -= 2 * steps if turns else 0
+            at += pace + (sideways if turns else 0)
+        done += left
+        rest += 2 * fewer * left - 2 * steps * moved
+        row += row_way * (left if is_steep else moved)
+        col += col_way * (moved if is_steep else left)
     return many
