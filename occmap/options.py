@@ -31,7 +31,7 @@ def choose_model(update: Update) -> SensorModel:
     A scan counts once in the polygon update, and its joined borders thicken walls by themselves.
     """
     if update is Update.CLOUD:
-        return CountingModel(cut=0.05, spread=0.0, repeat_from=8.0)
+        return CountingModel(cut=0.05, spread=0.0, ceiling=1.0, doubt=0.0, repeat_from=8.0)
     return CountingModel(cut=0.4, spread=0.0) if update is Update.POLYGON else CountingModel()
 
 

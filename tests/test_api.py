@@ -296,8 +296,10 @@ def test_flat_options_make_the_map_of_the_grouped_ones() -> None:
 def test_the_model_suits_the_update_where_none_is_given(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", STILL, [0.3] * 3, step=0.5)
     polygon = occmap.build_map(log, update="polygon", model=None)
-    assert polygon.decision.occupied_above == 0.4
-    assert occmap.build_map(log).decision.occupied_above == CountingModel().cut
+    assert polygon.decision.occupied_above == pytest.approx(0.8 * 0.4 * 1.02 * 0.4 / 0.42)
+    assert occmap.build_map(log).decision.occupied_above == pytest.approx(
+        0.8 * 0.32 * 1.02 * 0.32 / 0.34
+    )
 
 
 def test_a_map_knows_its_cells_hits_and_misses(tmp_path: Path) -> None:

@@ -63,7 +63,8 @@ def test_the_map_agrees_with_the_floor_plan(
     plan = load_nav2(SAMPLE_LOGS / "floor_plan.yaml")
     wall, free = plan == 100, plan == 0
     # Ends where they were measured, each for its own cell; classes as nav2's map_saver has them.
-    rule = parse_model(model if model == "quadratic" else f"{model}:spread=0")
+    plain = {"simple": "simple:spread=0", "counting": "counting:spread=0,ceiling=1,doubt=0"}
+    rule = parse_model(plain.get(model, model))
     returns = ReturnOptions(no_return=no_return)
     options = BuildOptions(update=update, model=rule, returns=returns, hit_offset=0.0)
     grid = replace(build(DRIVES[:1], options).map, decision=Decision(0.196, 0.65))

@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, BLOCK_BITS, NO_GROUND, Blocks, Peaks
+from occmap.clouds.kernels.growth import BLOCK, BLOCK_BITS, NO_GROUND, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, COLUMN_MM, EMPTY, WIDE, Histogram, Near
 from occmap.clouds.options import FLAT, CloudOptions
 from occmap.clouds.posed import list_clouds
@@ -31,6 +31,10 @@ looked for farther away only where nearer ones hold too few points"""
 FEWEST_SEEDS = 100
 STEP_MM = 80
 """The ground of a column is at most this far from the mean of what is beside it."""
+ALIKE_MM = 90
+"""Peaks this far apart are one surface, for a step as high as the clearance is none"""
+KNOWN_POINTS = 1000
+"""Points that are taken to show ground that is known"""
 REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
 FILLED = 10
@@ -164,15 +168,18 @@ def find_ground(
     depth, spread, beside = measure_depth(columns, path, options.sensor_height)
     if options.ground == FLAT:
         return make_flat(path, depth), []
-    height, stood = np.full(len(tall), NO_GROUND, np.int32), np.zeros(len(tall), np.uint8)
+    height = np.full(len(tall), NO_GROUND, np.int32)
+    found = Found(height, np.zeros_like(height), np.zeros_like(tall), tall)
     span = np.array([beside, UNDER, depth - spread, depth + spread], np.int64)
-    growth.seed_ground(blocks, peaks, path, span, height, stood)
-    lay_known(blocks, known, height, stood)
+    growth.seed_ground(blocks, peaks, path, span, found)
+    lay_known(blocks, known, found)
     for reach in REACHES:
-        if growth.grow_ground(blocks, peaks, height, STEP_MM, reach) and reach > 1:
-            growth.grow_ground(blocks, peaks, height, STEP_MM, 1)
-    base = np.empty_like(height)
-    growth.drop_raised(blocks, height, stood, tall, base)
+        if growth.grow_ground(blocks, peaks, found, STEP_MM, reach) and reach > 1:
+            growth.grow_ground(blocks, peaks, found, STEP_MM, 1)
+    level, base = np.empty_like(height), np.empty_like(height)
+    growth.drop_raised(blocks, found, level)
+    growth.smooth_ground(blocks, peaks, level, ALIKE_MM, base)
+    lay_known(blocks, known, found._replace(height=base))
     measured = base != NO_GROUND
     if not measured.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
@@ -271,11 +278,15 @@ def measure_depth(
     return depth, int(np.clip(4 * deviation + 60, 100, 450)), beside
 
 
-def lay_known(blocks: Blocks, known: Ground | None, height: Int32, stood: UInt8) -> None:
+def lay_known(blocks: Blocks, known: Ground | None, found: Found) -> None:
     """Put ground that is known in its place, where it stays as if the robot had stood there."""
     if known is not None:
         at = blocks.table[tuple((known.blocks - blocks.corner).T)]
-        for mine, its in ((height, known.height_mm), (stood, np.uint8(1))):
+        for mine, its in (
+            (found.height, known.height_mm),
+            (found.weight, np.int32(KNOWN_POINTS)),
+            (found.stood, np.uint8(1)),
+        ):
             rows = mine.reshape(len(blocks.places), -1)
             rows[at] = np.where(known.measured, its, rows[at])
 

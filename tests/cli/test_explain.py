@@ -156,7 +156,7 @@ def test_another_model_and_other_thresholds() -> None:
     words = ["explain", "a.npz", "0.37", "0.05"]
     assert (
         "probability 0.600 by counting:prior=0.5"
-        in occmap(*words, "--model", "counting:strength=2,spread=0").out
+        in occmap(*words, "--model", "counting:strength=2,spread=0,ceiling=1,doubt=0").out
     )
     assert "class    undecided: " in occmap(*words, "--occupied-thresh", "0.8").out
     assert "p_hit=0.6" in occmap(*words, "--p-hit", "0.6").out

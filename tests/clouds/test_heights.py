@@ -1,9 +1,12 @@
-"""Peaks of columns of heights, which the ground is found from."""
+"""Peaks of columns of heights, and the ground that is found from them."""
 
 import numpy as np
 import pytest
 
+from occmap.clouds.ground import index_blocks
+from occmap.clouds.kernels.growth import NO_GROUND, Found, Peaks, drop_raised, smooth_ground
 from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
+from occmap.types import Int32
 
 
 @pytest.mark.parametrize(
@@ -26,3 +29,42 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     low = np.array(heights) * BIN_MM
     assert len(heights) == found
     assert ((found_mm[:found] >= low) & (found_mm[:found] <= low + 1.5 * BIN_MM)).all()
+
+
+BLOCKS = index_blocks(np.array([[0, 0]]))
+"""One block: column (row, col) lies at 64 row + col."""
+
+
+def lay(heights: dict[int, int], empty: int = NO_GROUND) -> Int32:
+    """A number for each column of a block."""
+    laid = np.full(64 * 64, empty, np.int32)
+    laid[list(heights)] = list(heights.values())
+    return laid
+
+
+@pytest.mark.parametrize(("points", "height"), [(99, 40), (101, -160)])
+def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
+    points: int, height: int
+) -> None:
+    heights = lay({650: 40, 651: -160, 652: -160})
+    nothing = np.zeros(heights.size, np.uint8)
+    found = Found(heights, lay({650: 100, 651: 1, 652: points - 1}, 0), nothing, nothing)
+    base = np.empty_like(heights)
+
+    drop_raised(BLOCKS, found, base)
+
+    assert base[650] == height
+    assert base[651] == -160
+
+
+def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:
+    heights = lay({650: 0, 651: 20})
+    first, many = lay({650: 0, 651: 2}, 0), lay({650: 2, 651: 2}, 0)
+    # Of the first column a peak at 100 is beyond 90 mm; of the second one it is within.
+    peaks = Peaks(first, many, np.array([0, 100, 20, 80], np.int32), np.array([6, 9, 3, 1], "i4"))
+    base = np.empty_like(heights)
+
+    smooth_ground(BLOCKS, peaks, heights, 90, base)
+
+    assert base[650] == (6 * 0 + 3 * 20 + 1 * 80) // 10
+    assert base[651] == (6 * 0 + 9 * 100 + 3 * 20 + 1 * 80) // 19

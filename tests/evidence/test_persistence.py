@@ -59,9 +59,9 @@ def count_occupied(log: Path, options: BuildOptions) -> tuple[int, int]:
     ("update", "model", "ghosts", "walls"),
     [
         (Update.BEAM, "simple:spread=0", 28, 140),
-        (Update.BEAM, "counting:strength=2,spread=0", 15, 2),
+        (Update.BEAM, "counting:strength=2,spread=0,ceiling=1,doubt=0", 15, 2),
         (Update.POLYGON, "simple:spread=0", 27, WALL_CELLS),
-        (Update.POLYGON, "counting:strength=2,spread=0", 27, WALL_CELLS),
+        (Update.POLYGON, "counting:strength=2,spread=0,ceiling=1,doubt=0", 27, WALL_CELLS),
     ],
 )
 def test_a_person_vanishes_and_thin_walls_stay(

@@ -27,7 +27,7 @@ UNUSUAL = BuildOptions(
     resolution=0.1 + 0.2,
     update=Update.POLYGON,
     model=CountingModel(
-        0.45, 1 / 3, 2.5, cut=0.4, spread=0.01, clamp_min=0.1, clamp_max=0.96, repeat_from=8.0
+        *(0.45, 1 / 3, 2.5, 0.4, 0.01, 0.1, 0.96), ceiling=0.9, doubt=0.1, repeat_from=8.0
     ),
     reading=ReaderOptions(echo=Echo.LAST),
     clouds=CloudOptions(0.2, 1.1, 0.02, "flat", 0.7),

@@ -1,6 +1,7 @@
 """Inverse sensor models against their formulas, with numbers worked out by hand."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -14,12 +15,16 @@ from occmap.sensor.models import (
     RadialModel,
     SimpleModel,
     describe_model,
+    find_decision,
     make_model,
     parse_model,
 )
 from occmap.types import Float64
 
 LN2, LN3, LN9 = math.log(2), math.log(3), math.log(9)
+
+
+SHARES = partial(CountingModel, ceiling=1.0, doubt=0.0)
 
 
 def counts(*values: float) -> Float64:
@@ -49,34 +54,63 @@ def test_one_observation_says_what_it_says_whatever_the_prior() -> None:
 
 def test_counting_is_the_share_of_hits_with_two_imagined_observations() -> None:
     """Beta(1, 1): (hits + 1) / (hits + misses + 2)."""
-    log_odds = CountingModel(strength=2).log_odds(counts(0, 1, 0, 3, 1), counts(0, 0, 1, 1, 7))
+    log_odds = SHARES(strength=2).log_odds(counts(0, 1, 0, 3, 1), counts(0, 0, 1, 1, 7))
     shares = [1 / 2, 2 / 3, 1 / 3, 4 / 6, 2 / 10]
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
 
 
 def test_counting_imagines_them_as_the_prior_says() -> None:
     """Beta(0.4, 1.6): nothing seen is 0.2; one hit is 1.4 / 3."""
-    log_odds = CountingModel(prior=0.2, strength=2).log_odds(counts(0, 1), counts(0, 0))
+    log_odds = SHARES(prior=0.2, strength=2).log_odds(counts(0, 1), counts(0, 0))
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), [0.2, 1.4 / 3], rtol=1e-12)
 
 
 def test_counting_with_little_prior_takes_observations_at_their_word() -> None:
     """Beta(0.01, 0.01): one hit is 1.01 / 1.02; a hit among three is 1.01 / 3.02."""
-    log_odds = CountingModel().log_odds(counts(1, 0, 1), counts(0, 1, 2))
+    log_odds = SHARES().log_odds(counts(1, 0, 1), counts(0, 1, 2))
     shares = [1.01 / 1.02, 0.01 / 1.02, 1.01 / 3.02]
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
 
 
 def test_a_hit_may_weigh_more_than_a_miss() -> None:
     """With weight 2.5: two hits and five misses are one to one; the prior weighs as before."""
-    log_odds = CountingModel(strength=2, hit_weight=2.5).log_odds(counts(2, 0, 4), counts(5, 3, 0))
+    log_odds = SHARES(strength=2, hit_weight=2.5).log_odds(counts(2, 0, 4), counts(5, 3, 0))
     np.testing.assert_allclose(log_odds, [0, -math.log(4), math.log(11)], atol=1e-12)
 
 
 def test_the_weights_of_a_count_are_those_that_the_prior_has() -> None:
     """Beta(0.8, 3.2) with hits of weight 3: (3 * 2 + 0.8) / (1 + 3.2)."""
-    model = CountingModel(prior=0.2, strength=4, hit_weight=3)
+    model = SHARES(prior=0.2, strength=4, hit_weight=3)
     assert model.log_odds(counts(2), counts(1))[0] == pytest.approx(math.log(6.8 / 4.2))
+
+
+def test_a_share_of_hits_is_too_sure_of_the_next_beam() -> None:
+    """0.8 share x 1.02 share / (share + 0.02): one hit alone, one among three, a miss alone."""
+    log_odds = CountingModel().log_odds(counts(1, 1, 0), counts(0, 2, 1))
+    chances = [
+        0.8 * share * 1.02 * share / (share + 0.02)
+        for share in (1.01 / 1.02, 1.01 / 3.02, 0.01 / 1.02)
+    ]
+    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), chances, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("ceiling", "doubt"), [(0.8, 0.02), (1.0, 0.5), (0.2, 0.0)])
+def test_calibration_changes_no_class(ceiling: float, doubt: float) -> None:
+    """Not even at the cut: 8 of 25 are 0.32, and with what the prior weighs just above it."""
+    hits, misses = (each.ravel() for each in np.indices((80, 80)).astype(float))
+    classes = []
+    for model in (SHARES(), CountingModel(ceiling=ceiling, doubt=doubt)):
+        cut = find_decision(model).occupied_above
+        bound = np.float32(math.log(cut / (1 - cut)))
+        classes.append(np.sign(np.float32(model.log_odds(hits, misses)) - bound))
+    assert {*classes[0].tolist()} == {-1, 1}
+    np.testing.assert_array_equal(*classes)
+
+
+def test_a_calibrated_chance_stays_below_one() -> None:
+    model = CountingModel(ceiling=1.0, doubt=1e-3)
+    log_odds = model.log_odds(counts(1e15), counts(0))
+    assert 30 < log_odds[0] < 40
 
 
 def test_quadratic_falls_off_before_the_hit() -> None:
@@ -110,6 +144,7 @@ def test_models_are_found_by_name_and_described_as_they_are_written(name: str, k
 
 def test_bounds_are_described_where_they_bound_anything() -> None:
     usual = "counting:prior=0.5,strength=0.02,hit_weight=1.0,cut=0.32,spread=0.08"
+    usual += ",ceiling=0.8,doubt=0.02"
     assert describe_model(CountingModel()) == usual
     usual = "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.08"
     assert describe_model(SimpleModel()) == usual
@@ -157,6 +192,8 @@ def test_parameters_are_read_from_text() -> None:
         ("counting:spread=1.01", ["spread 1.01"]),
         ("counting:spread=nan", ["spread nan"]),
         ("quadratic:spread=0.1", ["quadratic has no parameter 'spread'"]),
+        ("counting:ceiling=1.5", ["ceiling 1.5 is not a probability"]),
+        ("counting:doubt=nan", ["doubt nan is not a share"]),
         ("counting:clamp_min=0.5", ["clamp_min 0.5 and clamp_max 1.0", "either side of 0.5"]),
         ("simple:clamp_max=0.5", ["clamp_min 0.0 and clamp_max 0.5", "`clamp_max=0.97`"]),
         ("simple:clamp_min=-0.1", ["clamp_min -0.1"]),
@@ -196,7 +233,7 @@ def test_the_probability_of_extreme_log_odds_is_certain_and_warns_of_nothing() -
 def test_a_robot_that_stands_still_for_hours_makes_no_model_overflow() -> None:
     """Ten hours of 40 scans a second, 1081 beams each, all through one cell."""
     beams = 10 * 3600 * 40 * 1081
-    for model in (SimpleModel(), CountingModel(), CountingModel(strength=1e-6, hit_weight=1e6)):
+    for model in (SimpleModel(), SHARES(), SHARES(strength=1e-6, hit_weight=1e6)):
         hit, missed = (
             float(model.log_odds(counts(a), counts(b))[0]) for a, b in ((beams, 0), (0, beams))
         )

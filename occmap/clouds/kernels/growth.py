@@ -11,6 +11,8 @@ from occmap.types import Int32, Int64, UInt8
 BLOCK_BITS = 6
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
+SMOOTH = 4
+"""How far around it the ground of a column is averaged (columns)"""
 NO_GROUND = -(1 << 30)
 """A column without ground."""
 
@@ -65,6 +67,19 @@ class Peaks(NamedTuple):
     """(P,) points"""
 
 
+class Found(NamedTuple):
+    """What is found of columns."""
+
+    height: Int32
+    """(C,) of the ground (mm), or `NO_GROUND`"""
+    weight: Int32
+    """(C,) points that show it"""
+    stood: UInt8
+    """(C,) whether the robot stood there"""
+    tall: UInt8
+    """(C,) whether a wall stands there"""
+
+
 @kernel
 def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks, start: int, end: int) -> None:
     """Say which peaks each column has, of those from `start` to `end`, unless it has some."""
@@ -113,9 +128,7 @@ def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths:
 
 
 @kernel
-def seed_ground(
-    blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, height: Int32, stood: UInt8
-) -> None:
+def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: Found) -> None:
     """Take as ground what lies as deep below the sensor as the ground does; lowest first.
 
     Parameters
@@ -123,10 +136,9 @@ def seed_ground(
     span
         (4,) how far beside the path columns count, how far the robot stands (columns), least and
         greatest depth (mm).
-    height, stood
-        (C,) of columns; filled.
     """
     beside, under, least, most = span
+    height, weight, stood, _ = found
     for i in range(len(path)):
         row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
         for up in range(-beside, beside + 1):
@@ -143,7 +155,7 @@ def seed_ground(
                     depth = path[i, 2] - peaks.height[k]
                     if least <= depth <= most:
                         if height[at] == NO_GROUND or peaks.height[k] < height[at]:
-                            height[at] = peaks.height[k]
+                            height[at], weight[at] = peaks.height[k], peaks.weight[k]
                         break
 
 
@@ -166,11 +178,12 @@ def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
 
 
 @kernel
-def grow_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, reach: int) -> int:
+def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach: int) -> int:
     """Let the ground grow, in rounds, to columns up to `reach` away; return to how many.
 
-    A column takes its lowest peak within `step_mm` of the mean of those beside it.
+    A column takes the peak with the most points within `step_mm` of the mean of those beside it.
     """
+    height, weight, _, _ = found
     size = height.size
     queued = np.zeros(size, np.uint8)
     front = np.empty(size, np.int64)
@@ -199,12 +212,9 @@ def grow_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, reach
             taken[i] = NO_GROUND
             mean, most = mean_beside(blocks, height, at, reach), 0
             for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                if abs(peaks.height[k] - mean) <= step_mm:
-                    most = max(most, peaks.weight[k])
-            for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                if abs(peaks.height[k] - mean) <= step_mm and peaks.weight[k] * 10 >= most:
-                    taken[i] = peaks.height[k]
-                    break
+                if abs(peaks.height[k] - mean) <= step_mm and peaks.weight[k] > most:
+                    taken[i], most = peaks.height[k], peaks.weight[k]
+            weight[at] = most
         fronts = 0
         for i in range(many):
             if taken[i] != NO_GROUND:
@@ -251,37 +261,70 @@ def is_walled(blocks: Blocks, tall: UInt8, row: int, col: int, up: int, right: i
 
 
 @kernel
-def drop_raised(blocks: Blocks, height: Int32, stood: UInt8, tall: UInt8, base: Int32) -> None:
+def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
     """Take low things that stand on the ground out of it: pallets, low boxes.
 
-    A column that stands 6 cm + 0.12 of the distance above one within half a metre, and less than
-    30 cm, is none, unless the robot stood there; it takes the lowest beside it.
+    Columns within half a metre are lower if the column stands 6 cm + 0.12 of the distance above
+    them, and less than 30 cm, with no wall between. Where they hold more points than it does, it is
+    no ground, unless the robot stood there; it takes their mean.
 
     Parameters
     ----------
-    height
-        (C,) mm, as found.
     base
-        (C,) filled: the ground without them.
+        (C,) filled: heights of the ground without them (mm).
     """
+    height, weight, stood, tall = found
     for at in range(height.size):
         base[at] = height[at]
         if height[at] == NO_GROUND or stood[at]:
             continue
         row, col = place_row(blocks, at), place_col(blocks, at)
-        lowest = height[at]
+        points, total = 0, 0
         for up in range(-3, 4):
             for right in range(-3, 4):
                 near = find_column(blocks, row + up, col + right)
                 if near < 0 or height[near] == NO_GROUND:
                     continue
                 apart = np.sqrt(float(up * up + right * right)) * COLUMN_MM
-                above = height[at] - height[near]
-                if 60 + 0.12 * apart < above < 300 and height[near] < lowest:
-                    if is_walled(blocks, tall, row, col, up, right):
-                        continue
-                    lowest = height[near]
-        base[at] = lowest
+                is_lower = 60 + 0.12 * apart < height[at] - height[near] < 300
+                if is_lower and not is_walled(blocks, tall, row, col, up, right):
+                    points += weight[near]
+                    total += weight[near] * height[near]
+        if points > weight[at]:
+            base[at] = total // points
+
+
+@kernel
+def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, base: Int32) -> None:
+    """Take the mean of all peaks around a column that lie within `step_mm` of its ground.
+
+    Poses are off by some centimetres, and otherwise at each visit: what one visit shows of the
+    ground is more often wrong than what all show.
+
+    Parameters
+    ----------
+    height
+        (C,) mm, as found.
+    base
+        (C,) filled.
+    """
+    for at in range(height.size):
+        base[at] = height[at]
+        if height[at] == NO_GROUND:
+            continue
+        row, col = place_row(blocks, at), place_col(blocks, at)
+        total, points = 0, 0
+        for up in range(-SMOOTH, SMOOTH + 1):
+            for right in range(-SMOOTH, SMOOTH + 1):
+                near = find_column(blocks, row + up, col + right)
+                if near < 0 or height[near] == NO_GROUND:
+                    continue
+                for k in range(peaks.first[near], peaks.first[near] + peaks.many[near]):
+                    if abs(peaks.height[k] - height[at]) <= step_mm:
+                        total += peaks.weight[k] * peaks.height[k]
+                        points += peaks.weight[k]
+        if points:
+            base[at] = total // points
 
 
 @kernel
