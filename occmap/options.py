@@ -15,7 +15,7 @@ from occmap.grid.lattice import Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import MAX_CELLS
 from occmap.posing.options import PosingOptions
-from occmap.readers.options import ReaderOptions
+from occmap.readers import ReaderOptions
 from occmap.sensor.models import MODEL, PARAMETERS, CountingModel, SensorModel
 from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update

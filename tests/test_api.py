@@ -26,7 +26,7 @@ from occmap.grid.rendering import Framing
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing.options import Deskew, PosingOptions, Stamps
-from occmap.readers.options import Echo, ReaderOptions
+from occmap.readers import Echo, ReaderOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.store.publishing import RenderOptions

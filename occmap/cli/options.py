@@ -22,7 +22,7 @@ from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
 from occmap.options import DEFAULT_UPDATE, OPTIONS, Selection, choose_model, spell_flag
 from occmap.posing.options import PosingOptions
-from occmap.readers.options import ReaderOptions
+from occmap.readers import ReaderOptions
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
 from occmap.sensor.returns import ReturnOptions
 from occmap.writers import Shade

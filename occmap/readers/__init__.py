@@ -12,12 +12,29 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Protocol, cast, runtime_checkable
 
+from occmap.choices import option
 from occmap.plugins import list_plugins, load_plugin, load_plugins
-from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import Probe, explain_unknown, probe_path
 from occmap.report.words import Note as Note
 from occmap.report.words import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
+
+
+class Echo(StrEnum):
+    """Which return of a beam to take where a laser states several."""
+
+    FIRST = "first"
+    """The nearest thing: glass, rain, leaves."""
+    LAST = "last"
+    """What stands behind it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReaderOptions:
+    """What a user may choose: how messages that are not plain scans become scans."""
+
+    echo: Echo = option(Echo.FIRST, "MultiEchoLaserScan: the echo of a beam that counts.")
+
 
 DEFAULT_OPTIONS = ReaderOptions()
 

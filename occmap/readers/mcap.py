@@ -1,8 +1,205 @@
-"""Reads MCAP files with ROS 2, ROS 1 or Foxglove messages."""
+"""MCAP files with ROS 2, ROS 1 or Foxglove messages: whole, without index or summary, or cut.
 
-from occmap.readers.containers.mcap import McapSource
+https://mcap.dev/spec says what their records are.
+"""
+
+import re
+import struct
+import zlib
+from collections.abc import Iterable, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel as McapChannel
+from mcap.records import ChunkIndex, Footer, Schema, Statistics
+
+from occmap.readers.inflate import Buffer, inflate
 from occmap.readers.probing import Probe
+from occmap.readers.records import (
+    DESCRIPTION,
+    Descriptions,
+    Inner,
+    Kind,
+    Record,
+    RecordSource,
+    Summary,
+)
 from occmap.readers.ros_log import RosReader
+from occmap.readers.source import Channel
+from occmap.report.words import count
+
+_HEAD = struct.Struct("<BQ")
+"""What every record starts with: opcode and length of the body."""
+_MESSAGE_HEAD = struct.Struct("<BQHIQ")
+"""Opcode, length, channel, sequence number, record time; a second time follows."""
+_MESSAGE_DATA = 31
+"""Where a message's own bytes start in its record."""
+_CHUNK_BODY = re.compile(
+    rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
+)
+"""How the body of a chunk starts, and how many bytes follow."""
+_CHUNK_START = 44
+"""Bytes of it that say how long the chunk is."""
+_FOOTER_BODY = 20
+_LONGEST_PADDING = 64
+"""Bytes that a writer may add after the fields of a chunk."""
+_MOST_SUMMARY = 1 << 30
+_LATEST_NS = 2**63 - 1
+"""A time beyond this is damage."""
+_DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
+_KINDS = dict.fromkeys({*_DESCRIPTIONS, Opcode.MESSAGE}, Kind.PLAIN) | {Opcode.CHUNK: Kind.CHUNK}
+_OPCODES = frozenset({*range(1, 16), *range(128, 256)})
+"""Those that there are, and those that anybody may use."""
+
+
+class McapSource(RecordSource):
+    """The channels and raw messages of an MCAP file."""
+
+    magic = b"\x89MCAP0\r\n"
+    errors = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
+    head = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
+    """For records that are not longer than 2**32 - 1 bytes"""
+
+    def __init__(self, path: Path) -> None:
+        self._verified: set[int] = set()
+        """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
+        super().__init__(path)
+
+    def _read_record(self, file: BinaryIO, position: int, size: int) -> Record | None:
+        file.seek(position)
+        data = file.read(_HEAD.size + _CHUNK_START)
+        if len(data) < _HEAD.size:
+            return None
+        opcode, length = _HEAD.unpack_from(data)
+        start, end = position + _HEAD.size, position + _HEAD.size + length
+        # A message may begin like the body of a chunk by chance.
+        chunk = None if opcode == Opcode.MESSAGE else _CHUNK_BODY.match(data, _HEAD.size)
+        is_sure = chunk is not None and end == position + chunk.end() + int.from_bytes(
+            chunk["length"], "little"
+        )
+        if is_sure and opcode != Opcode.CHUNK:
+            self._note(position, "has a damaged head")
+            opcode = Opcode.CHUNK
+        if opcode == Opcode.FOOTER and end == size - len(self.magic):
+            return Record(Kind.OTHER, position, start, size)
+        if opcode == Opcode.FOOTER or opcode not in _OPCODES:
+            return None
+        return Record(_KINDS.get(opcode, Kind.OTHER), position, start, end, is_sure)
+
+    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
+        message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
+        while at <= last:
+            opcode, length, key, _, record_ns = _MESSAGE_HEAD.unpack_from(block, at)
+            start, end = at + _MESSAGE_DATA, at + _HEAD.size + length
+            if opcode == message and start <= end:
+                yield key, min(record_ns, _LATEST_NS), start, end
+            elif opcode in _DESCRIPTIONS:
+                yield DESCRIPTION, 0, at, end
+            else:
+                return
+            at = end
+
+    def _open_chunk(self, position: int, record: bytes) -> Buffer:
+        """Decompress a chunk, and verify its checksum when it is first read."""
+        stream = ReadDataStream(BytesIO(record[_HEAD.size :]))
+        try:  # not by Chunk.read, which gives nothing of a chunk that is cut
+            _times, size = stream.read(16), stream.read8()
+            crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
+        except self.errors:
+            self._note(position, "has no head that can be read")
+            return b""
+        data = memoryview(record)[_HEAD.size + stream.count :]
+        block, problem = inflate(data[:length], compression, size)
+        if (left := len(data) - length) > _LONGEST_PADDING:
+            problem = problem or f"has {count(left, 'byte')} that it does not state"
+        if not problem and position not in self._verified:
+            self._verified.add(position)
+            if crc not in {0, zlib.crc32(block)}:
+                problem = "has a wrong checksum, and is used as far as it can be read"
+        if problem:
+            self._note(position, problem)
+        return block
+
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+        schemas: dict[int, Schema] = {}
+        channels: list[McapChannel] = []
+        for record, position in descriptions.items():
+            try:
+                if record[0] == Opcode.CHANNEL:
+                    channels.append(McapChannel.read(_open_body(record)))
+                    continue
+                schema = Schema.read(_open_body(record))
+                schemas.setdefault(schema.id, schema)
+            except self.errors:
+                self._note(position, "holds a channel that cannot be read")
+        for channel in channels:  # only now, as a schema may come after its channel after damage
+            schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+            is_text = schema.encoding in {"ros1msg", "ros2msg"}
+            yield (
+                channel.id,
+                Channel(
+                    topic=channel.topic,
+                    type=schema.name,
+                    encoding=channel.message_encoding,
+                    definition=schema.data.decode(errors="replace") if is_text else "",
+                    descriptors=schema.data if schema.encoding == "protobuf" else b"",
+                ),
+            )
+
+    def _read_summary(self, file: BinaryIO) -> Summary:
+        """Read the records at the end of the file, which may have none."""
+        end = self._size - _HEAD.size - _FOOTER_BODY - len(self.magic)
+        file.seek(max(end, 0))
+        tail = file.read()
+        if end < 0 or not tail.endswith(self.magic):
+            raise ValueError("the file is cut before its end")
+        if tail[0] != Opcode.FOOTER:
+            raise ValueError("the footer is damaged")
+        footer = Footer.read(_open_body(tail))
+        start = footer.summary_start or end
+        file.seek(min(start, end))
+        section = file.read(min(end - file.tell(), _MOST_SUMMARY))
+        # The checksum covers the footer, too, up to the checksum itself.
+        crc = zlib.crc32(tail[: _HEAD.size + _FOOTER_BODY - 4], zlib.crc32(section))
+        if start > end or footer.summary_crc not in {0, crc}:
+            raise ValueError("its checksum is another")
+        return self._gather(self._split(file, start, end), is_checked=footer.summary_crc != 0)
+
+    def _gather(self, records: Iterable[bytes], *, is_checked: bool) -> Summary:
+        """Gather what the records of the summary say; an index of chunks must be checked.
+
+        Raises
+        ------
+        McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError
+            One of them is not well formed.
+        """
+        summary = Summary()
+        descriptions: Descriptions = {}
+        statistics = None
+        for record in records:
+            if record[0] in _DESCRIPTIONS:
+                descriptions[record] = 0
+            elif record[0] == Opcode.CHUNK_INDEX and is_checked:
+                index = ChunkIndex.read(_open_body(record))
+                summary.chunks[index.chunk_start_offset] = index.message_index_offsets
+            elif record[0] == Opcode.STATISTICS:
+                statistics = Statistics.read(_open_body(record))
+        summary.channels.update(self._describe(descriptions))
+        if statistics is not None:
+            summary.counts.update(statistics.channel_message_counts)
+            if summary.counts.total() != statistics.message_count:
+                raise ValueError("its statistics contradict each other")
+            described = {key for key, channel in summary.channels.items() if channel.type}
+            summary.is_whole = summary.counts.keys() <= described
+        return summary
+
+
+def _open_body(record: bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(record[_HEAD.size :]))
 
 
 class McapReader(RosReader):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from occmap.readers import Role
+from occmap.readers import Echo, ReaderOptions, Role
 from occmap.readers.cloud_messages import (
     FOXGLOVE_KINDS,
     Camera,
@@ -27,7 +27,6 @@ from occmap.readers.cloud_messages import (
     read_fields,
     view_columns,
 )
-from occmap.readers.containers.source import Channel
 from occmap.readers.fields import (
     get,
     get_bytes,
@@ -38,7 +37,7 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.options import Echo, ReaderOptions
+from occmap.readers.source import Channel
 from occmap.types import IDENTITY, Cloud, Pose, PoseSample, Scan
 from occmap.values import as_number
 

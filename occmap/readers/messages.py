@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.containers.source import Channel, normalise_type
+from occmap.readers.source import Channel, normalise_type
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]

@@ -1,15 +1,28 @@
-"""What a path is: its first bytes, by which readers know it, or a sentence where none does."""
+"""What a path is: its first bytes, by which readers know it, or a sentence where none does.
+
+Gzip is read so that everything before damage comes out, to the last byte that is certain.
+"""
 
 import shlex
+import zlib
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from glob import has_magic
 from pathlib import Path
+from typing import BinaryIO
 
 from occmap.errors import LogError
-from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
 
+GZIP_MAGIC = b"\x1f\x8b"
+GUNZIP_ERRORS = (zlib.error, EOFError)
+
+_GZIP_BITS = 31
+"""zlib's code for gzip with its header and checksum."""
+_STEP = 1 << 17
+_MOST_AT_ONCE = 1 << 18
+"""Bytes that are unpacked at once: a bomb comes out a piece at a time."""
 PROBE_BYTES = 4096
 SIMILAR = 0.85
 """How alike (0 to 1) a file must be named that is suggested for one that is not there."""
@@ -62,7 +75,7 @@ def probe_path(path: Path) -> Probe:
         raise _miss(path) from None
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-    return Probe(path, raw, _peek_gzip(path) if raw.startswith(MAGIC) else raw)
+    return Probe(path, raw, _peek_gzip(path) if raw.startswith(GZIP_MAGIC) else raw)
 
 
 def _miss(path: Path) -> LogError:
@@ -123,3 +136,43 @@ def _describe_folder(folder: Path) -> str:
     except OSError as error:
         return f"a folder that cannot be read ({error.strerror})"
     return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
+
+
+def gunzip(file: BinaryIO) -> Iterator[bytes]:
+    """Decompress a file piece by piece.
+
+    Where the data is corrupt, all before comes out first; the gzip module loses up to a block.
+
+    Raises
+    ------
+    zlib.error, EOFError
+        The data is corrupt, or the file ends within it.
+    """
+    inflater = zlib.decompressobj(_GZIP_BITS)
+    data = b""
+    while data := data or file.read(_STEP):
+        if inflater.eof:
+            data = data.lstrip(b"\0")  # padding, or one more member
+            inflater = zlib.decompressobj(_GZIP_BITS) if data else inflater
+            continue
+        before = inflater.copy()
+        try:
+            piece = inflater.decompress(data, _MOST_AT_ONCE)
+        except zlib.error:
+            yield _salvage(before, data)
+            raise
+        yield piece
+        data = inflater.unconsumed_tail or inflater.unused_data
+    while not inflater.eof:
+        piece = inflater.decompress(b"", _MOST_AT_ONCE)
+        if not piece:
+            raise EOFError("the file ends within the gzip data")
+        yield piece
+
+
+def _salvage(inflater: "zlib._Decompress", data: bytes) -> bytes:
+    """Decompress byte by byte up to the first that is wrong."""
+    pieces: list[bytes] = []
+    with suppress(zlib.error):
+        pieces.extend(inflater.decompress(data[at : at + 1]) for at in range(len(data)))
+    return b"".join(pieces)

@@ -2,7 +2,7 @@
 
 The way of a message:
 
-1. A source (`containers`) gives its channel, record time and bytes.
+1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes.
 2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
    (`message_types`).
 3. Scans of one laser, and transforms, are laid out alike. So most are not read one by one, but
@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.readers import DEFAULT_OPTIONS, Role, Stream
+from occmap.readers import DEFAULT_OPTIONS, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import is_depth, read_camera, tell_clouds
-from occmap.readers.containers.inflate import Buffer
-from occmap.readers.containers.source import Channel, RawMessage, Source
+from occmap.readers.inflate import Buffer
 from occmap.readers.message_types import (
     PACKETS,
     TYPES,
@@ -33,7 +32,7 @@ from occmap.readers.message_types import (
     find_type,
 )
 from occmap.readers.messages import make_reader
-from occmap.readers.options import ReaderOptions
+from occmap.readers.source import Channel, RawMessage, Source
 from occmap.readers.stacks import Stacked, read_scan_run, read_transforms
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 

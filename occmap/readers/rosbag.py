@@ -1,14 +1,192 @@
-"""Reads ROS bags: .bag files of ROS 1, folders and .db3 files of ROS 2."""
+"""Folders of ROS 2 bags, and any single file of a bag.
 
+A folder has storage files (SQLite or MCAP, each perhaps zstd) and metadata.yaml, which a recorder
+that died has not written: it is also read without.
+"""
+
+import re
+import shutil
+import tempfile
+import weakref
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, TypeAlias
 
-from occmap.readers.containers import bag2
-from occmap.readers.containers.bag1 import Bag1Source
-from occmap.readers.containers.source import Source
-from occmap.readers.containers.sqlite import SqliteSource
-from occmap.readers.probing import Probe
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from occmap.errors import LogError, refuse_unreadable
+from occmap.readers import NoteList
+from occmap.readers.bag1 import Bag1Source
+from occmap.readers.inflate import inflate_message, unzip_file
+from occmap.readers.mcap import McapSource
+from occmap.readers.probing import ZSTD_MAGIC, Probe, probe_path
 from occmap.readers.ros_log import RosReader
+from occmap.readers.source import Channel, RawMessage, Source
+from occmap.readers.sqlite import SqliteSource
+
+METADATA = "metadata.yaml"
+OLD_MAGICS = (b"#ROSRECORD V", b"#ROSBAG V1")
+_MOST_METADATA = 1 << 20
+"""Characters of metadata.yaml that are read: a hundred times what recorders write."""
+_STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
+
+_Metadata: TypeAlias = tuple[Sequence[str], bool, Mapping[tuple[str, str], int]]
+"""What only metadata.yaml says: the files, whether each message is compressed on its own, and how
+many messages there are by topic and type"""
+
+
+def list_storage(folder: Path) -> list[Path]:
+    """List the storage files of a folder, those of a split recording by their numbers."""
+    named = (path for path in folder.iterdir() if _STORAGE_NAME.fullmatch(path.name))
+    paths = (path for path in named if path.is_file())  # a pipe would be waited for
+    return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
+
+
+def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
+    """Refuse to read several recordings as one, where no metadata says what belongs together.
+
+    Raises
+    ------
+    LogError
+        The files are not those of one split recording, NAME_0.db3, NAME_1.db3 and so on.
+    """
+    names = [file.name.removesuffix(".zstd") for file in files]
+    recordings = {re.sub(r"(_\d+)?(\.\w+)$", r"\2", name) for name in names}
+    if len(recordings) > 1 or len(set(names)) < len(names):
+        raise LogError(
+            f"holds more than one recording and no {METADATA}: {', '.join(f.name for f in files)}",
+            where=folder,
+            fix=f"give one of them, such as {files[0]}",
+        )
+
+
+class Bag2Source:
+    """The channels and raw messages of a ROS 2 bag folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes = NoteList()
+        self._scratch: Path | None = None
+        with refuse_unreadable(path):
+            names, self._zipped, announced = self._read_metadata()
+            self._parts = self._open_parts(self._find_files(names))
+        self._gather_notes()
+        held = Counter[tuple[str, str]]()
+        for channel in self.channels:
+            held[channel.topic, channel.type] += channel.count
+        for (topic, kind), count in announced.items():
+            if (found := held[topic, kind]) != count:
+                text = f"{METADATA} announces {count} messages of {kind} on {topic}"
+                self.notes.add_damage(f"{text}, the files {found}")
+
+    @property
+    def channels(self) -> Sequence[Channel]:
+        """Every channel of every storage file."""
+        return [channel for part in self._parts for channel in part.channels]
+
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        """Give the messages of some channels, one storage file after the other."""
+        for part in self._parts:
+            if inner := [channel for channel in part.channels if channel in wanted]:
+                for channel, record_ns, data in part.messages(inner):
+                    yield channel, record_ns, inflate_message(data) if self._zipped else data
+            self._gather_notes()
+
+    def _find_files(self, names: Sequence[str]) -> list[Path]:
+        """Find the storage files that the metadata names, or those that are there."""
+        present = list_storage(self.path)
+        named = [self.path / name for name in names]
+        missing = ", ".join(file.name for file in named if not file.is_file())
+        text = f"{METADATA} names files that are missing: {missing}"
+        if missing and not present:
+            raise LogError(text, where=self.path, fix="copy them into this folder, too")
+        if missing:
+            self.notes.add_damage(text)
+        there = [file for file in named if file.is_file()]
+        if not there:
+            refuse_mixed(self.path, present)
+        return there or present
+
+    def _open_parts(self, files: Sequence[Path]) -> list[Source]:
+        """Open storage files; one that cannot be read is noted, unless there is no other."""
+        parts: list[Source] = []
+        for file in files:
+            try:
+                is_zipped = probe_path(file).raw.startswith(ZSTD_MAGIC)
+                parts.append(open_file(self._unzip(file) if is_zipped else file))
+            except LogError as error:
+                if len(files) == 1:
+                    raise
+                self.notes.add_damage(f"{file.name} is not used: {error.found}")
+        if not parts:
+            raise LogError("no storage file in it can be read", where=self.path)
+        return parts
+
+    def _unzip(self, file: Path) -> Path:
+        """Decompress a storage file into a folder that goes away with this object."""
+        if self._scratch is None:
+            self._scratch = Path(tempfile.mkdtemp(prefix="occmap-"))
+            weakref.finalize(self, shutil.rmtree, self._scratch, ignore_errors=True)
+        target = self._scratch / file.stem
+        if problem := unzip_file(file, target):
+            self.notes.add_damage(f"{file.name} {problem}")
+        return target
+
+    def _read_metadata(self) -> _Metadata:
+        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
+        path = self.path / METADATA
+        try:
+            if path.is_file():
+                return _parse_metadata(path)
+        except (YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError):
+            self.notes.add_damage(f"{METADATA} is damaged and not used")
+        return (), False, {}
+
+    def _gather_notes(self) -> None:
+        """Take over what the storage files had to say."""
+        for part in self._parts:
+            for note in part.notes:
+                self.notes.add_damage(f"{part.path.name}: {note.text}")
+
+
+def _parse_metadata(path: Path) -> _Metadata:
+    """Parse metadata.yaml. Every value is taken as text, so nothing in it can unfold.
+
+    Raises
+    ------
+    YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError
+        It is not as recorders write it.
+    """
+    with path.open(encoding="utf-8") as file:
+        text = file.read(_MOST_METADATA)
+    document: Any = YAML(typ="base", pure=True).load(text)
+    information = document["rosbag2_bagfile_information"]
+    mode = information.get("compression_mode", "")
+    # Old recorders wrote the folder's name before the file's.
+    files = [Path(name).name for name in information["relative_file_paths"]]
+    counts = Counter[tuple[str, str]]()
+    for topic in information.get("topics_with_message_count") or ():
+        described = topic["topic_metadata"]
+        counts[described["name"], described["type"]] += int(topic["message_count"])
+    return files, mode.lower() == "message", counts
+
+
+def open_file(path: Path) -> Source:
+    """Open a file by its content rather than by its name."""
+    start = probe_path(path).raw
+    for source in (McapSource, SqliteSource, Bag1Source):
+        if start.startswith(source.magic):
+            return source(path)
+    if start.startswith(OLD_MAGICS):
+        raise LogError(
+            f"a bag of the old format {start[:15].decode('ascii', 'replace')!r}",
+            where=path,
+            fix="convert it with ROS 1's `rosbag fix old.bag new.bag` (or `rosbag migrate`)",
+        )
+    raise LogError("neither SQLite nor MCAP", where=path)
 
 
 class RosbagReader(RosReader):
@@ -21,10 +199,10 @@ class RosbagReader(RosReader):
         """Say whether a file starts as bags do, or a folder holds storage files."""
         if probe.path.is_dir():
             with suppress(PermissionError):
-                return (probe.path / bag2.METADATA).exists() or bool(bag2.list_storage(probe.path))
+                return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
             return False
-        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *bag2.OLD_MAGICS))
+        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *OLD_MAGICS))
 
     def open_source(self, path: Path) -> Source:
         """Open a folder or a file."""
-        return bag2.Bag2Source(path) if path.is_dir() else bag2.open_file(path)
+        return Bag2Source(path) if path.is_dir() else open_file(path)

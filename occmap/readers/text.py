@@ -10,7 +10,7 @@ import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
-from occmap.readers.containers.gunzip import GUNZIP_ERRORS, MAGIC, gunzip
+from occmap.readers.probing import GUNZIP_ERRORS, GZIP_MAGIC, gunzip
 from occmap.types import Int64, UInt64
 
 MAX_LINE_BYTES = 1 << 24
@@ -163,7 +163,7 @@ def _read_lines(path: Path) -> Iterator[bytes | memoryview]:
 def _read_pieces(path: Path) -> Iterator[bytes | memoryview]:
     """Yield the content of a file, unpacked; a piece is valid until the next one is read."""
     with refuse_unreadable(path), path.open("rb", 0) as file:
-        if file.read(len(MAGIC)) == MAGIC:
+        if file.read(len(GZIP_MAGIC)) == GZIP_MAGIC:
             file.seek(0)
             yield from gunzip(file)
             return

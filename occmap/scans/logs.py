@@ -19,13 +19,13 @@ from occmap.posing.options import PosingOptions
 from occmap.readers import (
     HoldingClouds,
     Log,
+    ReaderOptions,
     Role,
     find_reader,
     get_moments,
     open_log,
     read_poses,
 )
-from occmap.readers.options import ReaderOptions
 from occmap.readers.probing import probe_path
 from occmap.report.words import STDIN_FOLDER, count, join_names
 from occmap.types import Cloud, Scan, Update
@@ -208,13 +208,13 @@ def list_entries(path: Path) -> list[Path]:
 
 def is_bag(path: Path, recordings: Collection[Path]) -> bool:
     """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
-    from occmap.readers.containers import bag2  # noqa: PLC0415  late: it brings mcap and apsw
+    from occmap.readers import rosbag  # noqa: PLC0415  late: it brings mcap and apsw
 
-    if not path.is_dir() or (path / bag2.METADATA).exists():
+    if not path.is_dir() or (path / rosbag.METADATA).exists():
         return path.is_dir()
-    files = bag2.list_storage(path)
+    files = rosbag.list_storage(path)
     with suppress(LogError):
-        bag2.refuse_mixed(path, files)
+        rosbag.refuse_mixed(path, files)
         return set(recordings) <= set(files)
     return False
 

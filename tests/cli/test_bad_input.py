@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from occmap.readers.containers.mcap import McapSource
+from occmap.readers.mcap import McapSource
 from tests.cli.runner import occmap, read_error
 from tests.readers.ros import ROS2, drive, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv

@@ -15,7 +15,7 @@ from occmap.evidence.manifest import UNRECORDED, describe_build
 from occmap.explanation.provenance import recall_options
 from occmap.options import BuildOptions, Selection
 from occmap.posing.options import Deskew, PosingOptions, Stamps
-from occmap.readers.options import Echo, ReaderOptions
+from occmap.readers import Echo, ReaderOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update

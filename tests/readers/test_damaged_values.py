@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.readers import message_types, open_log, read_recorded
+from occmap.readers import ReaderOptions, message_types, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud
-from occmap.readers.containers.source import Channel
 from occmap.readers.fields import get_row
-from occmap.readers.options import ReaderOptions
 from occmap.readers.ros_log import RosLog
+from occmap.readers.source import Channel
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
 from tests.readers.ros import scan as ros_scan

@@ -9,10 +9,9 @@ import pytest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
-from occmap.readers import Role, open_log, read_recorded
+from occmap.readers import Echo, ReaderOptions, Role, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud, find_offsets
 from occmap.readers.message_types import convert_multi_echo
-from occmap.readers.options import Echo, ReaderOptions
 from occmap.scans.logs import choose_topics
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers import ros_log, stacks
-from occmap.readers.containers.source import Channel
 from occmap.readers.ros_log import RosLog
+from occmap.readers.source import Channel
 from occmap.types import Scan, ScanRun
 from tests.readers.ros import ROS1, ROS2, SCAN, Memory, scan
 from tests.readers.runs import flatten, list_fields

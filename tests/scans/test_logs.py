@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import occmap
-from occmap.readers.options import ReaderOptions
+from occmap.readers import ReaderOptions
 from occmap.scans.logs import find_inputs
 from tests.samples import SAMPLE_LOGS, write_csv
 

@@ -9,8 +9,8 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import BinaryIO, NamedTuple
 
 from occmap.errors import LogError
-from occmap.readers.containers.inflate import Buffer, inflate
-from occmap.readers.containers.records import (
+from occmap.readers.inflate import Buffer, inflate
+from occmap.readers.records import (
     DESCRIPTION,
     OTHER,
     Descriptions,
@@ -20,7 +20,7 @@ from occmap.readers.containers.records import (
     RecordSource,
     Summary,
 )
-from occmap.readers.containers.source import Channel
+from occmap.readers.source import Channel
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""

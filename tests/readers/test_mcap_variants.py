@@ -16,7 +16,7 @@ from mcap.reader import NonSeekingReader, make_reader
 
 from occmap.errors import LogError
 from occmap.readers import Log, open_log
-from tests.readers.containers.mcap_variants import (
+from tests.readers.mcap_variants import (
     ALONE,
     CHUNK,
     DATA_END,

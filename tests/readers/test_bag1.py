@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers import NoteList
-from occmap.readers.containers.bag1 import CONNECTION, MESSAGE, Bag1Source
+from occmap.readers.bag1 import CONNECTION, MESSAGE, Bag1Source
 
 Found = tuple[int, int, bytes]
 

@@ -24,8 +24,8 @@ from typing import BinaryIO, ClassVar, NamedTuple, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
-from occmap.readers.containers.inflate import MAX_INFLATED, Buffer
-from occmap.readers.containers.source import Channel, RawMessage
+from occmap.readers.inflate import MAX_INFLATED, Buffer
+from occmap.readers.source import Channel, RawMessage
 from occmap.report.words import count
 
 DESCRIPTION, OTHER = -1, -2

@@ -16,7 +16,7 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import NoteList
-from occmap.readers.containers.source import Channel, RawMessage
+from occmap.readers.source import Channel, RawMessage
 from occmap.report.words import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
