@@ -1,7 +1,9 @@
 """The engine of clouds: hits and misses of cells, cloud by cloud, over ground that is known."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
+from itertools import groupby
 from threading import Lock
 
 import numpy as np
@@ -42,9 +44,9 @@ class Sheet:
         self.counts = np.zeros(COUNTS, np.int64)
         self.touched = np.zeros(0, np.int32)
 
-    def reach(self, origin: Float64, metres: float) -> None:
-        """Lay out the tiles up to so far from a place."""
-        box = self.lattice.enclose(origin[None, :2], metres).align(TILE).shrink(TILE)
+    def reach(self, origins: Float64, metres: float) -> None:
+        """Lay out the tiles up to so far from places (N, 3)."""
+        box = self.lattice.enclose(origins[:, :2], metres).align(TILE).shrink(TILE)
         table, corner = self.canvas.table, self.canvas.corner
         low = np.maximum(np.array(box[:2]) - corner, 0)
         high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
@@ -61,15 +63,18 @@ class Sheet:
                 getattr(grown, layer)[: self.used] = getattr(self.canvas, layer)
             self.canvas = grown
 
-    def observe(self, cloud: Cloud, band: Band, farthest: float) -> None:
-        """Observe the cells of one cloud, whose points lie up to so far from the sensor (m)."""
-        self.reach(cloud.origin, farthest)
+    def observe(self, clouds: Sequence[Cloud], band: Band) -> None:
+        """Observe the cells of some clouds."""
+        farthest = min(max(map(find_reach, clouds)), band.farthest)
+        self.reach(np.array([cloud.origin for cloud in clouds]), farthest)
         cells = int(farthest / self.lattice.resolution) + 2
-        room = min(len(cloud.points) + SECTORS * 2 * cells, self.used * TILE * TILE) + 1
+        most = max(len(cloud.points) for cloud in clouds) + SECTORS * 2 * cells
+        room = min(most, self.used * TILE * TILE) + 1
         if len(self.touched) < room:
             self.touched = np.empty(room, np.int32)
         scale = self.lattice.units_per_metre
-        trace_cloud(cloud, band, self.canvas, scale, self.touched, self.counts)
+        for cloud in clouds:
+            trace_cloud(cloud, band, self.canvas, scale, self.touched, self.counts)
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""
@@ -136,16 +141,17 @@ class CloudEngine:
 
     def add(self, posed: PosedScans) -> None:
         """Observe the cells of some clouds."""
-        numbers = posed.batch.stamp_ns // (self._slice_ns or 1 << 62)
-        for cloud, number in zip(list_clouds(posed), numbers.tolist(), strict=True):
-            with self._lock:
-                sheet = self._idle.pop() if self._idle else self._make_sheet()
+        clouds = list(list_clouds(posed))
+        numbers = (posed.batch.stamp_ns // (self._slice_ns or 1 << 62)).tolist()
+        with self._lock:
+            sheet = self._idle.pop() if self._idle else self._make_sheet()
+        for number, some in groupby(range(len(clouds)), numbers.__getitem__):
             if sheet.number != number:
                 self._fold(sheet)
                 sheet.number = number
-            sheet.observe(cloud, self._band, min(find_reach(cloud), self._band.farthest))
-            with self._lock:
-                self._idle.append(sheet)
+            sheet.observe([clouds[i] for i in some], self._band)
+        with self._lock:
+            self._idle.append(sheet)
 
     def _fold(self, sheet: Sheet) -> None:
         """Add what a sheet holds to the whole, and empty it."""
