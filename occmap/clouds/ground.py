@@ -1,6 +1,5 @@
 """The ground below a drive: found from all clouds before any of them is traced."""
 
-from collections.abc import Sequence
 from itertools import product
 from threading import Lock
 from typing import NamedTuple
@@ -10,14 +9,12 @@ import numpy as np
 from occmap.cells import Ground
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, BLOCK_BITS, NO_GROUND, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import BIN_MM, COLUMN_MM, EMPTY, WIDE, Histogram, Near
+from occmap.clouds.kernels.heights import BIN_MM, COLUMN_MM, EMPTY, FAR_M, WIDE, Histogram
 from occmap.clouds.options import FLAT, CloudOptions
 from occmap.clouds.posed import list_clouds
 from occmap.errors import MapError
 from occmap.types import Bool, Float64, Int32, Int64, PosedScans, UInt8
 
-LIMITS = Near(least=0.0, near=12.0, far=60.0, rise=0.3, deepest=3.0)
-"""Up to 12 m poses are off by a few centimetres; farther points count where there are no others."""
 POINTS_A_CLOUD = 25_000
 """About so many points of each cloud are counted, or a quarter: whichever is more."""
 LEAST_SHARE = 0.25
@@ -79,7 +76,7 @@ class GroundFinder:
         path = []
         for cloud in list_clouds(posed):
             start = 0
-            while (start := heights.count_heights(cloud, LIMITS, table, start)) < len(cloud.points):
+            while (start := heights.count_heights(cloud, table, start)) < len(cloud.points):
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
         with self._lock:
@@ -192,36 +189,18 @@ def read_columns(table: Histogram, known: Ground | None) -> Columns:
     kept = np.flatnonzero(table.keys != EMPTY)
     kept = kept[np.argsort(table.keys[kept])]
     keys, counts = table.keys[kept], table.counts[kept]
-    layers = [(keys[keys & 1 == layer], counts[keys & 1 == layer]) for layer in (0, 1)]
-    listed, peaks = list_peaks(layers)
-    every = np.unique(keys >> 20)
+    room = 8 * len(keys) + 8
+    column, level = np.empty(room, np.int64), np.empty(room, np.int32)
+    weight = np.empty(room, np.int32)
+    many = heights.list_peaks(keys, counts, column, level, weight)
+    every = np.unique(keys >> heights.PIECE_BITS)
     blocks = make_blocks(np.stack([(every >> 21) - WIDE, every % (2 * WIDE) - WIDE], axis=1), known)
     size = len(blocks.places) << 2 * BLOCK_BITS
-    tall = np.zeros(size, np.uint8)
-    peaks = peaks._replace(first=np.zeros(size, np.int32), many=np.zeros(size, np.int32))
-    column, near = np.concatenate(listed), len(listed[0])
-    growth.index_peaks(blocks, column, peaks, 0, near)
-    growth.index_peaks(blocks, column, peaks, near, len(column))
-    for layer_keys, layer_counts in layers:
-        growth.mark_tall(blocks, layer_keys, layer_counts, tall)
+    none, tall = np.zeros(size, np.int32), np.zeros(size, np.uint8)
+    peaks = Peaks(none, none.copy(), level[:many].copy(), weight[:many].copy())
+    growth.index_peaks(blocks, column[:many], peaks)
+    growth.mark_tall(blocks, keys, counts, tall)
     return Columns(blocks, peaks, tall, len(every))
-
-
-def list_peaks(layers: Sequence[tuple[Int64, Int32]]) -> tuple[list[Int64], Peaks]:
-    """List the columns of all peaks, layer by layer, and the peaks."""
-    columns: list[Int64] = []
-    levels: list[Int32] = []
-    weights: list[Int32] = []
-    for keys, counts in layers:
-        room = 8 * len(keys) + 8
-        column, height = np.empty(room, np.int64), np.empty(room, np.int32)
-        weight = np.empty(room, np.int32)
-        found = heights.list_peaks(keys, counts, column, height, weight)
-        columns.append(column[:found].copy())
-        levels.append(height[:found].copy())
-        weights.append(weight[:found].copy())
-    none = np.zeros(0, np.int32)
-    return columns, Peaks(none, none, np.concatenate(levels), np.concatenate(weights))
 
 
 def make_blocks(columns: Int64, known: Ground | None) -> Blocks:
@@ -296,7 +275,7 @@ def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:
 
 def make_flat(path: Int64, depth: int) -> Ground:
     """Make a plane so far below a path (P, 3), as far as points count; all in mm."""
-    side, reach = COLUMN_MM * BLOCK, round(LIMITS.far * 1000)
+    side, reach = COLUMN_MM * BLOCK, round(FAR_M * 1000)
     low, high = (path.min(axis=0) - reach) // side, (path.max(axis=0) + reach) // side
     rows, cols = (np.arange(low[axis], high[axis] + 1) for axis in (1, 0))
     places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)

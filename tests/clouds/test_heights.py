@@ -24,7 +24,7 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     for height, points in counts.items():
         bins[0, height] = points
     column, found_mm, weight = np.empty(8, np.int64), np.empty(8, np.int32), np.empty(8, np.int32)
-    found = list_peaks(np.array([pack(0, 3, 4, 0)]), bins, column, found_mm, weight)
+    found = list_peaks(np.array([pack(3, 4, 0)]), bins, column, found_mm, weight)
     # A peak lies in its bin, or up to half a bin from its middle towards its neighbour.
     low = np.array(heights) * BIN_MM
     assert len(heights) == found

@@ -81,18 +81,14 @@ class Found(NamedTuple):
 
 
 @kernel
-def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks, start: int, end: int) -> None:
-    """Say which peaks each column has, of those from `start` to `end`, unless it has some."""
-    i = start
-    while i < end:
-        stop = i + 1
-        while stop < end and column[stop] == column[i]:
-            stop += 1
+def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks) -> None:
+    """Say which peaks each column has."""
+    for i in range(len(column)):
         row, col = (column[i] >> 21) - WIDE, (column[i] & (2 * WIDE - 1)) - WIDE
         at = find_column(blocks, row, col)
-        if at >= 0 and peaks.many[at] == 0:
-            peaks.first[at], peaks.many[at] = i, stop - i
-        i = stop
+        if peaks.many[at] == 0:
+            peaks.first[at] = i
+        peaks.many[at] += 1
 
 
 @kernel
@@ -240,7 +236,7 @@ def mark_tall(blocks: Blocks, keys: Int64, counts: Int32, flags: UInt8) -> None:
             many = 0
             for j in range(BINS):
                 many += counts[i, j] > 0
-            follows = i > start and keys[i] >> 1 == (keys[i - 1] >> 1) + 1
+            follows = i > start and keys[i] == keys[i - 1] + 1
             filled = 0 if many < 2 else filled + 1 if follows else 1
             longest = max(longest, filled)
         if at >= 0 and longest >= 4:

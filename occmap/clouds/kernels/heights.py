@@ -18,11 +18,16 @@ AROUND = 10
 PEAK_PERCENT = 35
 WIDE = 1 << 20
 """Rows and columns of the ground are packed into 21 bits each."""
-PIECE_BITS = 19
+PIECE_BITS = 20
 HALF = 1 << PIECE_BITS - 1
 EMPTY = -1
 SOME = 512
 """Points that are placed at once"""
+FAR_M = 60.0
+"""Farther away poses that are off by tenths of a degree tell nothing of the ground"""
+RISE, DEEPEST_M = 0.3, 3.0
+"""No ground lies higher above the sensor than this share of the distance, or farther below it
+beside the same share"""
 FARTHEST_M = 1e5
 """Points farther away are none"""
 
@@ -51,25 +56,10 @@ class Histogram(NamedTuple):
     """(1,) how many keys are not empty"""
 
 
-class Near(NamedTuple):
-    """Which points tell of the ground."""
-
-    least: float
-    """From this distance on, along the ground (m)"""
-    near: float
-    """Up to here they count in the first layer, beyond it in the second (m)"""
-    far: float
-    """Up to here (m)"""
-    rise: float
-    """No ground lies higher above the sensor, as a share of the distance"""
-    deepest: float
-    """None lies farther below it, beside the same share (m)"""
-
-
 @step
-def pack(layer: int, row: int, col: int, piece: int) -> int:
+def pack(row: int, col: int, piece: int) -> int:
     """One number for a piece of a column."""
-    return (((((row + WIDE) << 21) | (col + WIDE)) << PIECE_BITS) | (piece + HALF)) << 1 | layer
+    return ((((row + WIDE) << 21) | (col + WIDE)) << PIECE_BITS) | (piece + HALF)
 
 
 @step
@@ -113,7 +103,7 @@ def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -
 
 
 @kernel
-def count_heights(cloud: Cloud, limits: Near, table: Histogram, start: int) -> int:
+def count_heights(cloud: Cloud, table: Histogram, start: int) -> int:
     """Count the heights of the points from `start` on; return where the table was full."""
     keys, counts, used = table
     x, y, z = np.empty(SOME), np.empty(SOME), np.empty(SOME)
@@ -123,7 +113,7 @@ def count_heights(cloud: Cloud, limits: Near, table: Histogram, start: int) -> i
         if 2 * (used[0] + size) > keys.size:
             return start
         place_points(cloud, start, x[:size], y[:size], z[:size])
-        many = list_heights(x[:size], y[:size], z[:size], cloud.origin, limits, key, bins)
+        many = list_heights(x[:size], y[:size], z[:size], cloud.origin, key, bins)
         # Loops of their own, so that a processor waits for many places in memory at once.
         for i in range(many):
             place = find_place(keys, key[i])
@@ -144,22 +134,18 @@ def round_mm(metres: float) -> int:
 
 @step
 def list_heights(
-    x: Float64, y: Float64, z: Float64, origin: Float64, limits: Near, key: Int64, bins: Int64
+    x: Float64, y: Float64, z: Float64, origin: Float64, key: Int64, bins: Int64
 ) -> int:
     """List the pieces of columns, and the bins of these, in which points lie; return how many."""
     many = 0
     for i in range(len(x)):
         away_x, away_y, rise = x[i] - origin[0], y[i] - origin[1], z[i] - origin[2]
         distance = np.sqrt(away_x * away_x + away_y * away_y)
-        reach = limits.rise * distance
-        is_used = limits.least <= distance < limits.far
-        if is_used and rise <= reach and rise >= -limits.deepest - reach:
-            row, col = (
-                int(np.rint(y[i] * 1000)) // COLUMN_MM,
-                int(np.rint(x[i] * 1000)) // COLUMN_MM,
-            )
-            height = int(np.rint(z[i] * 1000)) // BIN_MM
-            key[many] = pack(0 if distance < limits.near else 1, row, col, height >> 4)
+        reach = RISE * distance
+        if distance < FAR_M and -DEEPEST_M - reach <= rise <= reach:
+            row, col = round_mm(y[i]) // COLUMN_MM, round_mm(x[i]) // COLUMN_MM
+            height = round_mm(z[i]) // BIN_MM
+            key[many] = pack(row, col, height >> 4)
             bins[many] = height & 15
             many += 1
     return many
@@ -188,7 +174,7 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
     Parameters
     ----------
     keys, counts
-        Pieces in ascending order of their keys, all of one layer.
+        Pieces in ascending order of their keys.
     column, height
         Filled with the packed column of each peak, and its height (mm).
     """
@@ -197,13 +183,13 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
         stop = start + 1
         while stop < keys.size and keys[stop] >> 20 == keys[start] >> 20:
             stop += 1
-        first = (keys[start] >> 1) & ((1 << PIECE_BITS) - 1)
-        last = (keys[stop - 1] >> 1) & ((1 << PIECE_BITS) - 1)
+        first = keys[start] & ((1 << PIECE_BITS) - 1)
+        last = keys[stop - 1] & ((1 << PIECE_BITS) - 1)
         if last - first < 4096:
             size = (last - first + 1) * BINS
             bins = np.zeros(size + 2 * AROUND + 2, np.int64)
             for i in range(start, stop):
-                at = (((keys[i] >> 1) & ((1 << PIECE_BITS) - 1)) - first) * BINS + AROUND
+                at = ((keys[i] & ((1 << PIECE_BITS) - 1)) - first) * BINS + AROUND
                 for j in range(BINS):
                     bins[at + j] = counts[i, j]
             bottom = (first - HALF) * BINS
