@@ -732,3 +732,16 @@ def test_clouds_are_told_by_the_ground_below_them() -> None:
     assert (topic.is_of_clouds, topic.scans, found.problems) == (True, 40, ())
     assert found.command[:2] == ("occmap", "build")
     assert any("0.59 m above the ground" in note for note in found.logs[0].notes)  # of 0.6
+
+
+def test_a_wrong_mount_is_told_by_the_floor_with_the_one_that_mends_it() -> None:
+    mount = PoseSample(0, "base_link", "lidar", Pose.from_xyzrpy((0, 0, 0), (0, 0.0175, 0)), True)
+    posing = PosingOptions(static_transforms=(mount,))
+    found = inspect([SAMPLE_LOGS / "hall.mcap"], replace(BuildOptions(), posing=posing))
+
+    assert any("in the sensor's own frame" in warning for warning in found.warnings)
+    mended = found.command[found.command.index("--static-tf") + 1].split(",")
+    assert mended[:2] == ["base_link", "lidar"]
+    roll, pitch = map(float, mended[5:7])
+    assert abs(roll) < 0.006
+    assert abs(pitch) < 0.006

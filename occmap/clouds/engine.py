@@ -1,5 +1,6 @@
 """The engine of clouds: hits and misses of cells, cloud by cloud, over ground that is known."""
 
+import math
 from functools import partial
 from threading import Lock
 
@@ -17,8 +18,8 @@ from occmap.grid.slices import mark_observed, unite
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 from occmap.types import Float64, Int32, Int64, PosedScans
 
-LEVEL_M = 8.0
-"""Nearer than this the clearance is as the user says."""
+SLACK_M = 0.096
+"""The clearance grows from where poses that are off put the floor this high: 8 m by default."""
 SHORTEST_M = 0.05
 """Nearer points are no returns."""
 FIRST_TILES = 64
@@ -125,7 +126,9 @@ class CloudEngine:
         self._make_sheet = partial(Sheet, lattice, blocks, height, box)
         low, high = round(options.min_height * 1000), round(options.max_height * 1000)
         nearest, farthest = max(limits[0], SHORTEST_M), limits[1]
-        self._band = Band(low, high, options.range_margin * 1000, LEVEL_M, nearest, farthest)
+        margin = options.range_margin
+        level = SLACK_M / margin if margin else math.inf
+        self._band = Band(low, high, margin * 1000, level, nearest, farthest)
         self._slice_ns = slice_ns
         self._slices: list[Slices] = []
         self._idle: list[Sheet] = []

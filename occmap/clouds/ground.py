@@ -45,13 +45,9 @@ SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
 
-def is_counted(stamp_ns: int, points: int, least_share: float) -> bool:
-    """Whether a cloud shows the ground, by its stamp and its number of points.
-
-    The choice is the same however logs are cut into batches and parts, and as good as random.
-    """
-    drawn = (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
-    return drawn < max(POINTS_A_CLOUD / max(points, 1), least_share)
+def draw(stamp_ns: int) -> float:
+    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
+    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
 
 
 class Counted(NamedTuple):
@@ -73,8 +69,8 @@ class GroundFinder:
         self._lock = Lock()
 
     def wants(self, stamp_ns: int, points: int) -> bool:
-        """Whether a cloud is among those that are counted."""
-        return is_counted(stamp_ns, points, self._least_share)
+        """Whether a cloud is among those that are counted, however logs are cut into parts."""
+        return draw(stamp_ns) < max(POINTS_A_CLOUD / max(points, 1), self._least_share)
 
     def add(self, posed: PosedScans) -> None:
         """Count the points of some clouds."""

@@ -28,8 +28,8 @@ class CloudOptions:
     )
     range_margin: float = option(
         0.012,
-        "Clouds: the clearance grows by this for each metre beyond 8 m, since poses and mounts "
-        "are off by tenths of a degree.",
+        "Clouds: the clearance grows by this for each metre from where it makes 0.1 m on, since "
+        "poses and mounts are off by tenths of a degree.",
         unit="m/m",
         metavar="M",
     )

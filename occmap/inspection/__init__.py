@@ -16,6 +16,7 @@ from occmap.errors import LogError, OccmapError
 from occmap.grid.lattice import Lattice
 from occmap.inspection.advice import judge, list_concerns
 from occmap.inspection.findings import Inspection, LogFindings, MountFindings, ScanFindings
+from occmap.inspection.floor import list_floor_concerns, tell_slope
 from occmap.inspection.poses import Posing, list_coverage, prepare, suggest_stamps, sum_up_poses
 from occmap.inspection.ranges import measure_crossing
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
@@ -78,7 +79,9 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     known, ground = describe_log(log), list[str]()
     if not problem and any(topic.is_of_clouds for topic in scans):
         try:
-            _, ground = find_ground([log], options, None)
+            below, ground = find_ground([log], options, None)
+            ground += tell_slope(below)
+            spoilers += list_floor_concerns(log, posing.poser, options, below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
     notes = *ground, *posing.poser.notes, *survey.limits.list_notes(), *survey.list_notes()

@@ -103,7 +103,7 @@ class SlowEngine:
             if abs(above) < low:
                 missed.add(cell)
                 far[sector].append((-apart, cell))
-            margin = self.options.range_margin * max(distance - 8, 0)
+            margin = max(self.options.range_margin * distance - 0.096, 0)
             if low + margin <= above < self.options.max_height:
                 hit.add(cell)
                 near[sector].append((apart, cell))
