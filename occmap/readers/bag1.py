@@ -94,7 +94,7 @@ class Bag1Source(RecordSource):
             return None
         start, length = position + header.size, header.length
         if header.opcode in _ENTRY_BYTES:
-            # The bags of some recorders state another length, which is wrong.
+            # There are bags whose recorder stated another length; the entries have one size.
             length = _ENTRY_BYTES[header.opcode] * header.number(b"count")
         is_plain = header.text(b"compression") == "none"
         is_sure = is_plain and length == header.number(b"size")

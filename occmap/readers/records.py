@@ -41,8 +41,7 @@ class Kind(Enum):
     """What a record of a file is to its reader."""
 
     PLAIN = "a message, or the description of a channel"
-    """These lie in chunks, or in the open: a recorder makes no chunks, or died before it closed one
-    """
+    """In a chunk, or in the open if a recorder makes none, or died before it closed one"""
     CHUNK = "a chunk"
     OTHER = "something else"
 
