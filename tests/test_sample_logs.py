@@ -251,6 +251,12 @@ def test_floor_plan_by_hand() -> None:
     assert value_at(0, 8.95) == -1  # glass
 
 
+def test_a_band_in_which_nothing_lies_is_said() -> None:
+    made = build_map(SAMPLE_LOGS / "hall.mcap", min_height=5, max_height=6)
+
+    assert any("0 of 76,800; see `min_height`" in note for note in made.report.notes)
+
+
 def test_the_map_of_the_hall_by_hand() -> None:
     made = build_map(SAMPLE_LOGS / "hall.mcap")
     left, bottom = made.origin

@@ -1,5 +1,6 @@
 """The ground below a drive: found from all clouds before any of them is traced."""
 
+from collections.abc import Iterator
 from itertools import product
 from threading import Lock
 from typing import NamedTuple
@@ -34,6 +35,8 @@ KNOWN_POINTS = 1000
 """Points that are taken to show ground that is known"""
 REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
+SQUARE_MM, STOREY_MM = 1000, 1800
+"""Where a path comes by a square again, so much higher, it is on another storey"""
 FILLED = 10
 """Columns so far from measured ground have ground"""
 NO_FLOOR = "no ground is seen below the sensor along its way"
@@ -181,7 +184,21 @@ def find_ground(
         f"the sensor is {depth / 1000:.2f} m above the ground, which was found for "
         f"{np.count_nonzero(measured):,} of {filled:,} columns of 0.15 m"
     )
-    return pack_ground(blocks, base, measured), [note]
+    return pack_ground(blocks, base, measured), [note, *list_storeys(path)]
+
+
+def list_storeys(path: Int64) -> Iterator[str]:
+    """Say if a path (P, 3; mm) goes over itself, since there is one ground in each place."""
+    _, place = np.unique(path[:, :2] // SQUARE_MM, axis=0, return_inverse=True)
+    low, high = np.full(len(path), 1 << 40), np.full(len(path), -1 << 40)
+    np.minimum.at(low, place, path[:, 2])
+    np.maximum.at(high, place, path[:, 2])
+    over = np.count_nonzero(high - low > STOREY_MM)
+    if over:
+        yield (
+            f"the sensor went over its own way, more than {STOREY_MM / 1000:g} m above it, in "
+            f"{over} places: map each storey by itself, with `start_s` and `end_s`"
+        )
 
 
 def read_columns(table: Histogram, known: Ground | None) -> Columns:

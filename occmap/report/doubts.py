@@ -16,6 +16,8 @@ from occmap.writers.outputs import list_idle
 
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
+LEAST_OBSTACLES = 0.001
+"""Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
 
 def list_notes(
@@ -43,6 +45,12 @@ def list_notes(
         lack = "of the logs hit" if facts.has_walls else "hit"
         end = "" if facts.has_walls else ", so the map has no walls"
         yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
+    points = tally.points
+    if points and points["obstacle"] < LEAST_OBSTACLES * sum(points.values()):
+        yield (
+            f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
+            f"{sum(points.values()):,}; see `min_height`, `max_height` and the line `points`"
+        )
     yield from list_disagreement(facts)
     yield from list_misfits(paths, options, facts.agreement, tally)
 

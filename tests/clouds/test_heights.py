@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from occmap.clouds.ground import index_blocks
+from occmap.clouds.ground import index_blocks, list_storeys
 from occmap.clouds.kernels.growth import NO_GROUND, Found, Peaks, drop_raised, smooth_ground
 from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
 from occmap.types import Int32
@@ -68,3 +68,14 @@ def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:
 
     assert base[650] == (6 * 0 + 3 * 20 + 1 * 80) // 10
     assert base[651] == (6 * 0 + 9 * 100 + 3 * 20 + 1 * 80) // 19
+
+
+@pytest.mark.parametrize(("rise", "notes"), [(1500, 0), (3000, 1)])
+def test_a_way_over_itself_is_said(rise: int, notes: int) -> None:
+    below = np.array([[x, 300, 600] for x in range(0, 5000, 200)])
+    above = below[3:6] + np.array([0, 200, rise])
+
+    told = list(list_storeys(np.concatenate([below, above])))
+
+    assert len(told) == notes
+    assert all("`start_s`" in each for each in told)

@@ -216,8 +216,9 @@ def trace_cloud(
             above = level[i] - canvas.base[at >> 2 * TILE_BITS] - ground[at]
             kind = GROUND if above < band.low else OBSTACLE
             kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
-            counts[kind] += 1
-            if kind > OBSTACLE or (kind == OBSTACLE and above < clear[i]):
+            is_doubtful = kind == OBSTACLE and above < clear[i]
+            counts[GROUND if is_doubtful else kind] += 1
+            if kind > OBSTACLE or is_doubtful:
                 continue
             touched[many] = at
             many += state[at] == 0
