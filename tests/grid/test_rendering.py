@@ -179,7 +179,7 @@ def build_map(rays: Rays, model: SensorModel) -> OccupancyMap:
 
 def test_a_lone_beam_of_the_surface_update_counts_a_quarter_of_one_among_others() -> None:
     """Its weight is 2 of 8: as observations 0.25, beside which the prior weighs 0.02."""
-    grid = build_map(one_beam(3.0), CountingModel(spread=0.0))
+    grid = build_map(one_beam(3.0), CountingModel(spread=0.0, ceiling=1.0, doubt=0.0))
     hit, missed = (0.25 + 0.01) / (0.25 + 0.02), 0.01 / (0.25 + 0.02)
     np.testing.assert_allclose(grid.probability, [[missed] * 3 + [hit]], rtol=1e-5)
     simple = build_map(one_beam(3.0), SimpleModel(0.75, 0.25, spread=0.0))
