@@ -55,7 +55,9 @@ def kill_once(scene: Scene, kind: signal.Signals, dice: random.Random) -> str:
         time.sleep(dice.uniform(0, 0.005))
     process.send_signal(kind)
     out, err = process.communicate(timeout=60)
-    return judge(scene, kind, process.returncode, out + err)
+    if out and not scene.is_done():
+        return f"FAULT: {scene.words} reports what is not done: {out!r}"
+    return judge(scene, kind, process.returncode, err)
 
 
 def is_of_python(said: str) -> bool:
