@@ -235,7 +235,7 @@ def test_scans_are_judged_by_their_laser_whatever_their_geometry(
 def test_how_many_scans_are_held_back_is_bounded(step_s: float) -> None:
     """Rows of five scans, each somewhere else: what a log of wrong poses is."""
     given = held = 0
-    xs = np.repeat(np.random.default_rng(1).normal(0, 1e6, 600), 5)
+    xs = np.repeat(np.random.default_rng(1).normal(0, 1e6, 240), 5)
 
     def give() -> Iterator[ScanBatch]:
         nonlocal given
