@@ -71,6 +71,15 @@ def test_an_origin_rounded_to_millimetres_is_on_the_lattice() -> None:
     assert list_changes(compare_maps(map_at("#."), after)) == {}
 
 
+@pytest.mark.parametrize("cells", [0.06, -0.06, 0.94, 3.44])
+def test_more_than_a_twentieth_of_a_cell_off_is_no_lattice(cells: float) -> None:
+    for nearby in (0.04, 0.96, -3.04):
+        assert compare_maps(map_at("#."), map_at("#.", Place(0.5, nearby * 0.5, 0.0)))
+    for place in (Place(0.5, cells * 0.5, 0.0), Place(0.5, 0.0, cells * 0.5)):
+        with pytest.raises(MapError, match="not on one lattice"):
+            compare_maps(map_at("#."), map_at("#.", place, "b.pgm"))
+
+
 @pytest.mark.parametrize(
     ("place", "found"),
     [

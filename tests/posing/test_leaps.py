@@ -112,6 +112,17 @@ WAYS = {
     "a first and a last one": (state([9e3, *HERE[1:-1], 9e3]), [0, 19]),
     "the second and the last but one": (state([0, 9e3, *HERE[2:-2], 9e3, 9.5]), [1, 18]),
     "beside a pause": (state([*HERE, 9e3, *HERE], [*range(20), *range(99, 120)]), [20]),
+    "back after ten seconds": (state([*HERE, 9e3, *HERE], [*range(21), *range(29, 49)]), [20]),
+    "back a little later": (
+        state([*HERE, 9e3, *HERE], [*range(21), *(29.001 + s for s in range(20))]),
+        [],
+    ),
+    "too far in ten seconds": (
+        state([*HERE, 9e3, *(x + 600 for x in HERE)], [*range(21), *range(29, 49)]),
+        [],
+    ),
+    "last after ten seconds": (state([*HERE, 9e3], [*range(20), 29]), [20]),
+    "last a little later": (state([*HERE, 9e3], [*range(20), 29.001]), []),
     "two by turns": (state([x for pair in zip(HERE, THERE, strict=True) for x in pair]), []),
     "a train": (state([80.0 * second for second in range(40)]), []),
     "three scans": (state([0, 1e3, 0]), []),
@@ -126,6 +137,16 @@ def test_how_scans_are_batched_changes_nothing(way: str, size: int) -> None:
     assert sorted({*range(len(whole.stamp_ns))} - {*used}) == outliers
     assert len(notes) == (1 if outliers else 0)
     assert notes == sift(whole, 60)[1]
+
+
+@pytest.mark.parametrize(("elsewhere", "is_left_out"), [(999, True), (1000, False)])
+def test_a_row_continues_another_at_most_a_thousand_scans_later(
+    elsewhere: int, is_left_out: bool
+) -> None:
+    there = [4e3 if scan % 2 else -4e3 for scan in range(elsewhere)]
+    xs = [*HERE[:5], *there, *HERE[5:10]]
+    used, _ = sift(state(xs, [0.005 * scan for scan in range(len(xs))]), 60)
+    assert len(xs) - len(used) == (elsewhere if is_left_out else 0)
 
 
 Moment = tuple[int, int, float]
