@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
@@ -745,3 +747,47 @@ def test_a_wrong_mount_is_told_by_the_floor_with_the_one_that_mends_it() -> None
     roll, pitch = map(float, mended[5:7])
     assert abs(roll) < 0.006
     assert abs(pitch) < 0.006
+
+
+@pytest.mark.parametrize("turned", [(0.0, 0.3, 0.0), (math.pi / 2, 0.0, 0.0), (-2.0, 0.0, -1.5)])
+def test_a_mount_in_another_frame_is_told_with_the_one_that_lays_the_floor_flat(
+    turned: tuple[float, float, float],
+) -> None:
+    mount = PoseSample(0, "base_link", "lidar", Pose.from_xyzrpy((0, 0, 0.6), turned), True)
+    posing = PosingOptions(static_transforms=(mount,))
+    found = inspect([SAMPLE_LOGS / "hall.mcap"], replace(BuildOptions(), posing=posing))
+
+    given = found.command[found.command.index("--static-tf") + 1]
+    assert any(given in text for text in (*found.warnings, *found.problems))
+    assert given.startswith("base_link,lidar,0,0,0.6,")
+    assert list(map(float, given.split(",")[5:])) == pytest.approx([0, 0, 0], abs=0.01)
+
+
+def test_a_cloud_without_a_mount_gets_one_by_its_floor_to_be_typed(tmp_path: Path) -> None:
+    log = tmp_path / "no_mount.mcap"
+    with (SAMPLE_LOGS / "hall.mcap").open("rb") as source, log.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if schema is None or channel.topic == "/tf_static":
+                continue
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, "ros2msg", schema.data)
+            if channel.id not in channels:
+                kind = schemas[schema.id]
+                channels[channel.id] = writer.register_channel(channel.topic, "cdr", kind)
+            at, number = message.log_time, channels[channel.id]
+            writer.add_message(number, at, message.data, at)
+        writer.finish()  # type: ignore[no-untyped-call]
+    found = inspect([log], BuildOptions())
+
+    (problem,) = found.problems
+    mount = found.command[found.command.index("--sensor-pose") + 1]
+    assert f"`sensor_pose=({mount})`" in problem
+    assert "by the floor 0.6" in problem
+    x, y, yaw, *tilt = map(float, mount.split(","))
+    assert (x, y, yaw, *tilt) == pytest.approx((0, 0, 0, 0, 0)[: 3 + len(tilt)], abs=0.01)
+    with pytest.raises(PoseError, match="by the floor"):
+        build([log], BuildOptions())

@@ -40,7 +40,10 @@ SQUARE_MM, STOREY_MM = 1000, 1800
 FILLED = 10
 """Columns so far from measured ground have ground"""
 NO_FLOOR = "no ground is seen below the sensor along its way"
-GIVE_HEIGHT = "give `sensor_height=0.6`, or a plane: `ground=flat` `sensor_height=0.6`"
+GIVE_HEIGHT = (
+    "see in `occmap check` if the mount is wrong, else give `sensor_height=0.6`, or a plane: "
+    "`ground=flat` `sensor_height=0.6`"
+)
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 

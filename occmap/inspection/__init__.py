@@ -78,12 +78,15 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         problem = f"{log.path}: {found}"
     known, ground = describe_log(log), list[str]()
     if not problem and any(topic.is_of_clouds for topic in scans):
+        below, posed = None, replace(options, posing=posing.poser.options)
         try:
-            below, ground = find_ground([log], options, None)
+            below, ground = find_ground([log], posed, None)
             ground += tell_slope(below)
-            spoilers += list_floor_concerns(log, posing.poser, options, below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
+        against = list(list_floor_concerns(log, posing.poser, posed, below))
+        problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
+        spoilers += against
     notes = *ground, *posing.poser.notes, *survey.limits.list_notes(), *survey.list_notes()
     findings = replace(
         known,

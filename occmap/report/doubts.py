@@ -16,6 +16,8 @@ from occmap.writers.outputs import list_idle
 
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
+LEAST_GROUND = 0.05
+"""Of the points that are ground or obstacles; where a sensor looks along a floor it is a quarter"""
 LEAST_OBSTACLES = 0.001
 """Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
@@ -50,6 +52,11 @@ def list_notes(
         yield (
             f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
             f"{sum(points.values()):,}; see `min_height`, `max_height` and the line `points`"
+        )
+    if points and points["ground"] < LEAST_GROUND * (points["ground"] + points["obstacle"]):
+        yield (
+            f"hardly a point lies on the ground: {points['ground']:,} beside "
+            f"{points['obstacle']:,} of obstacles; `occmap check` says if a mount is wrong"
         )
     yield from list_disagreement(facts)
     yield from list_misfits(paths, options, facts.agreement, tally)

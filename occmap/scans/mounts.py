@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.choices.values import format_mount, format_static
+from occmap.clouds.mounting import CLOUDS, find_seat
 from occmap.errors import MapError, MountError, PoseError
 from occmap.evidence import render
 from occmap.options import BuildOptions, Selection
@@ -50,14 +51,18 @@ class Sample:
 
     def __init__(self, expected: int) -> None:
         self.parts: list[PosedScans] = []
-        self._every = max(expected // SAMPLE_SCANS, 1)
+        self._expected = expected
         self._seen = 0
         self._beams = 0
 
     def take(self, posed: PosedScans) -> None:
         """Take scans of a batch."""
         scans, beams = posed.batch.ranges.shape
-        rows = np.arange(-self._seen % self._every, scans, self._every)
+        most = SAMPLE_SCANS
+        if posed.batch.clouds is not None:  # which have no beams, and take more memory
+            most, beams = CLOUDS, MAX_SAMPLE_BEAMS // (2 * CLOUDS)
+        every = max(self._expected // most, 1)
+        rows = np.arange(-self._seen % every, scans, every)
         self._seen += scans
         if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
             self._beams += len(rows) * beams
@@ -179,6 +184,8 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
     Guess or None
         None where nothing is clearly better than all else.
     """
+    if parts and parts[0].batch.clouds is not None:
+        return guess_by_floor(parts)
     marked = [count_marked(parts, turn, options.returns) for turn in TURNS]
     leaves = list_leaves(poser, parts[0].batch.frame) if parts else {}
     by_leaf = {leaf: count_marked(parts, leaves[leaf], options.returns) for leaf in leaves}
@@ -193,6 +200,17 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
         return Guess(mount, f"where tf has {leaf!r}, a frame that no scan is in{share}")
     place = "measure x and y, or walls are doubled"
     return Guess(mount, f"which suits the scans best of all turns{share}; {place}")
+
+
+def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
+    """Guess how a 3D sensor sits, by the floor that it sees; None where it sees none."""
+    seat = find_seat(parts)
+    if seat is None:
+        return None
+    found = f"by the floor {seat.height:.2f} m below it"
+    if seat.has_yaw:
+        return Guess(seat.mount, f"{found}, and by walls; measure x and y, or walls are doubled")
+    return Guess(seat.mount, f"{found}; measure x, y and yaw, or walls are doubled")
 
 
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:

@@ -1,0 +1,158 @@
+"""How a 3D sensor is mounted on a robot that drives upright, by the floor that its clouds show.
+
+Clouds of many places, laid over each other in the sensor's own frame, have one plane in common with
+hardly a point beneath it: the floor. How far the sensor is turned about the vertical shows in the
+map, where only the right turn lays the walls of all clouds over each other.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from occmap.posing.rotations import to_quaternions
+from occmap.types import Float64, Pose, PosedScans
+
+CLOUDS, POINTS = 40, 1500
+"""How many clouds are looked at, and how many points of each, about"""
+NEAREST_M, FARTHEST_M = 0.3, 8.0
+"""Points are looked at that are as far from the sensor"""
+THICK_M = 0.05
+"""The floor lies within this distance from its plane"""
+HIGHEST_M = 3.0
+"""No sensor sits higher above the floor"""
+TRIALS = 400
+"""Planes through three points each that are tried for each direction"""
+LEANING = math.cos(math.radians(40))
+"""No sensor is tilted by more from one of the usual ways to mount it"""
+LEAST_SHARE = 0.08
+"""A plane that holds a smaller share of the points is no floor"""
+BAND_M = 0.3, 1.5
+"""What stands as high above the floor is taken for walls"""
+CELL_M = 0.2
+CLEAR_WIN = 0.9
+"""The right turn marks fewer cells than this share of what any other one marks"""
+UPRIGHT, OPTICAL, UPSIDE_DOWN = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
+FORWARD = {UPRIGHT: (1.0, 0.0, 0.0), OPTICAL: (0.0, 0.0, 1.0), UPSIDE_DOWN: (1.0, 0.0, 0.0)}
+"""The axes that point up, in the usual ways to mount a sensor, and those that then look ahead"""
+
+
+class Floor(NamedTuple):
+    """A plane in the frame of the sensor."""
+
+    up: Float64
+    """(3,) its normal"""
+    below: float
+    """How far it lies below the sensor (m)"""
+    score: float
+    """The share of the points that lie in it, less three times the share that lies beneath"""
+
+
+class Seat(NamedTuple):
+    """How a sensor sits, as far as its clouds tell."""
+
+    mount: Pose
+    """At the body's origin"""
+    height: float
+    """How high it is above the floor (m)"""
+    has_yaw: bool
+    """Whether the walls in the clouds told its yaw"""
+
+
+def find_seat(parts: Sequence[PosedScans]) -> Seat | None:
+    """Find how a sensor is turned on its body; None where its clouds show no floor.
+
+    Parameters
+    ----------
+    parts
+        Scans with clouds, posed as if the sensor were the body.
+    """
+    points = [some for part in parts for some in list_points(part)]
+    pooled = np.concatenate([near for near, _, _ in points] or [np.zeros((0, 3))])
+    if len(pooled) < POINTS:
+        return None
+    floors = [(find_floor(pooled, np.array(axis)), ahead) for axis, ahead in FORWARD.items()]
+    floor, ahead = max(floors, key=lambda each: each[0].score)
+    if floor.score < LEAST_SHARE:
+        return None
+    level = stand_upright(floor.up, np.array(ahead))
+    turns = [turn_about_z(quarter * math.pi / 2) @ level for quarter in range(4)]
+    marked = [count_walls(points, turn, floor.below) for turn in turns]
+    best, second = np.argsort(marked, kind="stable")[:2].tolist()
+    has_yaw = marked[best] < CLEAR_WIN * marked[second]
+    rotation = turns[best] if has_yaw else level
+    mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
+    return Seat(mount, floor.below, has_yaw)
+
+
+def list_points(part: PosedScans) -> list[tuple[Float64, Float64, Float64]]:
+    """List, cloud by cloud, some points (N, 3) near the sensor, its rotation and its position."""
+    found = []
+    position, rotation = part.at_first_beam
+    for cloud, place, turned in zip(part.batch.clouds or (), position, rotation, strict=True):
+        some = cloud.points[:: max(len(cloud.points) // POINTS, 1)].astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            distance = np.linalg.norm(some, axis=1)
+            near = (distance > NEAREST_M) & (distance < FARTHEST_M)
+        found.append((some[near], turned, place))
+    return found
+
+
+def find_floor(points: Float64, axis: Float64) -> Floor:
+    """Find the plane below the sensor that most points (N, 3) lie in, with the fewest beneath it.
+
+    Its normal lies near an axis of the sensor. Planes through three points each are tried, and the
+    best is fitted to all points in it.
+    """
+    rng = np.random.default_rng(0)
+    some = points[rng.integers(0, len(points), 4 * POINTS)]
+    one, two, three = points[rng.integers(0, len(points), (3, 4 * TRIALS))]
+    normals = np.cross(two - one, three - one)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    normals *= np.sign(normals @ axis)[:, None]
+    below = -np.einsum("ni,ni->n", normals, one)
+    likely = (normals @ axis > LEANING) & (below > 0) & (below < HIGHEST_M)
+    best = Floor(axis, 0.0, -math.inf)
+    for up, height in zip(normals[likely][:TRIALS], below[likely][:TRIALS].tolist(), strict=True):
+        best = max(best, judge(some, up, height), key=lambda each: each.score)
+    for _ in range(3 if best.score > 0 else 0):
+        inside = points[np.abs(points @ best.up + best.below) < THICK_M]
+        middle = inside.mean(axis=0)
+        up = np.linalg.svd(inside - middle, full_matrices=False)[2][2]
+        up *= np.sign(up @ best.up)
+        best = judge(points, up, float(-up @ middle))
+    return best
+
+
+def judge(points: Float64, up: Float64, below: float) -> Floor:
+    """Measure how much a plane is like a floor."""
+    height = points @ up + below
+    inside, beneath = np.abs(height) < THICK_M, height < -2 * THICK_M
+    return Floor(up, below, float(inside.mean() - 3 * beneath.mean()))
+
+
+def stand_upright(up: Float64, ahead: Float64) -> Float64:
+    """Give the rotation (3, 3) to the body of a sensor in whose frame `up` points up."""
+    forward = ahead - (ahead @ up) * up
+    forward /= np.linalg.norm(forward)
+    return np.stack([forward, np.cross(up, forward), up])
+
+
+def turn_about_z(angle: float) -> Float64:
+    """Give the rotation (3, 3) about the vertical."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def count_walls(
+    points: Sequence[tuple[Float64, Float64, Float64]], rotation: Float64, below: float
+) -> int:
+    """Count the cells of the map that hold walls when the sensor is mounted so."""
+    cells = []
+    for near, turned, place in points:
+        on_body = near @ rotation.T
+        stands = (on_body[:, 2] + below > BAND_M[0]) & (on_body[:, 2] + below < BAND_M[1])
+        in_map = on_body[stands] @ turned.T + place
+        cells.append(np.floor(in_map[:, :2] / CELL_M))
+    return len(np.unique(np.concatenate(cells), axis=0))
