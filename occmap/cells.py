@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from occmap.types import Bool, Float32, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float32, Float64, Int32, Int64, UInt8
 
 MOST_OBSERVED = 1 << 53
 """No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
@@ -207,6 +207,18 @@ class Ground:
     """(B, 4096) heights in the map; -2^30: no ground is known"""
     measured: Bool
     """(B, 4096) where points showed it; elsewhere it is filled from columns beside it"""
+
+    def find_heights(self, place: Float64) -> Float64:
+        """Find how high it was measured at places (N, 2 or more) (m); NaN where it was not."""
+        column = np.floor(place[:, 1::-1] * (1000 / COLUMN_MM)).astype(np.int64)
+        block, inside = column >> BLOCK_BITS, column & ((1 << BLOCK_BITS) - 1)
+        table = np.full((*(np.ptp(self.blocks, axis=0) + 3),), -1, np.int64)
+        corner = self.blocks.min(axis=0) - 1
+        table[tuple((self.blocks - corner).T)] = np.arange(len(self.blocks))
+        at: Int64 = np.clip(block - corner, 0, np.array(table.shape) - 1)
+        number, flat = table[tuple(at.T)], (inside[:, 0] << BLOCK_BITS) + inside[:, 1]
+        known = (number >= 0) & self.measured[number, flat]
+        return np.where(known, self.height_mm[number, flat] / 1000, np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

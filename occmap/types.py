@@ -172,6 +172,12 @@ class ScanRun(NamedTuple):
         return [self.first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 
 
+COLUMN_MM = 150
+"""Side of a column of the ground below clouds"""
+BLOCK_BITS = 6
+"""A block of the ground has 64 x 64 columns."""
+
+
 class Cloud(NamedTuple):
     """Points of a 3D lidar or a depth camera as they were recorded."""
 

@@ -96,6 +96,8 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
     if seen.observations:
         yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
         yield from list_builds(explanation)
+    if explanation.ground is not None:
+        yield "ground", f"{explanation.ground:.3f} m high there, as the clouds showed it"
     if explanation.map_extent:
         low_x, low_y, high_x, high_y = explanation.map_extent
         x, y = explanation.point
@@ -103,14 +105,19 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
             yield "", f"it lies outside of the map: {write_box(explanation.map_extent)}"
     else:
         yield "", "nor any other: the evidence is empty"
+    yield from label_first("around", list(list_around(explanation)))
+
+
+def list_around(explanation: Explanation) -> Iterator[str]:
+    """Draw a table of what was seen in the cell and those beside it, if anything was."""
+    kind = explanation.seen.kind
     if any(each.observations for row in explanation.around for each in row):
-        names = "hits/misses" if seen.kind is EvidenceKind.COUNTS else "log-odds/observations"
+        names = "hits/misses" if kind is EvidenceKind.COUNTS else "log-odds/observations"
         table = [
             ["/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row]
             for row in explanation.around
         ]
-        lines = [f"{names} of the cells beside it, y upwards", *align(table)]
-        yield from label_first("around", lines)
+        yield from (f"{names} of the cells beside it, y upwards", *align(table))
 
 
 def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:

@@ -11,14 +11,14 @@ import numpy as np
 from occmap.cells import Ground, Slices
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels.growth import BLOCK, Blocks
-from occmap.clouds.kernels.heights import COLUMN_MM, Cloud, find_reach
+from occmap.clouds.kernels.heights import Cloud, find_reach
 from occmap.clouds.kernels.tracing import COUNTS, SECTORS, Band, Canvas, lay_ground, trace_cloud
 from occmap.clouds.options import CloudOptions
 from occmap.clouds.posed import list_clouds
 from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.slices import mark_observed, unite
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
-from occmap.types import Float64, Int32, Int64, PosedScans
+from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 SLACK_M = 0.096
 """The clearance grows from where poses that are off put the floor this high: 8 m by default."""

@@ -9,12 +9,12 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, BLOCK_BITS, NO_GROUND, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import BIN_MM, COLUMN_MM, EMPTY, FAR_M, WIDE, Histogram
+from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
+from occmap.clouds.kernels.heights import BIN_MM, EMPTY, FAR_M, WIDE, Histogram
 from occmap.clouds.options import FLAT, CloudOptions
 from occmap.clouds.posed import list_clouds
 from occmap.errors import MapError
-from occmap.types import Bool, Float64, Int32, Int64, PosedScans, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans, UInt8
 
 POINTS_A_CLOUD = 25_000
 """About so many points of each cloud are counted, or a quarter: whichever is more."""

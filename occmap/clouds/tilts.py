@@ -7,9 +7,8 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND
-from occmap.clouds.kernels.heights import COLUMN_MM
 from occmap.clouds.posed import list_clouds
-from occmap.types import Bool, Float64, Int64, PosedScans
+from occmap.types import COLUMN_MM, Bool, Float64, PosedScans
 
 NEAREST_M, FARTHEST_M = 1.0, 8.0
 """Floor is looked for between these distances: farther away, poses that are off move it more."""
@@ -62,24 +61,11 @@ def list_levers(posed: PosedScans, ground: Ground) -> Iterable[tuple[Float64, Fl
         with np.errstate(invalid="ignore"):
             near = (distance > NEAREST_M) & (distance < FARTHEST_M)
         above = np.full(len(some), np.inf)
-        above[near] = place[near, 2] - find_heights(ground, place[near])
+        above[near] = place[near, 2] - ground.find_heights(place[near])
         floor: Bool = np.abs(above) < FLOOR_M
         up = np.array([0.0, 0.0, 1.0])
         up_there = pose[floor, 2, :3]
         yield above[floor], np.cross(some[floor], up_there), np.cross(turned[floor], up)
-
-
-def find_heights(ground: Ground, place: Float64) -> Float64:
-    """Find how high the ground was measured below places (N, 3) (m); NaN where it was not."""
-    column = np.floor(place[:, 1::-1] * (1000 / COLUMN_MM)).astype(np.int64)
-    block, inside = column // BLOCK, column % BLOCK
-    table = np.full((*(np.ptp(ground.blocks, axis=0) + 3),), -1, np.int64)
-    corner = ground.blocks.min(axis=0) - 1
-    table[tuple((ground.blocks - corner).T)] = np.arange(len(ground.blocks))
-    at: Int64 = np.clip(block - corner, 0, np.array(table.shape) - 1)
-    number, flat = table[tuple(at.T)], inside[:, 0] * BLOCK + inside[:, 1]
-    known = (number >= 0) & ground.measured[number, flat]
-    return np.where(known, ground.height_mm[number, flat] / 1000, np.nan)
 
 
 def fit_robustly(levers: Float64, above: Float64) -> tuple[Float64, float]:

@@ -1,9 +1,12 @@
 """Why a cell is what it is: what evidence holds of it, and which scans made it so."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from occmap.cells import Box, Evidence, OccupancyMap
 from occmap.errors import UsageError
@@ -92,6 +95,8 @@ class Explanation(Printed):
     it"""
     seen: Seen
     """What observed the cell"""
+    ground: float | None
+    """How high the ground is at the point (m); null where no points of clouds showed it"""
     around: list[list[Seen]]
     """What observed the cell, in the middle, and its neighbours: rows by falling y, in them
     cells by rising x"""
@@ -143,6 +148,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         model=describe_model(model),
         unit=history.unit,
         seen=history.seen,
+        ground=measure_ground(saved, question),
         around=history.around,
         min_passes=question.min_passes,
         visits=history.visits,
@@ -168,6 +174,15 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
     if decided.occupied.all():
         return "occupied"
     return "free" if decided.free.all() else "undecided"
+
+
+def measure_ground(saved: Saved, question: Question) -> float | None:
+    """How high the ground is at the point (m), as clouds showed it; None where they did not."""
+    ground = saved.ground if isinstance(saved, Evidence) else saved.read_ground()
+    if ground is None:
+        return None
+    (height,) = ground.find_heights(np.array([[question.x, question.y]])).tolist()
+    return None if math.isnan(height) else height
 
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:

@@ -149,7 +149,7 @@ class Fleet:
                 facts = paint_blocks(work, store, records)
             remarks.notes += work.cluster.list_losses()
             with tally.time("write"):
-                finish_store(store, manifest, records)
+                finish_store(store, manifest, records, work.setting.keep.ground)
                 with refuse_unwritable(output):
                     publish_folder(store, follow_links(output))
         remarks.notes += [*unaligned, *list_doubts(manifest)]

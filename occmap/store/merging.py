@@ -56,8 +56,12 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
     MapError
         The parts do not go together.
     """
-    nothing = [join_contents((), each.manifest, each.where) for each in parts]
-    manifest = add_up(nothing, added).manifest  # what differs is refused at once
+    nothing = [
+        replace(join_contents((), each.manifest, each.where), ground=each.read_ground())
+        for each in parts
+    ]
+    whole = add_up(nothing, added)  # what differs is refused at once
+    manifest = whole.manifest
     counts = [count_logs(each.manifest) for each in parts]
 
     def read_block(block: Block) -> BlockContent:
@@ -77,7 +81,8 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
         return BlockContent(made.tiles, made.cells, made.slices, logs)
 
     blocks = sorted({block for part in parts for block in part.blocks})
-    return Blocks(manifest, "", {block: block.box for block in blocks}, read_block)
+    reach = {block: block.box for block in blocks}
+    return Blocks(manifest, "", reach, read_block, lambda: whole.ground)
 
 
 def count_logs(manifest: Manifest) -> int:

@@ -1,13 +1,13 @@
 """Saved evidence that is read: a file at once, a store block by block, or any of it as blocks."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest
+from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError
 from occmap.grid.lattice import CellBox
 from occmap.grid.slices import take
@@ -24,7 +24,7 @@ from occmap.store.blocks import (
     split_evidence,
 )
 from occmap.types import Int64
-from occmap.writers.npz import read_evidence
+from occmap.writers.npz import GROUND, read_evidence, unpack_ground
 from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
 
 
@@ -39,6 +39,8 @@ class Blocks:
     """Those that anything was observed in, in ascending order, and how far it reaches at most"""
     read_block: Callable[[Block], BlockContent]
     """Gives what was observed in one of them; raises MapError where it is damaged"""
+    read_ground: Callable[[], Ground | None]
+    """Gives what clouds were traced over; raises MapError likewise"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +99,10 @@ def open_store(path: Path) -> Store:
         manifest = Manifest.from_json(head)
         refuse_faults(path, list_manifest_faults(manifest))
         table = {name: root[f"blocks/{name}"][...] for name in layout.TABLE}
-        if head["table"] != layout.hash_table(table):
-            raise MapError("its table of blocks was altered", where=path, fix="build it again")
+        below = {name: root[f"ground/{name}"][...] for name in GROUND if "ground" in root}
+        if head["table"] != layout.hash_table(table | below):
+            found = "its table of blocks, or its ground, was altered"
+            raise MapError(found, where=path, fix="build it again")
         records = {record.block: record for record in layout.read_table(table)}
         row, col = head["offset"]
 
@@ -110,6 +114,7 @@ def open_store(path: Path) -> Store:
         where=str(path),
         blocks={block: record.reach for block, record in records.items()},
         read_block=read_block,
+        read_ground=lambda: unpack_ground(below),
         path=path,
         offset=(row, col),
         root=root,
@@ -149,14 +154,16 @@ def as_blocks(saved: Saved) -> Blocks:
         return saved
     contents = dict(split_evidence(saved))
     reach = {block: block.box for block in contents}
-    return Blocks(saved.manifest, saved.where, reach, contents.__getitem__)
+    of_block, ground = contents.__getitem__, saved.ground
+    return Blocks(saved.manifest, saved.where, reach, of_block, lambda: ground)
 
 
 def read_all(saved: Saved) -> Evidence:
     """Read all blocks at once."""
     if isinstance(saved, Evidence):
         return saved
-    return join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
+    whole = join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
+    return replace(whole, ground=saved.read_ground())
 
 
 def read_part(saved: Saved, box: CellBox) -> Evidence:

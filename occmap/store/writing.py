@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, OccupancyMap, keep_largest
+from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, keep_largest
 from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
 from occmap.grid.lattice import CellBox
@@ -17,7 +17,7 @@ from occmap.store import layout
 from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
 from occmap.types import Int64
 from occmap.writers.atomic import refuse_unwritable
-from occmap.writers.npz import compute_checksum
+from occmap.writers.npz import compute_checksum, pack_ground
 
 CHUNK = 256
 """Cells along the side of what is read at once; with 64, reading takes seven times as long"""
@@ -170,7 +170,9 @@ def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
     return to_grid(Evidence(Manifest.from_json(head), *tiles))
 
 
-def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord]) -> str:
+def finish_store(
+    path: Path, manifest: Manifest, records: Iterable[BlockRecord], ground: Ground | None = None
+) -> str:
     """Write the table and, last, what makes the store whole, when all is painted; give its digest.
 
     Parameters
@@ -179,6 +181,8 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
         With all builds.
     records
         What `write_block` said of each block.
+    ground
+        What clouds were traced over.
 
     Raises
     ------
@@ -186,7 +190,7 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
         It cannot be written.
     """
     known = sorted(records)
-    table = layout.make_table(known)
+    table, below = layout.make_table(known), pack_ground(ground)
     with edit_store(path) as root:
         head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
         row, col = head["offset"]
@@ -194,10 +198,12 @@ def finish_store(path: Path, manifest: Manifest, records: Iterable[BlockRecord])
         blocks = root.require_group("blocks")
         for name, values in table.items():
             add_list(blocks, name, values, {})
+        for name, values in below.items():  # not beside y and x: xarray asks for their dimensions
+            add_list(root.require_group("ground"), name, values, {})
         digests = {record.block: record.sha256 for record in known}
         head |= {
             "digest": layout.compute_digest(manifest, digests),
-            "table": layout.hash_table(table),
+            "table": layout.hash_table(table | below),
         }
         head["complete"] = True
         root.attrs["occmap"] = {**head, "checksum": compute_checksum(head, {})}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from occmap.cells import Ground
 from occmap.clouds.ground import index_blocks, list_storeys
 from occmap.clouds.kernels.growth import NO_GROUND, Found, Peaks, drop_raised, smooth_ground
 from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
@@ -79,3 +80,15 @@ def test_a_way_over_itself_is_said(rise: int, notes: int) -> None:
 
     assert len(told) == notes
     assert all("`start_s`" in each for each in told)
+
+
+def test_the_height_of_the_ground_at_a_place_by_hand() -> None:
+    height, measured = np.zeros((2, 4096), np.int32), np.zeros((2, 4096), np.bool_)
+    height[0, 63 * 64 + 62], measured[0, 63 * 64 + 62] = -250, True  # columns (-1, -2)
+    height[1, 2 * 64 + 1], measured[1, 2 * 64 + 1] = 400, True  # and (2, 65)
+    height[1, 2 * 64 + 2] = 500  # not measured
+    ground = Ground(np.array([[-1, -1], [0, 1]]), height, measured)
+    places = np.array(
+        [[-0.2, -0.1], [65.5 * 0.15, 0.44], [66.5 * 0.15, 0.44], [0.1, 0.1], [1e4, -1e4]]
+    )
+    np.testing.assert_array_equal(ground.find_heights(places), [-0.25, 0.4, *[np.nan] * 3])

@@ -12,7 +12,7 @@ from occmap.scans.tracing import ignore_progress
 from occmap.sensor.models import parse_model
 from occmap.store.reading import open_store
 from occmap.types import Update
-from tests.samples import DRIVES
+from tests.samples import DRIVES, SAMPLE_LOGS
 
 
 @pytest.mark.parametrize(
@@ -44,3 +44,17 @@ def test_it_holds_what_one_process_writes(
     for level in one.root["classes"]:
         assert (one.root["classes"][level][:] == other.root["classes"][level][:]).all()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "fleet.zarr"]
+
+
+def test_it_holds_the_ground_of_clouds(address: str, tmp_path: Path) -> None:
+    logs, options = [SAMPLE_LOGS / "hall.mcap"], BuildOptions(jobs=1)
+    build(logs, options, [tmp_path / "alone.zarr"])
+    fleet = Fleet(address, tmp_path / "scratch")
+    fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
+    one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
+    assert one.digest == other.digest
+    below, its = one.read_ground(), other.read_ground()
+    assert below is not None
+    assert its is not None
+    assert (below.height_mm == its.height_mm).all()
+    assert (below.measured == its.measured).all()

@@ -16,9 +16,10 @@ from occmap.pipeline import build
 from occmap.store.reading import open_store
 from occmap.types import Update
 from occmap.writers import WriteOptions
+from occmap.writers.npz import read_evidence
 from tests.cli.runner import Result, occmap, read_error
 from tests.evidence.saving import DRIVE, MIDDLE_S, choose
-from tests.samples import write_csv
+from tests.samples import SAMPLE_LOGS, write_csv
 from tests.store.test_store import FINE
 
 HALVES = {"early": Selection(end_s=MIDDLE_S), "late": Selection(start_s=MIDDLE_S)}
@@ -198,42 +199,69 @@ def test_a_build_goes_on_from_a_store(built: Path, tmp_path: Path) -> None:
     assert (tmp_path / "npz.npz").read_bytes() == (tmp_path / "zarr.npz").read_bytes()
 
 
-def list_shards(path: Path) -> dict[str, tuple[int, bytes]]:
-    files = [each for each in path.glob("hits/c/*/*") if each.is_file()]
-    return {f"{f.parent.name}/{f.name}": (f.stat().st_ino, f.read_bytes()) for f in files}
-
-
-def test_a_build_shares_the_blocks_that_it_does_not_change(built: Path, tmp_path: Path) -> None:
+def test_a_build_adds_blocks_to_a_store(built: Path, tmp_path: Path) -> None:
     far = tmp_path / "far.csv"
     write_csv(far, [(100.0, 100.0, 0.0)], [2.0, 2.0, 2.0], 0.1)
     line = ["build", "surface", far, "--resolution", FINE, "--pass-gap", "3"]
     new, plain = tmp_path / "new.zarr", tmp_path / "plain.npz"
     assert occmap(*line, "--resume", built / "early.zarr", "-o", new).code == 0
     assert occmap(*line, "--resume", built / "early.npz", "-o", plain).code == 0
-    kept, shards = (list_shards(path) for path in (built / "early.zarr", new))
-    assert len(shards) == len(kept) + 1
-    assert {inode for inode, _ in kept.values()} < {inode for inode, _ in shards.values()}
     occmap("render", new, "-o", tmp_path / "new.npz")
     assert (tmp_path / "new.npz").read_bytes() == plain.read_bytes()
     assert occmap(*line, "--resume", new, "-o", new).code == 0
-    assert list_shards(built / "early.zarr") == kept
 
 
-def test_files_are_copied_where_there_are_no_links(
-    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = os.link
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Halves of a drive with clouds, each as a store and as a file."""
+    folder = tmp_path_factory.mktemp("hall")
+    log, first = SAMPLE_LOGS / "hall.mcap", folder / "first.npz"
+    outputs = [part for kind in ("npz", "zarr") for part in ("-o", folder / f"first.{kind}")]
+    assert occmap("build", log, "--end", "2", *outputs).code == 0
+    for kind in ("npz", "zarr"):
+        outputs = ["-o", folder / f"second.{kind}"]
+        assert occmap("build", log, "--start", "2", "--ground", first, *outputs).code == 0
+    return folder
 
-    def refuse(source: Path, target: Path) -> None:
-        if not source.name.endswith(".partial"):  # zarr's own
-            raise OSError(1, "Operation not permitted")
-        real(source, target)
 
-    monkeypatch.setattr("os.link", refuse)
-    assert occmap("render", built / "early.zarr", "-o", tmp_path / "m.zarr").code == 0
-    kept, shards = (list_shards(path) for path in (built / "early.zarr", tmp_path / "m.zarr"))
-    assert {data for _, data in kept.values()} == {data for _, data in shards.values()}
-    assert not {inode for inode, _ in kept.values()} & {inode for inode, _ in shards.values()}
+def test_a_store_keeps_the_ground_of_clouds(hall: Path, tmp_path: Path) -> None:
+    line = ["build", SAMPLE_LOGS / "hall.mcap", "--start", "2"]
+    for kind in ("npz", "zarr"):
+        parts = [hall / f"{name}.{kind}" for name in ("first", "second")]
+        assert occmap("merge", *parts, "-o", tmp_path / f"sum-{kind}.npz").code == 0
+        assert occmap("render", parts[0], "-o", tmp_path / f"again-{kind}.npz").code == 0
+        resumed = [*line, "--resume", parts[0], "-o", tmp_path / f"resumed-{kind}.npz"]
+        assert occmap(*resumed).code == 0
+        over = [*line, "--ground", parts[0], "-o", tmp_path / f"over-{kind}.npz"]
+        assert occmap(*over).code == 0
+    for name in ("sum", "again"):
+        made = [(tmp_path / f"{name}-{kind}.npz").read_bytes() for kind in ("npz", "zarr")]
+        assert made[0] == made[1], name
+    assert (tmp_path / "again-zarr.npz").read_bytes() == (hall / "first.npz").read_bytes()
+    for name in ("sum", "resumed", "over"):
+        one, other = (read_evidence(tmp_path / f"{name}-{kind}.npz") for kind in ("npz", "zarr"))
+        assert one.ground is not None
+        assert other.ground is not None
+        assert np.array_equal(one.ground.height_mm, other.ground.height_mm)
+        assert np.array_equal(one.cells, other.cells)
+
+
+@pytest.mark.parametrize("kind", ["npz", "zarr"])
+def test_explain_says_how_high_the_ground_is(hall: Path, kind: str) -> None:
+    heights = [
+        json.loads(occmap("explain", hall / f"first.{kind}", *point, "--json").out)["ground"]
+        for point in (("2", "1"), ("7.25", "3"), ("50", "3"))
+    ]
+    assert heights[:2] == pytest.approx([0.0, 0.15], abs=0.03)  # half-way up the ramp
+    assert heights[2] is None
+
+
+def test_a_ground_that_was_altered_is_refused(hall: Path, tmp_path: Path) -> None:
+    store = shutil.copytree(hall / "first.zarr", tmp_path / "first.zarr")
+    shutil.rmtree(store / "ground")
+    done = occmap("render", store, "-o", tmp_path / "map.pgm")
+    assert (done.code, len(done.err.splitlines())) == (1, 1)
+    assert "first.zarr: its table of blocks, or its ground, was altered; build it again" in done.err
 
 
 def run_out_of_space(*_: object, **__: object) -> None:

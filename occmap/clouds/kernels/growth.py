@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.heights import BIN_MM, BINS, COLUMN_MM, WIDE
+from occmap.clouds.kernels.heights import BIN_MM, BINS, WIDE
 from occmap.jit import kernel, step
-from occmap.types import Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, Int32, Int64, UInt8
 
-BLOCK_BITS = 6
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
 SMOOTH = 4

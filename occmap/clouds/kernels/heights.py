@@ -5,10 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.types import Float32, Float64, Int32, Int64
+from occmap.types import COLUMN_MM, Float32, Float64, Int32, Int64
 
-COLUMN_MM = 150
-"""Side of a column of the ground."""
 BIN_MM = 20
 """Height of a bin of a column."""
 BINS = 16

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.clouds.kernels.growth import NO_GROUND, Blocks, find_column
-from occmap.clouds.kernels.heights import COLUMN_MM, SOME, Cloud, place_points
+from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, TILE_BITS
 from occmap.jit import kernel, step
-from occmap.types import Float64, Int16, Int32, Int64, UInt8
+from occmap.types import COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
 
 STEP_MM = 80
 """The ground is bilinear between columns that differ by no more."""
