@@ -20,14 +20,14 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import Role, open_log
 from occmap.readers.probing import Probe
-from occmap.report.limits import BUILD, CHECK, COMPARE, DIFF, SAVED, TUNE, Measures
+from occmap.report.limits import BUILD, CHECK, COMPARE, DIFF, SAVED, SCORE, TUNE, Measures
 from occmap.types import Pose
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page
 from tests.samples import ROOT
 
 FROM_RECORDINGS = {"walls.png"}
 """Pictures of logs that do not belong to the project; all others are made by their page."""
-COMMANDS = ("build", "check", "compare", "diff", "explain", "merge", "render", "tune")
+COMMANDS = ("build", "check", "compare", "diff", "explain", "merge", "render", "score", "tune")
 TEXTS = (*PAGES, "CONTRIBUTING.md", "CHANGELOG.md")
 
 
@@ -215,18 +215,18 @@ def test_the_steps_of_the_ci_job_run(folder: Path) -> None:
 
 def test_every_limit_is_in_the_table_with_its_unit_and_commands() -> None:
     rows = re.findall(
-        r"^\| (`[a-z_`, ]+`) \| ([a-z0-9%]*) ?\| ([a-z, ]+) \|",
+        r"^\| (`[a-z0-9_`, ]+`) \| ([a-z0-9%]*) ?\| ([a-z, ]+) \|",
         read_page("docs/pipelines.md"),
         re.MULTILINE,
     )
     shown = {
         (name, unit, command)
         for names, unit, commands in rows
-        for name in re.findall(r"[a-z_]+", names)
+        for name in re.findall(r"[a-z0-9_]+", names)
         for command in commands.split(", ")
     }
     tables: dict[str, Measures] = {"build": BUILD, "render": SAVED, "merge": SAVED}
-    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF, "tune": TUNE}
+    tables |= {"check": CHECK, "compare": COMPARE, "diff": DIFF, "score": SCORE, "tune": TUNE}
     assert shown == {
         (measure.name, measure.unit, command)
         for command, measures in tables.items()

@@ -27,6 +27,7 @@ COMMANDS = {
     "models": "List the sensor models that are installed.",
     "readers": "List the log formats that can be read.",
     "render": "Make a map of saved evidence, without reading the log.",
+    "score": "Say how good a map is, by recordings or by the truth.",
     "schema": "Print the JSON Schema of what a command prints with --json.",
     "tune": "Find the time offset and the mount that suit logs best.",
     "writers": "List the map formats that can be written.",

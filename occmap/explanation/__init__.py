@@ -35,6 +35,7 @@ from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import SensorModel, describe_model
 from occmap.store.reading import Saved, Store, read_part
 from occmap.store.rendering import open_map
+from occmap.types import Update
 from occmap.writers import WriteOptions
 
 
@@ -129,6 +130,9 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     check_passes(question.min_passes, model)
     if question.poses and not question.logs:
         raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
+    if question.logs and saved.manifest.update == Update.CLOUD:
+        found = "evidence of clouds does not say which of them observed a cell"
+        raise UsageError(found, where=saved.where, fix="leave out `logs`")
     # All that is in memory, or the tile that holds the point and those beside it.
     cell = find_cell(Lattice(saved.manifest.resolution), question.x, question.y)
     evidence = read_part(saved, CellBox.at(*cell))

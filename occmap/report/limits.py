@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
 from itertools import permutations
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
-from occmap.errors import UsageError
+from occmap.errors import UsageError, require
 from occmap.report.printed import HIDDEN
 
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
@@ -22,6 +22,7 @@ if TYPE_CHECKING:  # each command makes one kind of result, and need not load wh
     from occmap.inspection.findings import Inspection, ScanFindings
     from occmap.report.results import Report
     from occmap.scoring.compare import Scored, VariantComparison
+    from occmap.scoring.maps import LogScore, MapScore, TruthScore
     from occmap.tuning import Tuning
 
 Result_contra = TypeVar("Result_contra", contravariant=True)
@@ -269,4 +270,38 @@ DIFF: "tuple[Measure[MapDifference], ...]" = (
     Measure("changed_cells", COUNT, lambda it: it.changed_cells),
     Measure("largest_blob", COUNT, lambda it: it.largest.cells if it.largest else 0),
     Measure("known", COUNT, lambda it: it.known),
+)
+
+
+def by_logs(take: "Callable[[LogScore], float]") -> "Callable[[MapScore], float]":
+    """Measure what recordings say of a map; raises UsageError where none is given."""
+
+    def measure(score: "MapScore") -> float:
+        require(score.by_logs is not None, "this limit is on what logs say", "add `logs=LOG`")
+        return take(cast("LogScore", score.by_logs))
+
+    return measure
+
+
+def by_truth(take: "Callable[[TruthScore], float]") -> "Callable[[MapScore], float]":
+    """Measure what the truth says of a map; raises UsageError where it is not given."""
+
+    def measure(score: "MapScore") -> float:
+        require(score.by_truth is not None, "this limit is on the truth", "give the truth as well")
+        return take(cast("TruthScore", score.by_truth))
+
+    return measure
+
+
+SCORE: "tuple[Measure[MapScore], ...]" = (
+    Measure("share", SHARE, by_logs(lambda it: it.share)),
+    Measure("log_likelihood", "nat", by_logs(lambda it: it.log_likelihood)),
+    Measure("agreement", SHARE, by_logs(lambda it: it.agreement)),
+    Measure("edges_found", SHARE, by_truth(lambda it: it.edges_found)),
+    Measure("edges_invented", SHARE, by_truth(lambda it: it.edges_invented)),
+    Measure("occupied_called_free", SHARE, by_truth(lambda it: it.occupied_called_free)),
+    Measure("free_called_occupied", SHARE, by_truth(lambda it: it.free_called_occupied)),
+    Measure("free_found", SHARE, by_truth(lambda it: it.free_found)),
+    Measure("wall_distance", "m", by_truth(lambda it: it.wall_distance_m)),
+    Measure("wall_distance_95", "m", by_truth(lambda it: it.wall_distance_95_m)),
 )

@@ -8,11 +8,10 @@ from pathlib import Path
 
 from occmap.errors import LogError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
-from occmap.readers import open_log
 from occmap.report.doubts import list_frames
 from occmap.report.printed import HIDDEN, Count, printed_as
 from occmap.report.words import Noted, count
-from occmap.scans.logs import count_scans
+from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import ScanCounts, Tally, refuse_unused
 from occmap.scans.tracing import Progress, Remarks, ignore_progress, trace_logs
 from occmap.scoring.score import SMALL
@@ -94,7 +93,7 @@ def compare(
         As `build`, or no held-out beam measured a range.
     """
     tally = Tally()
-    logs = [open_log(path, options.reading) for path in paths]
+    logs = open_scans(paths, options)
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     remarks = Remarks([str(log.path) for log in logs])
     tally.tell = lambda scans: progress(scans, total)

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from occmap.options import BuildOptions, compose_build
-from occmap.readers import open_log
 from occmap.report.printed import HIDDEN, Count, Finite, Share
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.report.words import count
-from occmap.scans.logs import count_scans
+from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Progress, Remarks, ignore_progress
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
@@ -107,7 +106,7 @@ def tune(
         As `build`, or no held-out beam measured a range.
     """
     tally = Tally()
-    opened = [open_log(path, options.reading) for path in paths]
+    opened = open_scans(paths, options)
     total = sum(count_scans(log, options.selection.topics) for log in opened)
     planned = total + USUAL_SCORINGS * min(total, MOST_SCANS)
     tally.tell = lambda scans: progress(scans, planned)

@@ -1,0 +1,152 @@
+"""`occmap score`: how good a written map is."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from occmap.cells import CellClass
+from occmap.choices import take
+from occmap.choices.values import parse_number
+from occmap.cli import options
+from occmap.cli.console import Console, show_progress, write_rows
+from occmap.cli.declaring import Answer, answering, fail_if, join, option
+from occmap.cli.streams import gather_logs
+from occmap.difference.maps import load_map
+from occmap.errors import require
+from occmap.options import BuildOptions
+from occmap.report.limits import SCORE
+from occmap.report.words import count
+from occmap.scoring.fit import STAY, Transform
+from occmap.scoring.maps import MapScore, find_place, score_by_logs, score_by_truth
+from occmap.writers import WriteOptions
+from occmap.writers.outputs import check_picture
+
+AGAINST = "What it is held against"
+WITHIN_M = 0.1
+"""A wall that is drawn on the wrong side of a cell's edge is still right"""
+
+
+def read_within(text: str) -> float:
+    """Read how far a wall may be off (m); raises UsageError where that is no length."""
+    metres = parse_number(text, f"--within {text}", "write metres such as 0.1")
+    require(0 <= metres <= 1, f"--within {text} is not from 0 to 1 m", "write metres such as 0.1")
+    return metres
+
+
+against = join(
+    options.paths(AGAINST, "--log", "logs", metavar="LOG", text="A recording of the place."),
+    option(
+        AGAINST,
+        "--truth",
+        type=options.PATH,
+        metavar="MAP",
+        help="The map that is true: a plan, a simulator's, or another tool's.",
+    ),
+    option(
+        AGAINST,
+        "--within",
+        type=read_within,
+        default=str(WITHIN_M),
+        show_default=True,
+        metavar="M",
+        help="A wall is found, and not invented, if it is off by at most so much.",
+    ),
+    option(
+        AGAINST,
+        "--fit",
+        is_flag=True,
+        help="First move the recordings onto the map, or the map onto the truth, by the shift of "
+        "up to 2 m and the turn of up to 20 degrees by which they fit best.",
+    ),
+)
+picture = options.one_output(
+    "picture", "FILE", "Write a .png here: where the map and the truth differ."
+)
+
+
+@answering("score", MapScore)
+@click.argument("path", type=options.PATH, metavar="MAP")
+@join(against, picture, options.thresholds, options.reading)
+@join(fail_if(SCORE, "edges_found < 95%"), options.jobs, options.config, options.printing)
+def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
+    """Say how good a map is, by recordings or by the truth.
+
+    MAP is what map_server loads, whatever tool made it (PGM with YAML), or evidence (.npz or
+    .zarr). Recordings say how well it predicts their beams: the share whose first occupied cell is
+    within two cells of the measured range, as compare has it, and the share of hits that lie in
+    occupied cells or beside one. Use recordings that the map was not made of.
+
+    The truth, of any resolution, says which of its edges are found and which of the map's walls are
+    invented, what is free though it is occupied and the other way round, and how far walls are off.
+    In the picture edges that were missed are orange, and blue where the map calls them free; walls
+    that were invented are red.
+
+      occmap score map.yaml --log drive.mcap
+      occmap score map.yaml --truth plan.yaml --fit -o score.png
+      occmap score map.yaml --truth plan.yaml --fail-if "edges_found < 95%"
+    """
+    truth, logs, thresholds = values["truth"], values["logs"], take(WriteOptions, values)
+    require(bool(truth or logs), "there is nothing to score by", "add --log LOG or --truth MAP")
+    if values["picture"]:
+        require(bool(truth), "the picture shows the truth", "add --truth MAP")
+        check_picture(values["picture"], [path, truth], [".png"])
+    written = load_map(path, thresholds)
+    score = MapScore(
+        map=str(path),
+        resolution=find_place(written).resolution,
+        occupied=int(np.count_nonzero(written.classes == CellClass.OCCUPIED)),
+        free=int(np.count_nonzero(written.classes == CellClass.FREE)),
+    )
+    if logs:
+        common = take(BuildOptions, values)
+        found = gather_logs(console, logs, common)
+        with show_progress(console) as progress:
+            by_logs, notes = score_by_logs(written, found, common, values["fit"], progress)
+        score = replace(score, by_logs=by_logs, notes=tuple(notes))
+    if truth:
+        by_truth = score_by_truth(
+            written, load_map(truth, thresholds), values["within"], values["fit"]
+        )
+        score = replace(score, by_truth=by_truth)
+        if values["picture"]:
+            from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
+
+            write_colours(values["picture"], by_truth.picture)
+            score = replace(score, files=(str(values["picture"]),))
+    return Answer(score, write_rows(list_score(score)))
+
+
+def list_score(score: MapScore) -> Iterator[tuple[str, str]]:
+    """Write a score in a few rows."""
+    occupied, free = count(score.occupied, "occupied cell"), count(score.free, "free one")
+    yield "map", f"{score.map}: {occupied} and {free} of {score.resolution:g} m"
+    if it := score.by_logs:
+        error = f" +- {it.share_error:.4f}" if math.isfinite(it.share_error) else ""
+        yield "logs", f"share {it.share:.4f}{error} of {count(it.beams, 'beam')}"
+        yield "", f"log-likelihood {it.log_likelihood:.3f}"
+        yield "", f"{it.agreement:.1%} of the hits lie in occupied cells or beside one"
+        stops = f"{it.stops_in_occupied:.1%} of the looks at occupied cells"
+        yield "", f"beams stop at {stops} and {it.stops_in_free:.1%} of those at free ones"
+        yield from tell_move(it.transform, "the logs fit with --transform ")
+    if found := score.by_truth:
+        near = f"within {found.within_m:g} m"
+        yield "truth", f"{found.edges_found:.1%} of the edges of {found.truth} found {near}"
+        yield "", f"{found.edges_invented:.1%} of the occupied cells invented"
+        yield "", f"{found.occupied_called_free:.1%} of the edges called free"
+        floor = f"{found.free_called_occupied:.2%} called occupied, {found.free_found:.1%} free"
+        yield "", f"of the free cells away from walls {floor}"
+        mean, most = found.wall_distance_m, found.wall_distance_95_m
+        yield "walls", f"{mean:.3f} m from those of the truth, 95 in 100 within {most:.3f} m"
+        yield from tell_move(found.transform, "the map fits moved by ")
+    yield from (("file", file) for file in score.files)
+
+
+def tell_move(moved: Transform, text: str) -> Iterator[tuple[str, str]]:
+    """Say by what something was moved to fit, if it was."""
+    if moved != STAY:
+        yield "fit", f"{text}{moved.x:g},{moved.y:g},{moved.yaw:g}"

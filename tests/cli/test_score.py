@@ -1,0 +1,67 @@
+"""`occmap score` in lines, as JSON, with limits and a picture."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS
+
+DRIVE, PLAN = SAMPLE_LOGS / "drive.mcap", SAMPLE_LOGS / "floor_plan.yaml"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("made") / "map.pgm"
+    assert occmap("build", DRIVE, "-o", path).code == 0
+    return path
+
+
+def test_a_map_is_held_against_recordings_and_the_plan(made: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "score.png"
+    words = ["score", made, "--log", SAMPLE_LOGS / "drive.bag", "--truth", PLAN, "-o", picture]
+    text = occmap(*words).out
+    for told in ("share 0.9", "hits lie in occupied", "edges of", "invented", "m from those"):
+        assert told in text
+    found = json.loads(occmap(*words, "--json").out)
+    assert found["by_logs"]["scans"]["used"] == 414
+    assert found["by_truth"]["edges_found"] > 0.99
+    assert found["files"] == [str(picture)]
+    assert np.asarray(Image.open(picture)).shape[2] == 3
+
+
+def test_a_map_that_lies_elsewhere_is_moved(made: Path, tmp_path: Path) -> None:
+    moved = tmp_path / "moved.pgm"
+    occmap("build", DRIVE, "--transform", "0.5,0.3,-0.1", "-o", moved)
+    assert "fit " not in occmap("score", moved, "--truth", made).out
+    words = ["score", moved, "--truth", made, "--log", DRIVE, "--fit"]
+    text = occmap(*words).out
+    assert "the logs fit with --transform 0." in text
+    assert "the map fits moved by -0." in text
+    limits = ["--fail-if", "edges_found < 98%", "--fail-if", "wall_distance > 0.05"]
+    assert occmap(*words, *limits).code == 0
+    assert occmap(*words[:-1], *limits).code == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ([], "add --log LOG or --truth MAP"),
+        (["--truth", PLAN, "--fail-if", "share < 1%"], "add --log LOG"),
+        (["--log", DRIVE, "--fail-if", "edges_found < 1%"], "give the truth"),
+        (["--log", DRIVE, "-o", "s.png"], "add --truth MAP"),
+        (["--truth", PLAN, "-o", "s.pgm"], "ends in .png"),
+        (["--truth", PLAN, "--within", "-1"], "from 0 to 1 m"),
+        (["--truth", PLAN, "--within", "near"], "--within near"),
+        (["--truth", DRIVE], "is not that of a map"),
+    ],
+)
+def test_bad_input_is_one_line(made: Path, words: list[str], found: str) -> None:
+    assert found in read_error(occmap("score", made, *words), 2)
+
+
+def test_an_image_that_says_not_where_it_lies(made: Path) -> None:
+    assert "YAML" in read_error(occmap("score", SAMPLE_LOGS / "map.png", "--truth", made), 1)

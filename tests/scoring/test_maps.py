@@ -1,0 +1,157 @@
+"""Written maps are scored by beams, and by the truth: expected values by hand."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.cells import CellClass
+from occmap.difference.maps import ClassMap, Place, load_map
+from occmap.errors import MapError, UsageError
+from occmap.options import BuildOptions
+from occmap.pipeline import build
+from occmap.posing.options import PosingOptions
+from occmap.scoring.compare import compare
+from occmap.scoring.fit import STAY, Transform, Walls, fit
+from occmap.scoring.maps import score_by_logs, score_by_truth
+from occmap.scoring.trials import combine
+from occmap.tuning import tune
+from occmap.types import Pose
+from occmap.writers import WriteOptions
+from tests.samples import SAMPLE_LOGS, write_csv
+
+CLASSES = {"#": CellClass.OCCUPIED, ".": CellClass.FREE, "?": CellClass.NEITHER}
+DRIVE = SAMPLE_LOGS / "drive.mcap"
+
+
+HERE = Place(0.1, 0.0, 0.0)
+
+
+def draw(text: str, place: Place | None = HERE) -> ClassMap:
+    """A map whose rows are written from the highest y down."""
+    rows = [[CLASSES[cell] for cell in line] for line in text.split()]
+    return ClassMap(Path("drawn.yaml"), np.array(rows, np.uint8)[::-1], place)
+
+
+ROOM = draw("####### #.....# #.....# #.....# #.....# #######")
+"""24 cells of walls, of which 4 are corners, around 5 x 4 free ones"""
+
+
+def test_the_truth_itself_is_right() -> None:
+    score = score_by_truth(ROOM, ROOM, 0.0, is_fitted=False)
+    assert (score.edges_found, score.edges_invented, score.free_found) == (1, 0, 1)
+    assert (score.occupied_called_free, score.free_called_occupied) == (0, 0)
+    assert (score.wall_distance_m, score.wall_distance_95_m, score.transform) == (0, 0, STAY)
+
+
+def test_what_is_missed_and_what_is_invented_by_hand() -> None:
+    said = draw("####### #.....# #..#..? #.....? #.....# ##...##")
+    score = score_by_truth(said, ROOM, 0.05, is_fitted=False)
+    edges = 22  # all walls, as corners touch free cells, too
+    assert score.edges_found == pytest.approx(1 - 5 / edges)
+    assert score.occupied_called_free == pytest.approx(3 / edges)  # the others are unknown
+    assert score.edges_invented == pytest.approx(1 / 18)
+    assert score.free_called_occupied == pytest.approx(1 / 20)
+    assert score.free_found == pytest.approx(19 / 20)
+    # The invented cell lies in the third row from above: 2 cells from the upper wall.
+    assert score.wall_distance_m == pytest.approx(0.2 / 18)
+    colours = {tuple(pixel) for pixel in score.picture.reshape(-1, 3).tolist()}
+    assert len(colours) == 5  # free, walls, missed, called free, invented
+
+
+def test_a_wall_that_is_off_by_a_cell_is_found_within_a_cell() -> None:
+    moved = replace(ROOM, place=Place(0.1, 0.1, 0.0))
+    assert score_by_truth(moved, ROOM, 0.0, is_fitted=False).edges_found < 0.7
+    near = score_by_truth(moved, ROOM, 0.1, is_fitted=False)
+    assert (near.edges_found, near.edges_invented, near.occupied_called_free) == (1, 0, 0)
+
+
+@pytest.mark.parametrize("times", [2, 5])
+def test_resolutions_may_differ(times: int) -> None:
+    classes = ROOM.classes.repeat(times, 0).repeat(times, 1)
+    fine = replace(ROOM, classes=classes, place=Place(0.1 / times, 0.0, 0.0))
+    for one, other in ((fine, ROOM), (ROOM, fine)):
+        score = score_by_truth(one, other, 0.0, is_fitted=False)
+        assert (score.edges_found, score.edges_invented, score.free_found) == (1, 0, 1)
+
+
+def test_distances_are_those_to_the_nearest_wall() -> None:
+    occupied = np.random.default_rng(1).random((23, 31)) < 0.01
+    walls = Walls.of(occupied, np.zeros(2), 0.1, 1.0)
+    middles = (np.argwhere(occupied)[:, ::-1] + 0.5) * 0.1
+    for point in np.random.default_rng(2).uniform(-0.9, 4.0, (500, 2)):
+        middle = (np.floor(point / 0.1) + 0.5) * 0.1
+        nearest = min(1.0, np.linalg.norm(middles - middle, axis=1).min())
+        assert walls.measure(point[None])[0] == pytest.approx(nearest, abs=1e-5)
+
+
+@pytest.mark.parametrize("moved", [(0.4, -0.3, 0.1), (-1.7, 1.5, -0.3), (0.0, 0.0, 0.0)])
+def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
+    plan = load_map(SAMPLE_LOGS / "floor_plan.yaml", WriteOptions())
+    assert plan.place is not None
+    occupied = plan.classes == CellClass.OCCUPIED
+    corner = np.array([plan.place.x, plan.place.y])
+    walls = Walls.of(occupied, corner, plan.place.resolution, 2.0)
+    points = (np.argwhere(occupied)[:, ::-1] + 0.5) * plan.place.resolution + corner
+    true = Transform(*moved)
+    found = fit(true.move_back(points), walls)
+    assert found.yaw == pytest.approx(true.yaw, abs=0.004)
+    apart = np.linalg.norm(found.move(true.move_back(points)) - points, axis=1)
+    assert apart.max() < 0.06
+
+
+def test_a_map_is_scored_by_the_log_that_it_was_made_of(tmp_path: Path) -> None:
+    turned = PosingOptions(transform=Pose.planar(0.35, -0.2, 0.05))
+    for name, posing in (("right", PosingOptions()), ("moved", turned)):
+        build([DRIVE], BuildOptions(posing=posing), [tmp_path / f"{name}.pgm"])
+    maps = {
+        name: load_map(tmp_path / f"{name}.yaml", WriteOptions()) for name in ("right", "moved")
+    }
+    right, _ = score_by_logs(maps["right"], [DRIVE], BuildOptions(), is_fitted=False)
+    wrong, _ = score_by_logs(maps["moved"], [DRIVE], BuildOptions(), is_fitted=False)
+    fitted, _ = score_by_logs(maps["moved"], [DRIVE], BuildOptions(), is_fitted=True)
+    assert min(right.share, right.agreement, fitted.share, fitted.agreement) > 0.95
+    assert right.stops_in_occupied > 0.6
+    assert right.stops_in_free < 0.01
+    assert wrong.share < 0.5
+    assert fitted.transform == pytest.approx((0.35, -0.2, 0.05), abs=0.02)
+    assert right.log_likelihood > fitted.log_likelihood > wrong.log_likelihood
+
+
+def test_one_beam_by_hand(tmp_path: Path) -> None:
+    """From the middle of one cell of 0.1 m to a wall, 31.2 cells farther."""
+    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 2, [3.12])
+    score, _ = score_by_logs(draw("." * 31 + "#"), [log], BuildOptions(), is_fitted=False)
+    assert (score.beams, score.share, score.agreement) == (2, 1, 1)
+    assert (score.stops_in_occupied, score.stops_in_free) == (1, 0)
+    # The wall is as good as certain to stop a beam, and each free cell to let it pass. Of 29 of
+    # these, and in the first, a stop would not be near; it would be in the one before the wall, and
+    # in two unknown cells behind it.
+    free, wall = 0.001, 0.999
+    near = free + (1 - free) * (wall + (1 - wall) * (0.5 + 0.5 * 0.5))
+    stops = (1 - free) ** 30 * near
+    assert score.log_likelihood == pytest.approx(math.log(0.95 * stops + 0.05 * 0.05), abs=1e-5)
+
+
+def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="not say where it lies"):
+        score_by_truth(draw("#.", None), ROOM, 0.1, is_fitted=False)
+    with pytest.raises(MapError, match="no occupied cell"):
+        score_by_truth(draw("..?"), ROOM, 0.1, is_fitted=False)
+    with pytest.raises(MapError, match="too many to compare"):
+        score_by_truth(replace(ROOM, place=Place(0.1, 1e6, 1e6)), ROOM, 0.1, is_fitted=False)
+    blind = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 2, [math.nan])
+    with pytest.raises(MapError, match="no beam measured a range"):
+        score_by_logs(ROOM, [blind], BuildOptions(), is_fitted=False)
+
+
+def test_clouds_have_no_beams_to_score_by() -> None:
+    clouds = [SAMPLE_LOGS / "hall.mcap"]
+    with pytest.raises(UsageError, match="holds clouds of points"):
+        score_by_logs(ROOM, clouds, BuildOptions(), is_fitted=False)
+    with pytest.raises(UsageError, match="holds clouds of points"):
+        compare(clouds, combine([], []), BuildOptions())
+    with pytest.raises(UsageError, match="holds clouds of points"):
+        tune(clouds, BuildOptions())
