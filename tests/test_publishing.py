@@ -41,7 +41,9 @@ def test_the_container_is_made_of_files_that_are_there() -> None:
     assert kept[0] == "*"
     assert all((ROOT / line.removeprefix("!")).exists() for line in kept[1:])
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    needed = {"occmap", "pyproject.toml", project["readme"], *project["license-files"]}
+    hatch = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
+    samples = hatch["targets"]["wheel"]["force-include"]
+    needed = {"occmap", "pyproject.toml", project["readme"], *project["license-files"], *samples}
     assert needed == {line.removeprefix("!") for line in kept[1:]}
 
 

@@ -20,6 +20,7 @@ from occmap.errors import OccmapError, UsageError
 COMMANDS = {
     "build": "Build one map from one or more logs.",
     "check": "Say what is in logs, and what will go wrong with them.",
+    "demo": "Map a simulated drive, to see what occmap does.",
     "diff": "Say what changed between two maps, and fail above a limit.",
     "compare": "Say which update and sensor model suits logs best.",
     "explain": "Say what was seen at a point of saved evidence, and by which scans.",
