@@ -27,8 +27,7 @@ from occmap.store.blocks import (
     spread_cells,
 )
 from occmap.types import UInt8
-from occmap.writers.npz import compute_checksum, pack_slices, unpack_slices
-from occmap.writers.soundness import refuse_other_version
+from occmap.writers.npz import compute_checksum, pack_slices, refuse_other_version, unpack_slices
 
 FORMAT, VERSION = "occmap store", 1
 LAYERS = {

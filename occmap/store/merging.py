@@ -15,11 +15,11 @@ from occmap.evidence import Described, read_model, to_grid
 from occmap.evidence.fit import list_misfit
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.slices import restrict
-from occmap.grid.tiles import TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
+from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store.blocks import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
 from occmap.store.reading import Blocks, Saved, as_blocks, open_saved
-from occmap.writers.soundness import find_unseen
+from occmap.types import Bool, Int64
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
@@ -169,6 +169,15 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         minuend = evidence.where or "the sum"
         found = f"holds observations of {wrong} cells that {minuend} lacks"
         raise MapError(found, where=other.where, fix="subtract only what was merged before")
+
+
+def find_unseen(cells: Int64, kind: EvidenceKind) -> Bool:
+    """(T, 64, 64): where two numbers (T, 2, 64, 64) are such as no observation makes."""
+    first, second = cells[:, 0], cells[:, 1]
+    if kind is EvidenceKind.COUNTS:
+        return np.asarray((first | second) < 0)
+    # Log-odds may be negative, but not without an observation.
+    return np.asarray((second < 0) | ((second == 0) & (first != 0)))
 
 
 def refuse_different(manifest: Manifest, other: Described) -> None:

@@ -24,8 +24,7 @@ from occmap.store.blocks import (
     split_evidence,
 )
 from occmap.types import Int64
-from occmap.writers.npz import GROUND, read_evidence, unpack_ground
-from occmap.writers.soundness import list_faults, list_manifest_faults, refuse_damage, refuse_faults
+from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +96,6 @@ def open_store(path: Path) -> Store:
         head = root.attrs.get("occmap", {})
         layout.refuse_unfinished(path, head)
         manifest = Manifest.from_json(head)
-        refuse_faults(path, list_manifest_faults(manifest))
         table = {name: root[f"blocks/{name}"][...] for name in layout.TABLE}
         below = {name: root[f"ground/{name}"][...] for name in GROUND if "ground" in root}
         if head["table"] != layout.hash_table(table | below):
@@ -144,7 +142,6 @@ def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) 
     if layout.hash_content(content) != record.sha256:
         found = f"its block ({row}, {col}) was altered or a file of it is missing"
         raise MapError(found, where=path, fix="build it again")
-    refuse_faults(path, list_faults(Evidence(manifest, tiles, numbers, slices)))
     return content
 
 

@@ -19,7 +19,7 @@ from occmap.store.blocks import Block, list_blocks
 from occmap.store.reading import Blocks, Store, read_part
 from occmap.types import Int64, UInt8
 from occmap.writers import WriteOptions
-from occmap.writers.soundness import refuse_damage
+from occmap.writers.npz import refuse_damage
 
 KEPT_BLOCKS = 18
 """How many blocks are kept that were read last, up to 8 MiB each"""

@@ -42,8 +42,11 @@ Equal evidence makes equal bytes on every machine: no time stamps, no compressio
 import hashlib
 import io
 import json
+import struct
+import tokenize
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -55,12 +58,6 @@ from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import OneFile
 from occmap.writers.atomic import open_atomic
-from occmap.writers.soundness import (
-    list_faults,
-    refuse_damage,
-    refuse_faults,
-    refuse_other_version,
-)
 
 FORMAT, VERSION = "occmap evidence", 4
 SIDE = 64
@@ -73,6 +70,11 @@ ARRAYS = ("tiles", "observed", "first", "second", "layers", *SLICES)
 GROUND = ("ground_blocks", "ground_mm", "ground_measured")
 """The arrays of the ground, in evidence of clouds"""
 Arrays = dict[str, Any]
+DAMAGE = (
+    *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
+    *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
+)
+"""What zipfile, zarr, its codecs, json and NumPy raise on damaged files"""
 
 
 class NpzWriter(OneFile):
@@ -153,6 +155,38 @@ def read_evidence(path: Path) -> Evidence:
         return unpack(path, head, arrays)
 
 
+@contextmanager
+def refuse_damage(path: Path) -> Iterator[None]:
+    """Say in one line that evidence is not there, or cannot be read; raises MapError."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise MapError("no such file", where=path, fix="check the path") from None
+    except DAMAGE as error:
+        reason = getattr(error, "strerror", None) or "it is cut or altered"
+        raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None
+
+
+def refuse_other_version(path: Path, head: dict[str, Any], name: str, version: int) -> None:
+    """Refuse evidence that is not in this version of the format `name`; raises MapError.
+
+    Parameters
+    ----------
+    head
+        What the evidence says of itself.
+    """
+    if head["format"] != name:
+        raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
+    said = head["version"]
+    if said > version:
+        found = f"{name} of version {said}, while this occmap reads {version}"
+        raise MapError(found, where=path, fix="use a newer occmap")
+    if said < version:
+        found = f"{name} of an older occmap (version {said}, now {version})"
+        fix = f"build it again from its logs, with `outputs={path.name}`"
+        raise MapError(found, where=path, fix=fix)
+
+
 def read_array(archive: zipfile.ZipFile, name: str) -> Any:
     """Read an array of integers, never more than the file is large."""
     member = archive.getinfo(f"{name}.npy")
@@ -189,9 +223,7 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     if len(slices) != len(manifest.builds):
         raise ValueError("layers")
     ground = unpack_ground(arrays)
-    evidence = Evidence(manifest, arrays["tiles"], cells, slices, str(path), ground=ground)
-    refuse_faults(path, list_faults(evidence))
-    return evidence
+    return Evidence(manifest, arrays["tiles"], cells, slices, str(path), ground=ground)
 
 
 def pack_ground(ground: Ground | None) -> Arrays:

@@ -109,21 +109,6 @@ def test_sums_beyond_what_evidence_may_hold_are_refused(fill: int) -> None:
     assert occmap("render", "sum.npz", "-o", "n.pgm").code == resumed.code
 
 
-@pytest.mark.parametrize("size", [1e308, 1e-308, 10**400, 10**4000])
-def test_evidence_of_a_resolution_that_no_map_has(size: float) -> None:
-    saved = read_evidence(Path("m.npz"))
-    manifest = replace(saved.manifest, resolution=size)
-    NpzWriter().write_evidence(Path("bad.npz"), replace(saved, manifest=manifest))
-    for words in (
-        "render bad.npz -o n.pgm",
-        "merge bad.npz bad.npz -o n.npz",
-        "diff m.npz bad.npz",
-    ):
-        error = read_error(occmap(*words.split()), 1)
-        assert error.startswith("bad.npz: is not what occmap writes: its resolution is ")
-        assert len(error) < 300
-
-
 @pytest.mark.parametrize("reading", [3.4e38, 3e30, 1e18])
 def test_a_stray_range_beyond_all_sense(tmp_path: Path, reading: float) -> None:
     """What `check` recommends is what works, or it says why nothing does."""
