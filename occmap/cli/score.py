@@ -24,7 +24,7 @@ from occmap.report.words import count
 from occmap.scoring.fit import STAY, Transform
 from occmap.scoring.maps import MapScore, find_place, score_by_logs, score_by_truth
 from occmap.writers import WriteOptions
-from occmap.writers.outputs import check_picture
+from occmap.writers.outputs import check_picture, refuse_input
 
 AGAINST = "What it is held against"
 WITHIN_M = 0.1
@@ -94,8 +94,13 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
     require(bool(truth or logs), "there is nothing to score by", "add --log LOG or --truth MAP")
     if values["picture"]:
         require(bool(truth), "the picture shows the truth", "add --truth MAP")
-        check_picture(values["picture"], [path, truth], [".png"])
+        check_picture(values["picture"], [path, truth, *logs], [".png"])
     written = load_map(path, thresholds)
+    true = load_map(truth, thresholds) if truth else None
+    if values["picture"]:
+        refuse_input(
+            values["picture"], [each.image for each in (written, true) if each and each.image]
+        )
     score = MapScore(
         map=str(path),
         resolution=find_place(written).resolution,
@@ -108,10 +113,8 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
         with show_progress(console) as progress:
             by_logs, notes = score_by_logs(written, found, common, values["fit"], progress)
         score = replace(score, by_logs=by_logs, notes=tuple(notes))
-    if truth:
-        by_truth = score_by_truth(
-            written, load_map(truth, thresholds), values["within"], values["fit"]
-        )
+    if true:
+        by_truth = score_by_truth(written, true, values["within"], values["fit"])
         score = replace(score, by_truth=by_truth)
         if values["picture"]:
             from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow

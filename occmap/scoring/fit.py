@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.types import Bool, Float32, Float64
+from occmap.choices.values import to_rpy
+from occmap.types import Bool, Float32, Float64, Pose
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for"""
@@ -34,6 +35,18 @@ class Transform(NamedTuple):
         """Find which points (N, 2) are moved to given ones."""
         back: Float64 = (points - np.array([self.x, self.y])) @ self.matrix
         return back
+
+    def after(self, first: Pose) -> "Transform":
+        """Make one of a planar move and, after it, this one."""
+        x, y = self.move(np.array([first.x, first.y])).tolist()
+        yaw = math.remainder(to_rpy(first)[2] + self.yaw, math.tau)
+        return Transform(round(x, 5), round(y, 5), round(yaw, 6))
+
+    def is_far(self, points: Float64) -> bool:
+        """Whether it moves points (N, 2) as far as `fit` looks, so that the best may be beyond."""
+        middle = points.mean(axis=0)
+        shift = float(np.abs(self.move(middle) - middle).max())
+        return shift > REACH_M - STEP_M / 2 or abs(self.yaw) > REACH_RAD - STEP_RAD / 2
 
     @property
     def matrix(self) -> Float64:

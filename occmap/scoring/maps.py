@@ -19,7 +19,7 @@ from occmap.scans.tally import ScanCounts, Tally, refuse_unused
 from occmap.scans.tracing import AddRays, Progress, Remarks, ignore_progress, trace_logs
 from occmap.scoring.fit import STAY, Transform, Walls, fit
 from occmap.scoring.score import Trial, score_map
-from occmap.types import Bool, Float32, Float64, Kind, Rays, UInt8
+from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Rays, UInt8
 
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
@@ -56,7 +56,8 @@ class LogScore:
     stops_in_free: Share
     """Share of the looks of beams at free cells that ended there"""
     transform: Transform
-    """By what the recordings were moved so that they fit the map: x, y (m) and yaw (rad)"""
+    """The pose of the recordings' map frame in the map by which they fit, as `transform` takes it:
+    x, y (m) and yaw (rad); zeros where it is not looked for"""
 
 
 @dataclass(frozen=True)
@@ -153,7 +154,7 @@ def score_by_logs(
     OccmapError
         As a build, no beam measured a range, or the map says not where it lies.
     """
-    find_place(written)
+    options = replace(options, resolution=find_place(written).resolution)
     tally = Tally()
     logs = open_scans(paths, options)
     total = sum(count_scans(log, options.selection.topics) for log in logs)
@@ -175,6 +176,11 @@ def score_by_logs(
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = measure_walls(written)
     moved = fit(hits, walls) if is_fitted else STAY
+    if is_fitted and moved.is_far(hits):
+        remarks.notes.append(
+            "the logs fit best at the end of what is searched, and perhaps better beyond: try "
+            "again with a first `transform`"
+        )
     seen = [move_rays(rays, moved) for rays in seen]
     trial, occupied, free = weigh(written, seen, options.jobs)
     beside = 1.5 * walls.resolution  # of all eight
@@ -188,7 +194,7 @@ def score_by_logs(
         agreement=float(np.mean(walls.measure(moved.move(hits)) < beside)),
         stops_in_occupied=occupied,
         stops_in_free=free,
-        transform=moved,
+        transform=moved.after(options.posing.transform or IDENTITY) if is_fitted else STAY,
     )
     return score, remarks.notes
 

@@ -34,6 +34,9 @@ FAULTS = {
             "render none.npz -o m.pgm",
             "merge a.npz none.npz -o m.npz",
             "diff a.pgm none.pgm",
+            "score none.pgm --log log.csv",
+            "score a.pgm --log none.csv",
+            "score a.pgm --truth none.pgm",
             "build log.csv -o m.npz --resume none.npz",
         ],
     ),
@@ -56,6 +59,7 @@ FAULTS = {
             "render a.npz -o no/m.pgm",
             "merge a.npz -o no/m.npz",
             "diff a.pgm a.pgm -o no/m.png",
+            "score a.pgm --truth a.pgm -o no/m.png",
         ],
     ),
     "options that leave nothing of this log": (

@@ -118,6 +118,8 @@ def test_numbers_have_units(name: str) -> None:
         f"tune {SAMPLE_LOGS / 'drive.mcap'} --resolution 0.1",
         "diff a.npz b.npz -o d.png",
         "diff a.npz a.npz",
+        "score a.npz --log a.csv --fit",
+        "score a.npz --truth b.npz --fit -o score.png",
         "explain a.npz 0.3 0",
         "explain q.npz 0.3 0 --log a.csv",
         "explain b.npz -90 -1e3 --log b.csv --model counting",

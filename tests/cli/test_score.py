@@ -63,5 +63,16 @@ def test_bad_input_is_one_line(made: Path, words: list[str], found: str) -> None
     assert found in read_error(occmap("score", made, *words), 2)
 
 
+def test_the_picture_is_never_written_over_the_image_of_a_map(made: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "plan.png"
+    Image.open(PLAN.with_suffix(".pgm")).save(plan)
+    text = PLAN.read_text().replace("floor_plan.pgm", "plan.png")
+    (tmp_path / "plan.yaml").write_text(text)
+    before = plan.read_bytes()
+    words = ["score", made, "--truth", tmp_path / "plan.yaml", "-o", plan]
+    assert "is an input" in read_error(occmap(*words), 2)
+    assert plan.read_bytes() == before
+
+
 def test_an_image_that_says_not_where_it_lies(made: Path) -> None:
     assert "YAML" in read_error(occmap("score", SAMPLE_LOGS / "map.png", "--truth", made), 1)

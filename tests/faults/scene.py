@@ -16,6 +16,7 @@ COMMANDS = {
     "merge": "merge a.npz b.npz -o m.npz -o m.pgm",
     "compare": "compare a.csv -o m.png --jobs 1 --model simple --update beam",
     "diff": "diff a.pgm b.pgm -o m.png",
+    "score": "score a.pgm --truth b.pgm -o m.png",
 }
 """Every command that writes. In each, m is what it writes and what is there before."""
 

@@ -117,6 +117,13 @@ def test_a_map_is_scored_by_the_log_that_it_was_made_of(tmp_path: Path) -> None:
     assert right.stops_in_free < 0.01
     assert wrong.share < 0.5
     assert fitted.transform == pytest.approx((0.35, -0.2, 0.05), abs=0.02)
+    assert wrong.transform == STAY
+    given = PosingOptions(transform=Pose.planar(0.1, 0.3, -0.05))
+    again, _ = score_by_logs(maps["moved"], [DRIVE], BuildOptions(posing=given), is_fitted=True)
+    assert again.transform == pytest.approx((0.35, -0.2, 0.05), abs=0.02)  # with what was given
+    far = PosingOptions(transform=Pose.planar(4.0, 0.0, 0.0))
+    _, notes = score_by_logs(maps["moved"], [DRIVE], BuildOptions(posing=far), is_fitted=True)
+    assert "a first `transform`" in notes[-1]
     assert right.log_likelihood > fitted.log_likelihood > wrong.log_likelihood
 
 
@@ -133,6 +140,15 @@ def test_one_beam_by_hand(tmp_path: Path) -> None:
     near = free + (1 - free) * (wall + (1 - wall) * (0.5 + 0.5 * 0.5))
     stops = (1 - free) ** 30 * near
     assert score.log_likelihood == pytest.approx(math.log(0.95 * stops + 0.05 * 0.05), abs=1e-5)
+
+
+def test_a_log_may_reach_as_far_as_cells_of_the_map_allow(tmp_path: Path) -> None:
+    places = [(0.0, 0.0, 0.0), (6e4, 6e4, 0.0)]  # 1.4e12 cells of 0.05 m
+    log = write_csv(tmp_path / "log.csv", places, [3.12])
+    options = BuildOptions(posing=PosingOptions(max_speed=math.inf))
+    wide = draw(".#", Place(25.0, -10.0, -10.0))
+    score, _ = score_by_logs(wide, [log], options, is_fitted=False)
+    assert (score.beams, score.share) == (2, 0.5)
 
 
 def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
