@@ -1,4 +1,4 @@
-"""Measure occmap: `python -m tests.bench [--quick] [--json FILE]`.
+"""Measure occmap: `python -m tests.bench [--quick] [--engine] [--json FILE]`.
 
 Every timed pair is run in turn within one run, and a ratio is the median of the ratios of the
 rounds. Beside it stands the ratio of the shortest times, for machines that others use too.
@@ -8,6 +8,9 @@ part of occmap's engine is what the yardsticks do too: from ranges and poses (x,
 It includes allocating windows and folding them into tiles, and the last fold is spread over all
 scans. The yardsticks allocate their arrays in their time as well, but they are told the map's
 extent beforehand and check no bounds.
+
+The engine is measured twice: with all instructions of this processor, and by a process of its own
+with those that nearly all processors have (AVX2), since limits must hold on both.
 """
 
 import argparse
@@ -15,9 +18,10 @@ import gzip
 import json
 import os
 import platform
+import subprocess
 import sys
 import tempfile
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +35,7 @@ from tests.bench.logs import write_carmen, write_csv, write_mcap
 from tests.bench.measuring import Times
 from tests.bench.stages import Stages, measure_stages
 from tests.bench.workloads import Sensor, Workload, make_office, make_yard, read_workload
-from tests.bench.yardstick import FLAGS, Trace, compile_cpp, trace_in_numba
+from tests.bench.yardstick import AVX2, FLAGS, Trace, compile_cpp, trace_in_numba
 
 ROOT = Path(__file__).parents[2]
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
@@ -84,6 +88,7 @@ class Bench:
         """Measure everything."""
         few = make_office("office, 1081 beams", WIDE, self._settings.scans)
         self._measure_engines(few)
+        self.results.rows += self._measure_avx2()
         self._measure_stages(few)
         self._measure_texts(few)
         self._measure_many(few)
@@ -91,6 +96,25 @@ class Bench:
         self.results.rows += measure_clouds(self._folder, self._settings.rounds)
         show(tables.draw_rows(self.results.rows))
         return self.results
+
+    def run_engine(self) -> Results:
+        """Measure the engine alone."""
+        self._measure_engines(make_office("office, 1081 beams", WIDE, self._settings.scans))
+        return self.results
+
+    def _measure_avx2(self) -> list[limits.Row]:
+        """Measure the engine once more as for a processor that knows nothing beyond AVX2."""
+        if platform.machine() not in ("x86_64", "AMD64"):
+            return []
+        found = self._folder / "avx2.json"
+        words = [sys.executable, "-m", "tests.bench", "--engine", "--json", str(found)]
+        words += ["--quick"] if self._settings == QUICK else []
+        show("\nwith AVX2 alone:\n")
+        subprocess.run(words, check=True, env=os.environ | {"NUMBA_CPU_NAME": AVX2})
+        names = [each.name for each in fields(limits.Row)]
+        rows = json.loads(found.read_text(encoding="utf-8"))["rows"]
+        made = [limits.Row(**{name: row[name] for name in names}) for row in rows]
+        return [replace(row, what=f"{row.what} (AVX2)") for row in made]
 
     def _measure_engines(self, office: Workload) -> None:
         """Trace every workload."""
@@ -200,10 +224,12 @@ def main() -> None:
     """Measure, show tables, and write JSON where asked to."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description="Measure occmap.")
     parser.add_argument("--quick", action="store_const", const=QUICK, default=FULL, dest="settings")
+    parser.add_argument("--engine", action="store_true", help="the engine alone, and once")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        results = Bench(arguments.settings, Path(folder)).run()
+        bench = Bench(arguments.settings, Path(folder))
+        results = bench.run_engine() if arguments.engine else bench.run()
     if arguments.json:
         arguments.json.write_text(results.to_json(), encoding="utf-8")
 
