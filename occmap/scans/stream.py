@@ -24,7 +24,7 @@ def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
         return None if len(scan.points) else LeftOut.NO_BEAMS
     if not len(scan.ranges):
         return LeftOut.NO_BEAMS
-    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
+    if not math.isfinite(scan.angle_min + scan.angle_increment * len(scan.ranges)):
         return LeftOut.BAD_ANGLES
     return None
 
