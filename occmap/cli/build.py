@@ -49,7 +49,16 @@ fleet = join(
 )
 
 
-@answering("build", Report)
+USUAL = (
+    *("outputs", "resume", "resolution", "extent", "min_passes", "range_max", "max_range"),
+    *("no_return", "model", "topics", "start_s", "end_s", "poses", "sensor_pose"),
+    *("static_transforms", "time_offset_s", "min_height", "max_height", "limits", "jobs"),
+    *("as_json", "quiet"),
+)
+"""The options that people ask for first"""
+
+
+@answering("build", Report, usual=USUAL)
 @click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
 @join(options.writing, options.resume, options.lattice, options.align)
 @join(options.framing, options.min_passes, options.pass_gap)

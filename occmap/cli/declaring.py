@@ -75,6 +75,18 @@ class ConfigOption(SectionOption):
         return super().handle_parse_result(ctx, opts, args)
 
 
+ALL = "occmap.all_options"
+"""Set in the context where help lists all options"""
+
+
+def show_all(ctx: click.Context, _param: click.Parameter, is_wanted: bool) -> None:
+    """Print the help with all options, and end the command."""
+    if is_wanted:
+        ctx.meta[ALL] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
+
+
 class SectionCommand(click.Command):
     """A command whose --help lists its options by section, in the order of their declaration."""
 
@@ -82,6 +94,17 @@ class SectionCommand(click.Command):
     """Where --help itself is listed."""
     printed: type[Printed]
     """What it prints with --json"""
+    usual: frozenset[str] = frozenset()
+    """The options that --help lists, where it leaves the others to --help-all; none: all"""
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Add --help-all where --help does not list all options."""
+        params = super().get_params(ctx)
+        if self.usual:
+            settings: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False}
+            text = "Show all options and exit."
+            params.append(click.Option(["--help-all"], callback=show_all, help=text, **settings))
+        return params
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Fill in what may be left out; raises UsageError for `-o=map.pgm`."""
@@ -99,8 +122,12 @@ class SectionCommand(click.Command):
         sections: dict[str, list[tuple[str, str]]] = {}
         for param in self.get_params(ctx):
             record = param.get_help_record(ctx)
+            is_known = isinstance(param, SectionOption)
             title = param.section if isinstance(param, SectionOption) else self.last
+            is_left_out = self.usual and is_known and param.name not in self.usual
             if record is not None and isinstance(param, click.Option):
+                if is_left_out and ALL not in ctx.meta:
+                    continue
                 sections.setdefault(title, []).append(record)
         for title, records in sections.items():
             with formatter.section(title):
@@ -170,7 +197,10 @@ def fail_if(measures: Measures, example: str) -> Callable[[Command], Command]:
 
 
 def answering(
-    name: str, printed: type[Printed], cls: type[SectionCommand] = SectionCommand
+    name: str,
+    printed: type[Printed],
+    cls: type[SectionCommand] = SectionCommand,
+    usual: Iterable[str] = (),
 ) -> Callable[[Callable[..., Answer]], SectionCommand]:
     """Declare a command by a function that takes the console and the options, and answers.
 
@@ -181,6 +211,8 @@ def answering(
     ----------
     printed
         The type of the result.
+    usual
+        The options that --help lists, where these are not all.
     """
 
     def decorate(function: Callable[..., Answer]) -> SectionCommand:
@@ -205,7 +237,7 @@ def answering(
                 raise click.exceptions.Exit(LIMIT_BROKEN)
 
         made = as_command(name, cls)(run)
-        made.printed = printed
+        made.printed, made.usual = printed, frozenset(usual)
         return made
 
     return decorate

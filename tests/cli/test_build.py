@@ -17,7 +17,7 @@ from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import find_command, occmap, read_error
 from tests.samples import PLAIN_WORDS, SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
@@ -301,6 +301,16 @@ def test_a_bar_moves_while_nothing_is_reported_and_never_passes_its_total(
             advance(scans, 10)
     assert [done for done, _ in numbers] == [5, 10, 0, 5, 12]
     assert all(done <= total for done, total in numbers)
+
+
+def test_help_leaves_rare_options_to_help_all() -> None:
+    usual, whole = occmap("build", "--help").out, occmap("build", "--help-all").out
+    assert len(usual.splitlines()) < 100 < len(whole.splitlines())
+    options = [option for each in find_command("build").params for option in each.opts]
+    rare = {each for each in options if each.startswith("--") and f" {each}" not in usual}
+    assert {"--jump", "--scratch", "--epsilon", "--deskew"} < rare
+    assert all(f" {each}" in whole for each in options if each.startswith("--"))
+    assert "--help-all" not in occmap("check", "--help").out
 
 
 def test_help_lists_options_by_section() -> None:

@@ -138,7 +138,7 @@ def test_without_sources_each_option_is_there(tmp_path: Path) -> None:
         compiled = tmp_path / "occmap" / source.relative_to(package).with_suffix(".pyc")
         py_compile.compile(str(source), str(compiled))
     done = subprocess.run(
-        [*OCCMAP, "build", "--help"], cwd=tmp_path, capture_output=True, text=True, check=False
+        [*OCCMAP, "build", "--help-all"], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert re.search(r"--min-range M +Ignore nearer ranges. +\[default: 0.0\]", done.stdout)
