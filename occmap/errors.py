@@ -88,6 +88,22 @@ def name_log(path: object) -> Iterator[None]:
         raise error.placed(path) from None
 
 
+@contextmanager
+def refuse_exhaustion() -> Iterator[None]:
+    """Say in one line what makes a task smaller for which the memory is too small.
+
+    Raises
+    ------
+    OccmapError
+        In place of a MemoryError.
+    """
+    try:
+        yield
+    except MemoryError:
+        fix = "try a coarser `resolution` or fewer `jobs`"
+        raise OccmapError("out of memory", fix=fix) from None
+
+
 class OutputError(OccmapError):
     """A file cannot be written."""
 

@@ -468,6 +468,26 @@ def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:
     assert "none.bag" in found.problems[0]
 
 
+@pytest.mark.parametrize(
+    ("call", "needed"),
+    [
+        (occmap.build_map, "occmap.api.build"),
+        (occmap.check, "occmap.inspection.inspect"),
+        (occmap.compare, "occmap.page.pictures.compare_logs"),
+        (occmap.tune, "occmap.tuning.tune"),
+    ],
+)
+def test_too_little_memory_is_told_with_what_to_do(
+    call: Any, needed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(needed, fail)
+    with pytest.raises(OccmapError, match="out of memory; try a coarser `resolution`"):
+        call(DRIVE)
+
+
 def test_compare_gives_what_the_command_prints(tmp_path: Path) -> None:
     picture = tmp_path / "compare.png"
     found = occmap.compare(

@@ -9,7 +9,7 @@ from occmap import difference, inspection, tuning
 from occmap.api.maps import Map
 from occmap.choices import describe_options, read_each, read_options
 from occmap.choices.values import read_value
-from occmap.errors import UsageError
+from occmap.errors import UsageError, refuse_exhaustion
 from occmap.options import BuildOptions
 from occmap.page import pictures
 from occmap.pipeline import build, list_inputs
@@ -31,6 +31,7 @@ OF_ONE_MAP = (
 """Options of a single map: what inspects logs, or makes several maps of them, does not take them"""
 
 
+@refuse_exhaustion()
 def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **options: Any) -> Map:
     """Build one occupancy map from all usable scans of one or more logs.
 
@@ -67,6 +68,7 @@ if build_map.__doc__:  # Python leaves texts out where it is told to
     build_map.__doc__ = build_map.__doc__.replace("OPTIONS", _LINES)
 
 
+@refuse_exhaustion()
 def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
     """Say what is in logs, and what will go wrong with them: `occmap check`.
 
@@ -89,6 +91,7 @@ def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
     return inspection.inspect(*read_request(logs, options, "check"))
 
 
+@refuse_exhaustion()
 def compare(
     *logs: AnyPath,
     updates: Sequence[str] = (),
@@ -126,6 +129,7 @@ def compare(
     return pictures.compare_logs(paths, variants, common, drawn)
 
 
+@refuse_exhaustion()
 def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
     """Search for the time offset and the mount by which a map predicts held-out scans better.
 
@@ -147,6 +151,7 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
     return tuning.tune(*read_request(logs, options, "tune"))
 
 
+@refuse_exhaustion()
 def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> Map:
     """Add saved evidence (.npz) exactly, or take some of it away; one file alone is rendered.
 
@@ -174,6 +179,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
     return Map.of(made, chosen.writing, [*added, *taken])
 
 
+@refuse_exhaustion()
 def diff(
     before: AnyPath, after: AnyPath, picture: AnyPath | None = None, **thresholds: Any
 ) -> difference.MapDifference:
@@ -205,6 +211,7 @@ def diff(
     return pictures.compare_files(one, other, chosen, drawn)
 
 
+@refuse_exhaustion()
 def read_log(path: AnyPath) -> Log:
     """Open a recording of any installed format; iterate over its `scans` and `poses`.
 

@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from occmap.cells import Evidence, OccupancyMap
 from occmap.choices.values import read_value
-from occmap.errors import UsageError
+from occmap.errors import UsageError, refuse_exhaustion
 from occmap.grid.lattice import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.report.results import Build, Report
@@ -63,6 +63,7 @@ class Map(OccupancyMap):
         _, misses = self._read_counts()
         return misses
 
+    @refuse_exhaustion()
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the map; the suffix picks the format, such as .pgm (with its YAML).
 

@@ -31,6 +31,8 @@ SAMPLED_TOPICS = 100
 """How many topics are sampled: no robot has more lasers, and the map of each takes time."""
 LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""
+BELIEVABLE_S = 1e9
+"""No beam is sent so long after the one before; a log may state any number."""
 EARLIEST_DATE_NS = 631_152_000 * 10**9
 """A log with the date of its recording is of 1990 or later."""
 
@@ -71,7 +73,7 @@ class StampLog:
         tenth = max(len(offset) // 10, 1)
         drift_s = float(np.median(offset[-tenth:]) - np.median(offset[:tenth]))
         increments = np.array(self._increment)
-        increments = increments[np.isfinite(increments)]
+        increments = increments[np.abs(increments) < BELIEVABLE_S]
         return TimeFindings(
             start_ns=int(header.min()),
             end_ns=int(header.max()),

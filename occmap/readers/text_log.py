@@ -224,7 +224,8 @@ def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
     A pose of which one of the three is not finite is unknown.
     """
     poses = np.zeros((len(x), 7))
-    is_known = np.isfinite(x + y + yaw)
+    with np.errstate(over="ignore", invalid="ignore"):  # a log may state any number
+        is_known = np.isfinite(x + y + yaw)
     half = (np.where(is_known, yaw, 0.0) / 2).tolist()
     poses[:, 0], poses[:, 1] = x, y
     poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))

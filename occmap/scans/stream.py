@@ -11,7 +11,7 @@ import numpy as np
 from occmap.options import BuildOptions, Selection
 from occmap.posing.attach import Poser
 from occmap.posing.options import Stamps
-from occmap.readers import Log, read_recorded, read_scans
+from occmap.readers import Echo, Log, ReaderOptions, read_recorded, read_scans
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor.no_return import RangeLimits
 from occmap.sensor.returns import read_limits
@@ -24,7 +24,7 @@ def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
         return None if len(scan.points) else LeftOut.NO_BEAMS
     if not len(scan.ranges):
         return LeftOut.NO_BEAMS
-    if not (math.isfinite(scan.angle_min) and math.isfinite(scan.angle_increment)):
+    if not math.isfinite(scan.angle_min + scan.angle_increment * len(scan.ranges)):
         return LeftOut.BAD_ANGLES
     return None
 
@@ -82,6 +82,9 @@ BATCH_POINTS = 1 << 19
 """Points of clouds that are gathered, unless one has more"""
 CLOUD_MOMENTS = 33
 """Poses looked up for one cloud whose points have times of their own"""
+
+ECHOES = "MultiEchoLaserScan"
+"""The type of scans whose beams have several echoes"""
 
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
@@ -198,6 +201,13 @@ def find_oddity(angle_increment: float, beams: int) -> str:
     return ""
 
 
+def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterator[str]:
+    """Say which options of its reader a log has no use for."""
+    types = [stream.type for stream in log.streams if stream.topic in topics]
+    if options.echo is not Echo.FIRST and not any(each.endswith(ECHOES) for each in types):
+        yield f"`echo={options.echo}` does nothing: no topic of scans holds {ECHOES}"
+
+
 class Drive:
     """The scans of one log that are used, as a stream of batches: selected, limited and posed.
 
@@ -269,4 +279,5 @@ class Drive:
         concerns = self.poser.list_concerns(first_ns, reach)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
-        return [*self.poser.notes, *self._odd, *told, *self.limits.list_notes()]
+        idle = list_idle(self.log, self.topics, self._options.reading)
+        return [*idle, *self.poser.notes, *self._odd, *told, *self.limits.list_notes()]

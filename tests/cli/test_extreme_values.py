@@ -128,3 +128,29 @@ def test_a_stray_range_beyond_all_sense(tmp_path: Path, reading: float) -> None:
         assert f"{reading:.6g} m" in built.err
         assert "occmap build" not in seen.out.splitlines()[-1]
     assert occmap("build", log, "-o", "far.pgm", "--max-range", 30).code == 0
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("named", "value", "told"),
+    [
+        ("angle_increment", "1e308", "angles not finite"),
+        ("angle_min", "-1e308", ""),
+        ("time_increment", "1e308", ""),
+        ("pose", "1e308", "pose not finite"),
+        ("range", "1e308", "did not come back"),
+    ],
+)
+def test_a_csv_of_huge_numbers_is_checked_without_a_warning(
+    named: str, value: str, told: str
+) -> None:
+    number = {"angle_min": "0", "angle_increment": "0.1", "time_increment": "0", "range": "1"}
+    number |= {"pose": "0", named: value}
+    head = "".join(f"# {name}: {number[name]}\n" for name in list(number)[:3])
+    row = f"{number['pose']},{number['pose']},0,1,{number['range']},2\n"
+    rows = "".join(f"{second},{row}" for second in range(4))
+    Path("huge.csv").write_text(f"{head}stamp,x,y,yaw,r0,r1,r2\n{rows}")
+    result = occmap("check", "huge.csv")
+    assert result.err.count("\n") <= 1
+    assert "fault in occmap" not in result.err
+    assert told in result.out

@@ -13,7 +13,9 @@ from occmap.readers import Echo, ReaderOptions, Role, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud, find_offsets
 from occmap.readers.message_types import convert_multi_echo
 from occmap.scans.logs import choose_topics
+from occmap.scans.stream import list_idle
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, header, scan, write_mcap
+from tests.samples import SAMPLE_LOGS
 
 ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -81,6 +83,17 @@ def test_one_echo_of_each_beam(store: Typestore, echo: Echo, expected: list[floa
         30,
         7,
     )
+
+
+def test_an_option_for_echoes_that_no_scan_has_is_named(tmp_path: Path) -> None:
+    reading = ReaderOptions(echo=Echo.LAST)
+    log = open_log(SAMPLE_LOGS / "drive.csv", reading)
+    assert list(list_idle(log, ["scan"], reading)) == [
+        "`echo=last` does nothing: no topic of scans holds MultiEchoLaserScan"
+    ]
+    assert list(list_idle(log, ["scan"], ReaderOptions())) == []
+    path = write_mcap(tmp_path / "log.mcap", [Written("/echo", SECOND, echoes(ROS2, [[1.0, 2.0]]))])
+    assert list(list_idle(open_log(path, reading), ["/echo"], reading)) == []
 
 
 def decode(message: Any) -> list[list[float]]:

@@ -75,6 +75,7 @@ def test_batches_come_in_the_order_of_the_log() -> None:
     [
         ({"angle_min": math.nan}, LeftOut.BAD_ANGLES),
         ({"angle_increment": math.inf}, LeftOut.BAD_ANGLES),
+        ({"angle_increment": 1.7e308}, LeftOut.BAD_ANGLES),  # that of the last beam is infinite
         ({"ranges": np.zeros(0, np.float32)}, LeftOut.NO_BEAMS),
     ],
 )
