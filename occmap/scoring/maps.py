@@ -72,7 +72,7 @@ class TruthScore:
     """Share of the edge cells of the truth, occupied beside free ones, near which the map has an
     occupied cell"""
     edges_invented: Share
-    """Share of the map's occupied cells near which the truth has none"""
+    """Share of the map's occupied cells near which the truth has none, where it is known"""
     occupied_called_free: Share
     """Share of the edge cells that the map calls free, with nothing occupied near"""
     free_called_occupied: Share
@@ -268,8 +268,10 @@ def score_by_truth(
     far = within_m + side / 1000  # distances are between middles of cells
     open_floor = (is_true == FREE) & (from_true > far)
     walls, is_missed = is_said == OCCUPIED, edges & (from_said > far)
-    invented, dangerous = walls & (from_true > far), is_missed & (is_said == FREE)
-    distances = from_true[walls]
+    # Of what lies where the truth is unknown, as behind a window, it says nothing.
+    judged = walls & ((is_true != NEITHER) | (from_true <= far))
+    invented, dangerous = judged & (from_true > far), is_missed & (is_said == FREE)
+    distances = from_true[judged]
     picture = np.full((*shape, 3), GREY, np.uint8)
     layers = (
         (is_said == FREE, WHITE),
@@ -284,7 +286,7 @@ def score_by_truth(
         truth=str(truth.path),
         within_m=within_m,
         edges_found=1 - share(is_missed, edges),
-        edges_invented=share(invented, walls),
+        edges_invented=share(invented, judged),
         occupied_called_free=share(dangerous, edges),
         free_called_occupied=share(open_floor & walls, open_floor),
         free_found=share(open_floor & (is_said == FREE), open_floor),

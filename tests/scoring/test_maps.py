@@ -68,6 +68,13 @@ def test_a_wall_that_is_off_by_a_cell_is_found_within_a_cell() -> None:
     assert (near.edges_found, near.edges_invented, near.occupied_called_free) == (1, 0, 0)
 
 
+def test_walls_where_the_truth_is_unknown_are_not_judged() -> None:
+    plan = draw("#######??? #.....#??? #######???")
+    said = draw("#######??# #.....#.## #######..#")
+    score = score_by_truth(said, plan, 0.0, is_fitted=False)
+    assert (score.edges_found, score.edges_invented, score.wall_distance_m) == (1, 0, 0)
+
+
 @pytest.mark.parametrize("times", [2, 5])
 def test_resolutions_may_differ(times: int) -> None:
     classes = ROOM.classes.repeat(times, 0).repeat(times, 1)
