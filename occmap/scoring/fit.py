@@ -14,6 +14,8 @@ STEP_M, STEP_RAD = 0.2, math.radians(2)
 """Of the first look; then both are halved again and again"""
 HALVINGS = 6
 MOST_POINTS = 4000
+MOST_STEPS = 200
+"""Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
 
 
 class Transform(NamedTuple):
@@ -77,7 +79,8 @@ class Walls(NamedTuple):
         Squares of distances are smallest over columns first and over rows then, which is exact
         (Felzenszwalb and Huttenlocher 2012), here for whole rows of cells at once.
         """
-        side = math.ceil(limit / resolution)
+        side = min(math.ceil(limit / resolution), MOST_STEPS)
+        limit = min(limit, side * resolution)
         mask = np.pad(occupied, side)
         squares = np.where(mask, 0, np.float32((side + 1) ** 2)).astype(np.float32)
         for _ in range(2):

@@ -94,6 +94,12 @@ def test_distances_are_those_to_the_nearest_wall() -> None:
         assert walls.measure(point[None])[0] == pytest.approx(nearest, abs=1e-5)
 
 
+def test_distances_in_a_map_of_millimetres_end_nearer_by() -> None:
+    walls = Walls.of(np.ones((1, 1), np.bool_), np.zeros(2), 0.001, 2.0)
+    assert walls.limit == pytest.approx(0.2)
+    assert walls.measure(np.array([[1.0, 0.0]]))[0] == pytest.approx(0.2)
+
+
 @pytest.mark.parametrize("moved", [(0.4, -0.3, 0.1), (-1.7, 1.5, -0.3), (0.0, 0.0, 0.0)])
 def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
     plan = load_map(SAMPLE_LOGS / "floor_plan.yaml", WriteOptions())
