@@ -184,4 +184,5 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
         map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),
+        looked_up=any(tally.frames.values()),
     )

@@ -43,7 +43,7 @@ def list_pose_facts(topic: findings.ScanFindings) -> Iterator[Row]:
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
         share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
-        yield "", share + hint_at_tune(topic.agreement)
+        yield "", share + ("" if topic.poses.stated else hint_at_tune(topic.agreement))
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 

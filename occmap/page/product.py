@@ -46,9 +46,10 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     subtitle = f"{spread}, {cols:,} x {rows:,} cells of {size:g} m, {used:,} scans"
     sections = []
     if report is not None:
+        made = tell_map(report.map, report.looked_up)
         scans = [*tell_scans(report), *tell_beams(report)]
         sections += [
-            Section("The map", [Block("facts", tell_map(report.map))], wide=False),
+            Section("The map", [Block("facts", made)], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
             tell_notes(report),
         ]

@@ -8,7 +8,7 @@ import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.grid.tiles import TileGrid
-from occmap.report.printed import Count, Share
+from occmap.report.printed import HIDDEN, Count, Share
 from occmap.report.words import Noted, Row, count, write_box, write_counts
 from occmap.scans.tally import ScanCounts
 from occmap.sensor.returns import ReturnCounts
@@ -152,6 +152,9 @@ class Report(Noted):
     seconds: dict[str, float] = field(default_factory=dict)
     """Time by stage (s); where threads work at the same time, their times add up; empty where no
     log was read"""
+    looked_up: bool = field(default=False, metadata=HIDDEN)
+    """Some poses were looked up by time, so that a wrong clock or mount may be why walls double.
+    Poses that stand beside their scans were corrected together with them"""
 
     @property
     def hit_share(self) -> float:
@@ -199,8 +202,11 @@ def hint_at_tune(agreement: float) -> str:
     return "; walls may be doubled: `occmap tune LOG` looks for a wrong clock or mount"
 
 
-def tell_map(grid: MapSummary) -> list[Row]:
-    """Say how large a map is, what its cells are, how well scans fit it, and how it was made."""
+def tell_map(grid: MapSummary, looked_up: bool = False) -> list[Row]:
+    """Say how large a map is, what its cells are, how well scans fit it, and how it was made.
+
+    Where poses were `looked_up` by time, and scans do not fit well, `occmap tune` is named.
+    """
     size = f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m"
     turned = f", turned by {grid.align:g} degrees" if grid.align else ""
     # Between occupied and free there may be undecided cells.
@@ -209,7 +215,8 @@ def tell_map(grid: MapSummary) -> list[Row]:
     rows = [("map", f"{size}, {write_box(grid.extent)}{turned}"), ("cells", cells)]
     if grid.agreement is not None:
         found = f"{grid.agreement:.1%} of the hits lie in occupied cells"
-        rows.append(("agree", found + hint_at_tune(grid.agreement)))
+        hint = hint_at_tune(grid.agreement) if looked_up else ""
+        rows.append(("agree", found + hint))
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
     return [*rows, ("update", f"{grid.update}, model {grid.model}{passes}")]
 

@@ -13,6 +13,7 @@ from occmap.cli.console import Console, Verbosity
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing.options import PosingOptions
+from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
@@ -150,6 +151,14 @@ def test_tune_is_named_where_walls_may_be_doubled(
     assert bool(hint) == ("occmap tune" in built.out)
     assert built.err.count("occmap tune") == notes
     assert bool(hint) == ("walls may be doubled" in occmap("check", *words).out)
+
+
+def test_where_poses_stand_beside_scans_no_clock_is_blamed(tmp_path: Path) -> None:
+    words = [SAMPLE_LOGS / "drive.csv", "--sensor-pose", "0.07,0.03,0.03"]
+    report = json.loads(occmap("build", *words, "-o", tmp_path / "m.pgm", "--json").out)
+    assert LEAST_AGREEMENT < report["map"]["agreement"] < DOUBTFUL_AGREEMENT
+    for command in (["build", *words, "-o", tmp_path / "m.pgm"], ["check", *words]):
+        assert "occmap tune" not in occmap(*command).out
 
 
 def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
