@@ -35,6 +35,7 @@ KNOWN_POINTS = 1000
 """Points that are taken to show ground that is known"""
 REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
+ROUNDS = 4
 SQUARE_MM, STOREY_MM = 1000, 1800
 """Where a path comes by a square again, so much higher, it is on another storey"""
 FILLED = 10
@@ -44,6 +45,11 @@ GIVE_HEIGHT = (
     "see in `occmap check` if the mount is wrong, else give `sensor_height=0.6`, or a plane: "
     "`ground=flat` `sensor_height=0.6`"
 )
+LEVEL_MM, LEVEL_SHARE, LEAST_LEVEL = 50, 0.95, 500
+"""So many columns, of which such a share lies within this distance of one plane, are a floor of one
+level, which goes on where nobody saw it. A street has 0.4 there, a hall with a platform 0.8"""
+LEVEL_FILLED = 128
+"""It goes on over so many columns"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -183,11 +189,56 @@ def find_ground(
     if not measured.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
     growth.fill_ground(blocks, base, tall, FILLED)
+    plane = fit_plane(blocks, base, measured)
+    if plane is not None:
+        beyond = base == NO_GROUND
+        growth.fill_ground(blocks, base, tall, LEVEL_FILLED - FILLED)
+        beyond &= base != NO_GROUND
+        base[beyond] = plane[beyond]
     note = (
         f"the sensor is {depth / 1000:.2f} m above the ground, which was found for "
         f"{np.count_nonzero(measured):,} of {filled:,} columns of 0.15 m"
     )
     return pack_ground(blocks, base, measured), [note, *list_storeys(path)]
+
+
+def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
+    """Fit a plane to measured ground (C,); give its heights (C,; mm), or None where it has none.
+
+    Sums are of integers, so that all machines find the same plane.
+    """
+    at = np.arange(len(height))
+    block, row, col = at >> 2 * BLOCK_BITS, at >> BLOCK_BITS & BLOCK - 1, at & BLOCK - 1
+    row += blocks.places[block, 0] * BLOCK
+    col += blocks.places[block, 1] * BLOCK
+    if np.count_nonzero(measured) < LEAST_LEVEL:
+        return None
+    used = measured
+    for _ in range(ROUNDS):
+        x, y, z = (each[used].astype(np.int64) for each in (col, row, height))
+        count, middle = len(x), (int(x.sum()) // len(x), int(y.sum()) // len(x))
+        x, y = x - middle[0], y - middle[1]
+        terms = [np.ones_like(x), x, y]
+        sums = [[int((one * other).sum()) for other in terms] for one in terms]
+        rises = [int((one * z).sum()) for one in terms]
+        whole, both = measure_volume(sums), list(zip(sums, rises, strict=True))
+        if count < LEAST_LEVEL or whole == 0:
+            return None
+        level, along, aside = (
+            measure_volume([[*row[:n], rise, *row[n + 1 :]] for row, rise in both]) / whole
+            for n in range(3)
+        )
+        plane = level + along * (col - middle[0]) + aside * (row - middle[1])
+        off = np.abs(height - plane)
+        used = measured & (off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3))
+    share = np.count_nonzero(off[measured] < LEVEL_MM) / np.count_nonzero(measured)
+    return np.rint(plane).astype(np.int32) if share >= LEVEL_SHARE else None
+
+
+def measure_volume(rows: list[list[int]]) -> int:
+    """The determinant of three rows of three integers."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def list_storeys(path: Int64) -> Iterator[str]:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground
-from occmap.clouds.ground import index_blocks, list_storeys
-from occmap.clouds.kernels.growth import NO_GROUND, Found, Peaks, drop_raised, smooth_ground
+from occmap.clouds.ground import fit_plane, index_blocks, list_storeys
+from occmap.clouds.kernels.growth import NO_GROUND, Blocks, Found, Peaks, drop_raised, smooth_ground
 from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
-from occmap.types import Int32
+from occmap.types import Bool, Float64, Int32
 
 
 @pytest.mark.parametrize(
@@ -92,3 +92,28 @@ def test_the_height_of_the_ground_at_a_place_by_hand() -> None:
         [[-0.2, -0.1], [65.5 * 0.15, 0.44], [66.5 * 0.15, 0.44], [0.1, 0.1], [1e4, -1e4]]
     )
     np.testing.assert_array_equal(ground.find_heights(places), [-0.25, 0.4, *[np.nan] * 3])
+
+
+def lay_slope(height: Float64) -> tuple[Blocks, Int32, Bool]:
+    """Ground in the lower half of a block, none in the upper one."""
+    level = np.where(ROW < 32, np.rint(height), NO_GROUND).astype(np.int32).ravel()
+    return BLOCKS, level, level != NO_GROUND
+
+
+COL, ROW = (each.astype(np.float64) for each in np.meshgrid(np.arange(64), np.arange(64)))
+
+
+def test_a_floor_of_one_level_goes_on_by_its_plane() -> None:
+    """2 mm and -1 mm a column, with a pallet in a corner."""
+    slope: Float64 = 2 * COL - ROW - 700
+    plane = fit_plane(*lay_slope(slope + np.where(COL + ROW < 6, 150.0, 0.0)))
+    assert plane is not None
+    np.testing.assert_allclose(plane.reshape(64, 64), slope, atol=1)
+
+
+def test_what_is_no_plane_does_not_go_on() -> None:
+    assert fit_plane(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
+    blocks, level, measured = lay_slope(0 * COL)
+    for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
+        some = measured & part
+        assert fit_plane(blocks, np.where(some, level, NO_GROUND), some) is None

@@ -345,6 +345,8 @@ def fill_ground(blocks: Blocks, height: Int32, tall: UInt8, rounds: int) -> None
                         queued[near] = 1
                         front[many] = near
                         many += 1
+        if many == 0 and 2 * turn >= rounds:
+            break
         for i in range(many):
             queued[front[i]] = 0
             taken[i] = mean_beside(blocks, height, front[i], 1)
