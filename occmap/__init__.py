@@ -8,8 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from occmap.api import build_map, check, compare, diff, merge, read_log, tune
-    from occmap.api.maps import Map
+    from occmap.api import Map, build_map, check, compare, diff, merge, read_log, tune
     from occmap.cells import OccupancyMap
     from occmap.errors import OccmapError
     from occmap.options import BuildOptions
@@ -41,7 +40,7 @@ _HOMES = {
     "Build": "occmap.report.results",
     "BuildOptions": "occmap.options",
     "Log": "occmap.readers",
-    "Map": "occmap.api.maps",
+    "Map": "occmap.api",
     "OccmapError": "occmap.errors",
     "OccupancyMap": "occmap.cells",
     "build": "occmap.pipeline",

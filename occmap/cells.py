@@ -165,7 +165,7 @@ class Slices:
     Slice n lasts from n to n + 1 times `Manifest.pass_gap_s`, counted from stamp 0, so that logs
     and builds share their slices. A tile in a slice has a bit for each cell that was hit and for
     each that was seen, (2, 64, 64). Of these only the bytes are kept that differ from those of the
-    row before, about 50 of 1024; `occmap.grid.slices` packs and unpacks them.
+    row before, about 50 of 1024; `occmap.grid.tiles` packs and unpacks them.
     """
 
     tiles: Int64

@@ -6,18 +6,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from occmap.choices import check_bounds, list_options, list_values, option
-from occmap.choices.values import write_values
-from occmap.clouds.options import CloudOptions
+from occmap.choices import check_bounds, list_options, list_values, option, write_values
+from occmap.clouds import CloudOptions
 from occmap.errors import require
-from occmap.evidence.persistence import check_passes
-from occmap.grid.lattice import Lattice
+from occmap.evidence import check_passes
+from occmap.grid import Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import MAX_CELLS
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
+from occmap.sensor import ReturnOptions
 from occmap.sensor.models import MODEL, PARAMETERS, CountingModel, SensorModel
-from occmap.sensor.returns import ReturnOptions
 from occmap.types import Update
 from occmap.workers import count_cores
 from occmap.writers import WriteOptions

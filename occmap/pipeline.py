@@ -8,24 +8,29 @@ from typing import Any
 
 from occmap.cells import Evidence, Ground, Slices
 from occmap.errors import MapError
-from occmap.evidence.fit import list_misfit
+from occmap.evidence import list_misfit, render_lasting
 from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
-from occmap.evidence.persistence import render_lasting
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
-from occmap.report.doubts import list_notes
-from occmap.report.results import Build, MapFacts, MapSummary, Report, Resumed, describe_map
-from occmap.scans.alignment import settle_align
+from occmap.report.results import (
+    Build,
+    MapFacts,
+    MapSummary,
+    Report,
+    Resumed,
+    describe_map,
+    list_notes,
+)
+from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observe, Progress, Remarks, ignore_progress
 from occmap.scans.tracing import observe as observe_here
+from occmap.store import open_saved, read_all
 from occmap.store.merging import refuse_different
 from occmap.store.publishing import sum_scans
-from occmap.store.reading import open_saved, read_all
 from occmap.types import Update
-from occmap.writers import Product
+from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
-from occmap.writers.outputs import check_outputs, want_evidence, want_journey, write_outputs
 
 
 def build(

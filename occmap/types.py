@@ -362,7 +362,7 @@ class Attached(NamedTuple):
     posed: PosedScans | None
     """Those that have poses; None where none has"""
     dropped: dict[str, int]
-    """How many have none, by reason (`occmap.posing.options.DropReason`)"""
+    """How many have none, by reason (`occmap.posing.DropReason`)"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,15 +20,15 @@ from PIL import Image
 import occmap
 from occmap.choices import list_options, read_options
 from occmap.cli.console import spell
-from occmap.clouds.options import CloudOptions
+from occmap.clouds import CloudOptions
 from occmap.errors import MapError, OccmapError, OutputError, UsageError
 from occmap.grid.rendering import Framing
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import Deskew, PosingOptions, Stamps
+from occmap.posing import Deskew, PosingOptions, Stamps
 from occmap.readers import Echo, ReaderOptions
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
-from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.store.publishing import RenderOptions
 from occmap.types import Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
@@ -473,7 +473,7 @@ def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:
     [
         (occmap.build_map, "occmap.api.build"),
         (occmap.check, "occmap.inspection.inspect"),
-        (occmap.compare, "occmap.page.pictures.compare_logs"),
+        (occmap.compare, "occmap.page.compare_logs"),
         (occmap.tune, "occmap.tuning.tune"),
     ],
 )

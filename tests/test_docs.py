@@ -18,8 +18,7 @@ from ruamel.yaml import YAML
 
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import Role, open_log
-from occmap.readers.probing import Probe
+from occmap.readers import Probe, Role, open_log
 from occmap.report.limits import BUILD, CHECK, COMPARE, DIFF, SAVED, SCORE, TUNE, Measures
 from occmap.types import Pose
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page

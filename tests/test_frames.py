@@ -10,9 +10,9 @@ import pytest
 
 from occmap.grid.rendering import Framing
 from occmap.pipeline import build
-from occmap.posing.options import Deskew, PosingOptions
+from occmap.posing import Deskew, PosingOptions
+from occmap.scoring import combine
 from occmap.scoring.compare import compare
-from occmap.scoring.trials import combine
 from occmap.store.merging import merge
 from occmap.types import BEAM_UPDATES, Pose, Update
 from occmap.writers.npz import read_evidence

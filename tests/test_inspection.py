@@ -18,15 +18,20 @@ from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.poses import prepare
-from occmap.inspection.ranges import BLOCK_RANGES, RangeCensus, find_crossing, find_repeated
-from occmap.inspection.survey import StampLog
+from occmap.inspection.survey import (
+    BLOCK_RANGES,
+    RangeCensus,
+    StampLog,
+    find_crossing,
+    find_repeated,
+)
 from occmap.options import BuildOptions, Selection, compose_build
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions, Stamps
+from occmap.posing import PosingOptions, Stamps
 from occmap.readers import Note, Stream
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, correct_mount
-from occmap.sensor.returns import NoReturn, ReturnOptions
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive

@@ -11,10 +11,9 @@ import pytest
 from occmap.cells import Decision, OccupancyMap
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
-from occmap.scans import stream, tracing
-from occmap.scans.engines import make_engine
+from occmap.scans import make_engine, stream, tracing
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import parse_model
-from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import BEAM_UPDATES, Bool, Update
 from tests.map_loaders import load_nav2
 from tests.samples import DRIVES, SAMPLE_LOGS

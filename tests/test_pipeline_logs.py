@@ -16,7 +16,7 @@ from occmap.cells import OccupancyMap
 from occmap.errors import LogError, MapError, OccmapError, OutputError, PoseError, UsageError
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.report.results import Build, Report
 from occmap.scans import stream
 from occmap.types import BEAM_UPDATES, Update

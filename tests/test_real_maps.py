@@ -9,7 +9,7 @@ import pytest
 from occmap.errors import PoseError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.types import Pose
 from tests.samples import REAL_LOGS
 

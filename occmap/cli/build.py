@@ -13,8 +13,7 @@ from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Bar, Console, label_first, show_progress, write_rows
 from occmap.cli.declaring import Answer, answering, fail_if, join, option
-from occmap.cli.options import PATH, Values, collect_model
-from occmap.cli.streams import gather_logs, hide_sent, place_outputs
+from occmap.cli.options import PATH, Values, collect_model, gather_logs, hide_sent, place_outputs
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build

@@ -10,14 +10,14 @@ from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
 from occmap.cli.declaring import Answer, answering, fail_if, join
-from occmap.cli.streams import gather_logs
-from occmap.inspection import inspect, telling
+from occmap.cli.options import gather_logs
+from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
+from occmap.report import Row
 from occmap.report.limits import CHECK
-from occmap.report.words import Row
-from occmap.writers.outputs import check_picture
+from occmap.writers import check_picture
 
 LABEL = 10
 """Width of the column of labels"""
@@ -59,7 +59,7 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
         yield log.path
         yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
         yield ""
-    rows = [] if inspection.map is None else [("map", telling.describe_map(inspection.map))]
+    rows = [] if inspection.map is None else [("map", findings.describe_map(inspection.map))]
     rows += [("warning", text) for text in inspection.warnings]
     rows += [("problem", text) for text in inspection.problems]
     yield from write_rows(rows, LABEL)
@@ -72,13 +72,13 @@ def list_log(log: LogFindings) -> Iterator[Row]:
     yield from label_first("topics", list_streams(log.streams))
     for topic in log.scans:
         yield "", ""
-        yield from telling.list_scan_facts(topic)
+        yield from findings.list_scan_facts(topic)
         if not topic.is_of_clouds:
             yield from label_first("ranges", list_ranges(topic.ranges))
-        yield from telling.list_pose_facts(topic)
+        yield from findings.list_pose_facts(topic)
     if log.coverage:
         yield "", ""
-    yield from label_first("sources", telling.tell_sources(log.coverage))
+    yield from label_first("sources", findings.tell_sources(log.coverage))
     yield from label_first("note", log.other_notes)
 
 
@@ -93,10 +93,10 @@ def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
 
 def list_ranges(ranges: RangeFindings) -> Iterator[str]:
     """Write a histogram of the range values that are special, and what each suggests."""
-    yield telling.tell_ranges(ranges)
-    for name, number, share, meaning in telling.list_kinds(ranges):
+    yield findings.tell_ranges(ranges)
+    for name, number, share, meaning in findings.list_kinds(ranges):
         yield f"{name:<12} {number:>10} {share:>6}  {meaning}"
-    for value, share, meaning in telling.list_repeated(ranges):
+    for value, share, meaning in findings.list_repeated(ranges):
         yield f"{value:<12} repeated: {share}; {meaning}"
-    if crossed := telling.tell_crossed(ranges):
+    if crossed := findings.tell_crossed(ranges):
         yield crossed

@@ -14,7 +14,7 @@ from typing import Any, TypedDict
 import click
 
 from occmap.errors import OccmapError, OutputError
-from occmap.report.words import name_stdin
+from occmap.report import name_stdin
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""

@@ -1,6 +1,7 @@
-"""`occmap merge` and `occmap render`: saved evidence added up, taken apart and made a map."""
+"""`occmap merge`, `render` and `explain`: saved evidence added up, made a map, and asked about."""
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,17 +9,21 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, label_first, write_rows
-from occmap.cli.declaring import Answer, answering, fail_if, join, option
-from occmap.cli.options import choose_saved_model
-from occmap.cli.streams import hide_sent, place_outputs
+from occmap.cli.console import Console, align, label_first, show_progress, write_rows
+from occmap.cli.declaring import Answer, SectionCommand, answering, fail_if, join, option
+from occmap.cli.options import choose_saved_model, hide_sent, place_outputs
 from occmap.errors import UsageError
+from occmap.explanation import Explanation, Question, describe_numbers, explain
+from occmap.explanation.history import Seen, Visits, add_up
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.report import count, join_names, write_box, write_time
 from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
+from occmap.scans.logs import keep_stdin
+from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
 from occmap.store.publishing import RenderOptions, publish
-from occmap.store.reading import Saved, open_saved
-from occmap.writers.outputs import check_outputs
+from occmap.writers import WriteOptions, check_outputs
 
 subtracted = options.paths(
     options.FILES, "--subtract", metavar="NPZ", text="Take the evidence in this file away."
@@ -94,3 +99,170 @@ def put_out(
     report = hide_sent(publish(evidence, options, outputs))
     rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
     return Answer(report, write_rows(rows))
+
+
+MOST_SCANS = 12
+"""More are cut out of the middle of the list"""
+MOST_BUILDS = 6
+
+NUMBER = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
+NEGATIVE = re.compile(f"-{NUMBER}")
+POINT = re.compile(f"-?{NUMBER},-?{NUMBER}")
+
+
+class PointCommand(SectionCommand):
+    """A command whose arguments may be negative numbers, which look like options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Part X,Y, and put a space before negative numbers: no option begins with one."""
+        words: list[str] = []
+        for word in args:
+            words += word.split(",") if POINT.fullmatch(word) else [word]
+        return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
+
+
+logs = options.paths(
+    options.SCANS,
+    "--log",
+    "logs",
+    metavar="LOG",
+    text="List the scans of this log that observed the cell.",
+)
+poses = options.paths(
+    options.POSES, "--poses", metavar="FILE", text="The trajectory that the log was built with."
+)
+
+
+@answering("explain", Explanation, PointCommand)
+@click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
+@click.argument("x", type=float)
+@click.argument("y", type=float)
+@join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
+@options.printing
+def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
+    """Say what was seen at a point of saved evidence, and by which scans.
+
+    X and Y are metres in the map frame. Give the logs that the evidence was made of as --log, to
+    list the scans that hit or cleared the cell. A log is known by its hash, wherever it lies now.
+
+      occmap explain map.npz 1.5 -0.25
+      occmap explain map.npz 1.5 -0.25 --log drive.mcap
+      occmap explain map.npz 1.5 -0.25 --log scans.csv --poses trajectory.txt --json
+    """
+    evidence = open_saved(path)
+    view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
+    values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))
+    question = take(Question, values | view)
+    with show_progress(console) as progress:
+        explanation = explain(evidence, question, progress)
+    rows = [*list_cell(explanation)]
+    if explanation.digest:
+        rows.append(("digest", explanation.digest))
+    if values["logs"]:
+        rows += list_scans(explanation)
+    return Answer(explanation, write_rows(rows))
+
+
+def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Say where the cell is, what it is, and what is beside it."""
+    cell, seen = explanation.cell, explanation.seen
+    yield "cell", f"row {cell.row}, column {cell.column}: {write_box(cell.extent)}"
+    if explanation.verdict != "unknown":
+        by = f"probability {explanation.probability:.3f} by {explanation.model}"
+        yield "class", f"{explanation.verdict}: {by}"
+    elif seen.observations:
+        yield "class", "unknown: it was hit, but on fewer visits than --min-passes"
+    else:
+        yield "class", "unknown: nothing observed this cell"
+    if seen.observations:
+        yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
+        yield from list_builds(explanation)
+    if explanation.ground is not None:
+        yield "ground", f"{explanation.ground:.3f} m high there, as the clouds showed it"
+    if explanation.map_extent:
+        low_x, low_y, high_x, high_y = explanation.map_extent
+        x, y = explanation.point
+        if not (low_x <= x < high_x and low_y <= y < high_y):
+            yield "", f"it lies outside of the map: {write_box(explanation.map_extent)}"
+    else:
+        yield "", "nor any other: the evidence is empty"
+    yield from label_first("around", list(list_around(explanation)))
+
+
+def list_around(explanation: Explanation) -> Iterator[str]:
+    """Draw a table of what was seen in the cell and those beside it, if anything was."""
+    kind = explanation.seen.kind
+    if any(each.observations for row in explanation.around for each in row):
+        names = "hits/misses" if kind is EvidenceKind.COUNTS else "log-odds/observations"
+        table = [
+            ["/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row]
+            for row in explanation.around
+        ]
+        yield from (f"{names} of the cells beside it, y upwards", *align(table))
+
+
+def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Say on how many visits each build observed the cell, and when; and then all together."""
+    shown = explanation.builds[:MOST_BUILDS]
+    for index, build in enumerate(shown):
+        yield "" if index else "visits", f"{join_names(build.logs)}: {describe_visits(build)}"
+    if len(shown) < len(explanation.builds):
+        yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
+    if len(shown) > 1 and explanation.visits:
+        yield "", f"together: {describe_visits(explanation.visits)}"
+
+
+def describe_visits(visits: Visits) -> str:
+    """Write on how many visits a cell was observed, and between which ends of slices."""
+    found = count(visits.seen_visits, "visit")
+    if visits.hit_visits is not None:
+        found = f"hit on {visits.hit_visits:,} of {found}"
+    return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
+
+
+def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
+    """Write the two numbers of a cell, in observations."""
+    first, second = (each / explanation.unit for each in seen.numbers)
+    if seen.kind is EvidenceKind.LOG_ODDS:
+        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
+    return f"{first:.15g}", f"{second:.15g}"
+
+
+def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
+    """Sum up the scans that observed the cell, and list the first and the last of them."""
+    scans = explanation.scans
+    used = f"of {count(explanation.scans_used, 'scan')} used"
+    if not scans:
+        yield "scans", f"none {used} observed the cell"
+        return
+    yield "scans", f"{len(scans):,} {used}: {describe_sum(explanation)}"
+    half = MOST_SCANS // 2
+    shown = scans if len(scans) <= MOST_SCANS else (*scans[:half], *scans[-half:])
+    counts = explanation.seen.kind is EvidenceKind.COUNTS
+    names = ("hits", "misses") if counts else ("log-odds", "obs.")
+    head = ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
+    rows = [
+        (
+            f"{scan.stamp_ns / 1e9:.3f}",
+            *split_pair(scan.seen, explanation),
+            f"{scan.x:.3f}, {scan.y:.3f}",
+            f"{scan.distance:.3f}",
+            f"{Path(scan.log).name} {scan.topic}",
+        )
+        for scan in shown
+    ]
+    for index, line in enumerate(align([head, *rows])):
+        if index == half + 1 and len(shown) < len(scans):
+            yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
+        yield "", line
+
+
+def describe_sum(explanation: Explanation) -> str:
+    """Say how many scans spoke for what, and what they add up to."""
+    pairs, kind = [each.seen.numbers for each in explanation.scans], explanation.seen.kind
+    sums = describe_numbers(add_up(explanation.scans), kind, explanation.unit)
+    if kind is EvidenceKind.LOG_ODDS:
+        raised, lowered = sum(first > 0 for first, _ in pairs), sum(first < 0 for first, _ in pairs)
+        return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
+    hit, cleared = sum(first > 0 for first, _ in pairs), sum(second > 0 for _, second in pairs)
+    return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"

@@ -15,7 +15,7 @@ from occmap.cli import COMMANDS, cli, options
 from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_line, spell
 from occmap.cli.declaring import Answer, Limited, SectionCommand, answering, as_command
 from occmap.plugins import Broken, Group, load_plugins
-from occmap.report.printed import Printed, list_printed, read_texts
+from occmap.report import Printed, list_printed, read_texts
 
 
 @dataclass(frozen=True)

@@ -1,31 +1,47 @@
-"""The options that commands share, so that a flag means the same everywhere.
+"""The options that commands share, so that a flag and a path mean the same everywhere.
 
-What `occmap.options` declares is typed as it says there.
+What `occmap.options` declares is typed as it says there. Beside plain paths there are folders,
+patterns, stdin and stdout.
 """
 
 import math
-from collections.abc import Mapping
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import fields as list_fields
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import click
 
-from occmap.choices import Option, list_options
-from occmap.choices.values import parse_number
+from occmap.choices import Option, list_options, parse_number
 from occmap.cli.console import Console, Verbosity, spell
 from occmap.cli.declaring import BareOption, ConfigOption, join, option
-from occmap.clouds.options import CloudOptions
+from occmap.clouds import CloudOptions
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
-from occmap.options import DEFAULT_UPDATE, OPTIONS, Selection, choose_model, spell_flag
-from occmap.posing.options import PosingOptions
+from occmap.options import (
+    DEFAULT_UPDATE,
+    OPTIONS,
+    BuildOptions,
+    Selection,
+    choose_model,
+    name_map,
+    spell_flag,
+)
+from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
+from occmap.report.results import Report
+from occmap.scans.logs import find_inputs, keep_stdin
+from occmap.sensor import ReturnOptions
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
-from occmap.sensor.returns import ReturnOptions
-from occmap.writers import Shade
+from occmap.writers import FolderWriter, Shade, find_writer
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
@@ -257,3 +273,73 @@ verbosity = join(
     loudness("-v", "--verbose", Verbosity.VERBOSE, "Print the traceback of a fault in occmap."),
 )
 printing = join(as_json, verbosity)
+
+
+STDOUT = "-"
+SCRATCH = "occmap-stdout-"
+
+
+def gather_logs(
+    console: Console, paths: Sequence[Path], options: BuildOptions, outputs: Sequence[Path] = ()
+) -> list[Path]:
+    """Find the recordings that the user means, and say what a folder holds of them.
+
+    Raises
+    ------
+    LogError
+        Nothing comes on stdin.
+    """
+    given = click.get_current_context().with_resource(keep_stdin(paths))
+    others = [*outputs, Path(options.posing.poses or "")]
+    found = find_inputs(given, options.reading, others)
+    console.announce(*found.notes)
+    return found.logs
+
+
+def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:
+    """Name the maps that are to lie in a folder; what is meant for stdout goes to a file first.
+
+    Parameters
+    ----------
+    first
+        The first input, after which a map in a folder is called.
+    """
+    placed = tuple(
+        path / f"{name_map(str(first))}.pgm" if os.path.isdir(path) and not path.suffix else path  # noqa: PTH112  a name may be too long
+        for path in outputs
+    )
+    if all(path.stem != STDOUT for path in placed):
+        return placed
+    return click.get_current_context().with_resource(send_to_stdout(console, placed))
+
+
+def hide_sent(report: Report) -> Report:
+    """Leave out of a report the file that is sent to stdout."""
+    files = [file for file in report.files if not Path(file).parent.name.startswith(SCRATCH)]
+    return replace(report, files=tuple(files))
+
+
+@contextmanager
+def send_to_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
+    """Write an output to a file while the command runs, and then to stdout.
+
+    Raises
+    ------
+    UsageError
+        More is meant for stdout than one file, or a format that is a folder.
+    """
+    name, *others = (path for path in outputs if path.stem == STDOUT)
+    if others or console.as_json:
+        raise UsageError("stdout takes one map and nothing else", fix="give another name to -o")
+    file_name = name.with_suffix(name.suffix or ".pgm")
+    if isinstance(find_writer(file_name), FolderWriter):
+        found = f"a {name.suffix} is a folder, which stdout cannot take"
+        raise UsageError(found, where=name, fix=f"name the folder, such as -o map{name.suffix}")
+    console.stdout_is_taken = True
+    with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
+        saved = Path(folder) / f"stdout{file_name.suffix}"
+        yield tuple(saved if path == name else path for path in outputs)
+        if saved.exists():
+            with saved.open("rb") as file:
+                shutil.copyfileobj(file, sys.stdout.buffer)
+            sys.stdout.buffer.flush()

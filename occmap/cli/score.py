@@ -10,21 +10,19 @@ import click
 import numpy as np
 
 from occmap.cells import CellClass
-from occmap.choices import take
-from occmap.choices.values import parse_number
+from occmap.choices import parse_number, take
 from occmap.cli import options
 from occmap.cli.console import Console, show_progress, write_rows
 from occmap.cli.declaring import Answer, answering, fail_if, join, option
-from occmap.cli.streams import gather_logs
-from occmap.difference.maps import load_map
+from occmap.cli.options import gather_logs
+from occmap.difference import load_map
 from occmap.errors import require
 from occmap.options import BuildOptions
+from occmap.report import count
 from occmap.report.limits import SCORE
-from occmap.report.words import count
 from occmap.scoring.fit import STAY, Transform
 from occmap.scoring.maps import MapScore, find_place, score_by_logs, score_by_truth
-from occmap.writers import WriteOptions
-from occmap.writers.outputs import check_picture, refuse_input
+from occmap.writers import WriteOptions, check_picture, refuse_input
 
 AGAINST = "What it is held against"
 WITHIN_M = 0.1

@@ -6,9 +6,8 @@ from tempfile import TemporaryDirectory
 
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import Deskew, PosingOptions
-from occmap.scoring.score import score_map
-from occmap.scoring.trials import make_scans
+from occmap.posing import Deskew, PosingOptions
+from occmap.scoring import make_scans, score_map
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel
 from occmap.types import BEAM_UPDATES
 

@@ -1,5 +1,69 @@
 """3D lidars and depth cameras: the ground below a drive, and what stands on it.
 
-A first pass over all logs finds the ground (`ground`), a second one observes each cloud over it
-(`engine`). `kernels` holds the loops of both.
+Here is what a user may choose about them.
 """
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from occmap.choices import option
+from occmap.errors import require
+
+LOCAL, FLAT = "local", "flat"
+"""How the ground is found, if no file has it"""
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """The choices.
+
+    Raises
+    ------
+    UsageError
+        The heights leave nothing between them.
+    """
+
+    min_height: float = option(
+        0.1, "Clouds: what lies this high above the ground is an obstacle: the clearance.", unit="m"
+    )
+    max_height: float = option(
+        1.5, "Clouds: what lies this high above the ground is none: the robot's height.", unit="m"
+    )
+    range_margin: float = option(
+        0.012,
+        "Clouds: the clearance grows by this for each metre from where it makes 0.1 m on, since "
+        "poses and mounts are off by tenths of a degree.",
+        unit="m/m",
+        metavar="M",
+    )
+    ground: str | None = option(
+        None,
+        "Clouds: find the ground where the drive went (local), take a plane (flat), or take the "
+        "ground of saved evidence.",
+        metavar="local|flat|NPZ",
+    )
+    sensor_height: float | None = option(
+        None, "Clouds: the sensor's height above the ground, where clouds do not show it.", unit="m"
+    )
+
+    def __post_init__(self) -> None:
+        found = f"no point lies above {self.min_height} m and below {self.max_height} m"
+        fix = "give a `min_height` below the `max_height`, both above the ground"
+        require(0 < self.min_height < self.max_height, found, fix)
+        require(
+            0 <= self.range_margin <= 1,
+            f"a range margin of {self.range_margin} is not possible",
+            "give 0 to 1",
+        )
+        found = f"{self.ground!r} is no way to find the ground"
+        is_known = self.ground in {None, LOCAL, FLAT} or self.file is not None
+        require(is_known, found, f"give `ground={FLAT}`, or evidence: `ground=first.npz`")
+        height = self.sensor_height
+        found = f"a sensor height of {height} m is not possible"
+        require(height is None or 0 < height < 100, found, "try `sensor_height=0.6`")
+
+    @property
+    def file(self) -> Path | None:
+        """The evidence whose ground is taken; None: the ground is found."""
+        name = self.ground or ""
+        return Path(name) if name.endswith((".npz", ".zarr")) else None

@@ -9,15 +9,13 @@ from threading import Lock
 import numpy as np
 
 from occmap.cells import Ground, Slices
+from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels.growth import BLOCK, Blocks
-from occmap.clouds.kernels.heights import Cloud, find_reach
+from occmap.clouds.kernels.heights import Cloud, find_reach, list_clouds
 from occmap.clouds.kernels.tracing import COUNTS, SECTORS, Band, Canvas, lay_ground, trace_cloud
-from occmap.clouds.options import CloudOptions
-from occmap.clouds.posed import list_clouds
-from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.slices import mark_observed, unite
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
+from occmap.grid import CellBox, Lattice
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, mark_observed, unite, view_tiles
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 SLACK_M = 0.096

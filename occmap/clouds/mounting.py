@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.posing.rotations import to_quaternions
+from occmap.posing.tracks import to_quaternions
 from occmap.types import Float64, Pose, PosedScans
 
 CLOUDS, POINTS = 40, 1500

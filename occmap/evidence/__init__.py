@@ -1,27 +1,37 @@
-"""Evidence: the map that a model makes of it, and a grid made of what was saved of it."""
+"""Evidence: the map that a model makes of it, a grid made of what was saved, whether two fit.
+
+Of what came on several visits, hits stay; people who walked through once do not.
+"""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol, TypeAlias
+from typing import Any, NamedTuple, NoReturn, Protocol, TypeAlias
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, OccupancyMap, to_log_odds
-from occmap.errors import MapError, OccmapError
+from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
+from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
-from occmap.grid.lattice import CellBox, Lattice
-from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
+from occmap.grid import CellBox, Lattice
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, frame, paint
 from occmap.grid.tiles import (
     LOG_ODDS_UNIT,
+    TILE,
     EvidenceKind,
+    Key,
+    Tile,
     TileGrid,
     add_stack,
+    count_visits,
+    drop_empty,
     find_unit,
     refuse_large,
+    split_tiles,
+    unite,
 )
 from occmap.sensor import models
-from occmap.sensor.models import SensorModel, find_decision, parse_model
+from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
 from occmap.types import Float64
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
@@ -130,4 +140,171 @@ def refuse_other_profile(evidence: Described, model: SensorModel) -> None:
             f"holds hits and misses, which {model.name} cannot read",
             where=evidence.where,
             fix=f"build it with `model={model.name}`",
+        )
+
+
+MOST_TILES = 16
+"""At most so many of the tiles that both saw are looked at, evenly spread."""
+FEWEST_HITS = 200.0
+"""With fewer hits, less than a scan has, no note is given."""
+MUCH_LESS = 0.15
+"""Parts of one log lose 0.00 to 0.05 where their poses are corrected, and up to 0.12 on the raw
+odometry of a floor; different buildings, and one building 3 m away, lose 0.21 to 0.41."""
+
+
+class Fit(NamedTuple):
+    """Of the hits in cells that both saw, the share in cells called occupied: the mean of both."""
+
+    alone: float
+    """Where each is mapped by itself"""
+    together: float
+
+
+def list_misfit(
+    grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel, whom: str
+) -> Iterator[str]:
+    """Say that the tiles of a log contradict those that it is added to, called `whom`."""
+    fit = measure_fit(grid, others, model)
+    if fit is not None and fit.together < fit.alone - MUCH_LESS:
+        yield (
+            f"does not fit {whom}: in cells that both saw, {fit.alone:.0%} of the hits lie in "
+            f"occupied cells where each is mapped alone, and {fit.together:.0%} together; where "
+            "their frames differ, build each with a `transform` of its own and merge them"
+        )
+
+
+def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) -> Fit | None:
+    """Measure how well two parts of a map agree; None where they share too little, or keep no hits.
+
+    Only cells that both saw count, and each part as much as the other: it does not matter which
+    is longer, or how much each saw elsewhere.
+    """
+    if grid.kind is not EvidenceKind.COUNTS:
+        return None
+    shared = sorted(grid.tiles.keys() & others.keys())
+    sample = shared[:: max(-(-len(shared) // MOST_TILES), 1)]
+    parts = [{key: tiles[key] for key in sample} for tiles in (grid.tiles, others)]
+    both: dict[Key, Tile] = {
+        key: np.sum([part[key] for part in parts], axis=0, dtype=np.int64) for key in sample
+    }
+    sources = [choose_tiles(grid.like(tiles), model) for tiles in [*parts, both]]
+    log_odds, cut = weigh(model), to_log_odds(find_decision(model).occupied_above)
+    sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
+    for key in sample:
+        met = np.all([part[key].any(axis=0) for part in parts], axis=0)
+        *each, together = (source.read(CellBox.at(*key).scale(TILE)) for source in sources)
+        for row, (part, alone) in enumerate(zip(parts, each, strict=True)):
+            where = met & (part[key][0] > 0)
+            hits = part[key][0][where]
+            sums[row, 0] += hits.sum()
+            for column, (first, second) in enumerate((alone, together), start=1):
+                occupied = log_odds(first[where], second[where]) > cut
+                sums[row, column] += hits[occupied].sum()
+    if sums[:, 0].min() < FEWEST_HITS * grid.unit:
+        return None
+    shares = (sums[:, 1:] / sums[:, :1]).mean(axis=0)
+    return Fit(*shares.tolist())
+
+
+MUCH = 0.25
+"""A note is given if this share of the occupied cells is lost: people are seldom so many."""
+
+
+def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | None) -> TileGrid:
+    """Weigh hits by the visits that they came on; `grid` stays as it is.
+
+    A cell that was hit on fewer than `min_passes` visits loses its hits. Of one that was hit on so
+    many, and on at least half of those that saw it, misses are forgotten: at a thin wall they come
+    from beams that graze it.
+
+    Parameters
+    ----------
+    grid
+        Of hits and misses.
+    slices
+        When the cells were observed, build by build; a slice that several builds share is one.
+    min_passes
+        None: all stays as it is.
+    """
+    if min_passes is None:
+        return grid
+    lasting = grid.like({})
+    for key, of_tile in split_tiles(unite(slices)):
+        if key in grid.tiles:
+            (hits, misses), (hit, seen) = grid.tiles[key], count_visits(of_tile)
+            often = hit >= min_passes
+            mostly = often & (2 * hit >= seen)
+            kept = np.where(often, hits, 0), np.where(mostly, 0, misses)
+            lasting.tiles[key] = np.stack(kept)
+    drop_empty(lasting)
+    return lasting
+
+
+def refuse_nothing_left(min_passes: int | None) -> NoReturn:
+    """Say that no cell was observed, or that none lasts; raises MapError."""
+    if min_passes is None:
+        raise MapError("no beam of any scan observed a cell, so there is no map")
+    found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
+    raise MapError(found, fix="give a smaller `min_passes`")
+
+
+def render_lasting(
+    grid: TileGrid, slices: Sequence[Slices], model: SensorModel, options: Any
+) -> tuple[OccupancyMap, list[str]]:
+    """Make the map of what lasts, as it is to be framed; a note says where much does not last.
+
+    Parameters
+    ----------
+    options
+        Those of a build or of a map of saved evidence: `min_passes`, `max_cells` and `framing`.
+
+    Raises
+    ------
+    MapError
+        Nothing is left, or as `render` and `frame`.
+    """
+    lasting = keep_lasting(grid, slices, options.min_passes)
+    if grid.tiles and not lasting.tiles:
+        refuse_nothing_left(options.min_passes)
+    made, lost = render(lasting, model, options.max_cells), []
+    if lasting is not grid:
+        lost = list(list_lost(render(grid, model, options.max_cells), made))
+    return frame(made, options.framing, model.prior, options.max_cells), lost
+
+
+def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
+    """Say so if many cells are no longer occupied after hits and misses were forgotten."""
+    start = after.place - before.place
+    rows, cols = map(slice, start, start + after.shape)
+    were = int(np.count_nonzero(before.occupied))
+    lost = were - int(np.count_nonzero(before.occupied[rows, cols] & after.occupied))
+    yield from describe_lost(were, lost)
+
+
+def describe_lost(were: int, lost: int) -> Iterator[str]:
+    """Say so if many of the occupied cells are lost."""
+    if lost and lost >= MUCH * were:
+        yield (
+            f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
+            f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
+            "out, or build with a smaller `pass_gap_s`"
+        )
+
+
+def check_passes(min_passes: int | None, model: SensorModel) -> None:
+    """Refuse a number of visits below 1, or any number for a model that counts no hits.
+
+    Raises
+    ------
+    UsageError
+        It is below 1, or the model does not count hits.
+    """
+    if min_passes is None:
+        return
+    require(min_passes >= 1, f"`min_passes={min_passes}` is not possible", "give 1 or more")
+    if isinstance(model, RadialModel):
+        raise UsageError(
+            f"`min_passes` counts the visits that hit a cell, while {model.name} sums up log-odds "
+            "and knows no hits",
+            fix="leave it out, or build with `model=simple` or `model=counting`",
         )

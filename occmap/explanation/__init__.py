@@ -10,31 +10,40 @@ import numpy as np
 
 from occmap.cells import Box, Evidence, OccupancyMap
 from occmap.errors import UsageError
-from occmap.evidence import choose_tiles, paint_box, read_model, refuse_other_profile, to_grid
+from occmap.evidence import (
+    check_passes,
+    choose_tiles,
+    keep_lasting,
+    paint_box,
+    read_model,
+    refuse_other_profile,
+    to_grid,
+)
 from occmap.evidence.manifest import list_doubts
-from occmap.evidence.persistence import check_passes, keep_lasting
 from occmap.explanation.history import (
     Cell,
     CellHistory,
     Numbers,
     Seen,
     Sighting,
+    Use,
     Visits,
     add_up,
     find_cell,
     find_sightings,
+    find_uses,
+    list_logs,
+    list_missing,
     look_at,
 )
-from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid import CellBox, Lattice
 from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.report.printed import Count, Printed, Share, printed_as
-from occmap.report.words import count, join_names
+from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import SensorModel, describe_model
-from occmap.store.reading import Saved, Store, read_part
-from occmap.store.rendering import open_map
+from occmap.store import Saved, Store, read_part
+from occmap.store.publishing import open_map
 from occmap.types import Update
 from occmap.writers import WriteOptions
 

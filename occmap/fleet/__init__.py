@@ -33,21 +33,20 @@ from occmap.evidence.manifest import (
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.tasks import BlockJob, Job, Piece, Setting
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid import CellBox, Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.pipeline import build, list_inputs, make_report
-from occmap.report.doubts import list_notes
-from occmap.report.results import MapFacts, Report
-from occmap.scans.alignment import settle_align
+from occmap.report.results import MapFacts, Report, list_notes
+from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observed, Progress, Remarks
-from occmap.store.blocks import Block, BlockRecord, list_blocks
+from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
+from occmap.writers import check_outputs
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
-from occmap.writers.outputs import check_outputs
 
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""

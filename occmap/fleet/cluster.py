@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from occmap.errors import FleetError
 from occmap.fleet.tasks import AnyJob, Job, Result
 from occmap.plugins import need_extra
-from occmap.report.words import count
+from occmap.report import count
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -18,18 +18,17 @@ import zstandard
 from occmap.cells import Slices
 from occmap.errors import MapError, name_log
 from occmap.evidence.manifest import describe_files
-from occmap.grid.lattice import CellBox
+from occmap.grid import CellBox
 from occmap.grid.rendering import count_agreeing
-from occmap.grid.slices import unite
-from occmap.grid.tiles import TileGrid, stack_tiles, view_tiles
+from occmap.grid.tiles import TileGrid, stack_tiles, unite, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
-from occmap.scans.engines import make_cloud_engine, make_engine, make_grid
+from occmap.scans import make_cloud_engine, make_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import AddRays, Keep, count_ground, trace_logs
-from occmap.store.blocks import Block, BlockContent, BlockRecord, split_blocks
+from occmap.store.layout import Block, BlockContent, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64, Update
 from occmap.writers.atomic import open_atomic

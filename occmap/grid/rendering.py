@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occmap.cells import Box, OccupancyMap, to_log_odds
-from occmap.choices import check_bounds, option
-from occmap.choices.values import make_box_form
+from occmap.choices import check_bounds, make_box_form, option
 from occmap.errors import MapError, require
-from occmap.grid.lattice import FARTHEST_UNIT, CellBox, Lattice
+from occmap.grid import FARTHEST_UNIT, CellBox, Lattice
 from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, TileGrid, refuse_large
-from occmap.report.words import write_metres
+from occmap.report import write_metres
 from occmap.types import Bool, Float32, Float64, Kind, Rays
 
 

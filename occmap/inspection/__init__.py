@@ -3,32 +3,268 @@
 It reads the poses once and the scans once, as a build does; only where the mount of the laser is
 missing are the scans read twice, for the mount is then guessed from them.
 
-`poses`, `survey` and `ranges` measure, `findings` holds what they find, `advice` judges it, and
-`telling` puts it into words for a terminal and a page.
+`poses` and `survey` measure, and `findings` holds what they find and puts it into words. Here it
+is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
+import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
-from occmap.errors import LogError, OccmapError
-from occmap.grid.lattice import Lattice
-from occmap.inspection.advice import judge, list_concerns
-from occmap.inspection.findings import Inspection, LogFindings, MountFindings, ScanFindings
-from occmap.inspection.floor import list_floor_concerns, tell_slope
-from occmap.inspection.poses import Posing, list_coverage, prepare, suggest_stamps, sum_up_poses
-from occmap.inspection.ranges import measure_crossing
-from occmap.inspection.survey import Extent, Survey, TopicSurvey
-from occmap.options import BuildOptions
+from occmap.errors import LogError, MapError, OccmapError
+from occmap.grid import CellBox, Lattice, refuse_long
+from occmap.grid.tiles import refuse_large
+from occmap.inspection.findings import (
+    Inspection,
+    LogFindings,
+    MapFindings,
+    MountFindings,
+    ScanFindings,
+)
+from occmap.inspection.poses import (
+    Posing,
+    list_coverage,
+    list_floor_concerns,
+    prepare,
+    suggest_stamps,
+    sum_up_poses,
+    tell_slope,
+)
+from occmap.inspection.survey import Extent, Survey, TopicSurvey, measure_crossing
+from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
+from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, Stream, open_log, read_recorded
-from occmap.report.words import write_unused
+from occmap.report import count, write_counts, write_unused
+from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import choose_topics, count_messages
-from occmap.scans.mounts import estimate_agreement, find_better
+from occmap.scans.mounts import estimate_agreement, find_better, warn_of_misfit
+from occmap.scans.stream import find_oddity
 from occmap.scans.tracing import find_ground
+from occmap.sensor import RangeLimits
 from occmap.sensor.models import Spreading
-from occmap.sensor.no_return import RangeLimits
+
+SHARE_OF_NOTE = 0.05
+"""More scans of a topic without a pose than this share are worth a warning."""
+DRIFT_S = 0.1
+"""Stamps that drift by more against the record times are worth a warning (s)."""
+BYTES_PER_CELL = 4 + 1 + 8
+"""In memory: log-odds, observed, and two counts of four bytes as evidence."""
+ASK_TUNE = "try `occmap tune`"
+
+
+def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
+    """Judge logs by what was found in them, and by the size of the map that they would make."""
+    lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
+    box = reduce(CellBox.join, boxes) if boxes else None
+    too_large = find_size_problem(box, max((log.longest for log in logs), default=0.0), options)
+    topics = [topic for log in logs for topic in log.scans]
+    is_unseen = not box and any(each.poses.posed and not each.is_of_clouds for each in topics)
+    unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
+
+    problems = [log.problem for log in logs if log.problem]
+    if no_poses := list_pose_problems(logs, options.posing.stamps):
+        problems += no_poses  # and that is why nothing is seen
+    elif no_map := too_large or unseen:
+        problems.append(no_map)
+
+    command, differing = ((), ()) if too_large else recommend(logs, options)
+    if unseen and spell_flag("no_return") not in command:
+        command = ()  # no known option makes a map of these logs
+    damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
+    concerns = (concern.text for log in logs for concern in log.concerns)
+    return Inspection(
+        logs=tuple(logs),
+        map=box and sum_up_map(box, lattice),
+        problems=tuple(problems),
+        warnings=(*damage, *concerns, *differing),
+        command=command,
+        buildable=not problems,
+    )
+
+
+def sum_up_map(box: CellBox, lattice: Lattice) -> MapFindings:
+    """Sum up the map of a box of cells."""
+    return MapFindings(
+        resolution=lattice.resolution,
+        extent=lattice.measure(box),
+        columns=box.cols,
+        rows=box.rows,
+        file_bytes=box.cells,
+        memory_bytes=box.cells * BYTES_PER_CELL,
+    )
+
+
+def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
+    """Say why no scan has a pose, of each log or of all: a build needs at least one."""
+    found = []
+    for log in logs:
+        faults = dict.fromkeys(topic.poses.problem for topic in log.scans)
+        if "" not in faults:  # else some topic of the log has poses
+            found += [f"{log.path}: {fault}" for fault in faults]
+    topics = [(log, topic) for log in logs for topic in log.scans]
+    if topics and not found and not any(topic.poses.posed for _, topic in topics):
+        for log, topic in topics:
+            unused = write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})
+            found.append(f"{topic.topic}: {unused}{bridge_clocks(log, topic, stamps)}")
+    return found
+
+
+def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
+    """Suggest an option for scans and poses whose times do not overlap."""
+    if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
+        return ""
+    times = topic.times
+    if times.suggested_stamps is not stamps:
+        return f"; try `stamps={times.suggested_stamps.value}`"
+    for source in log.coverage:
+        apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
+        if stamps is Stamps.HEADER and source.moves and apart:
+            offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
+            option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
+            return f"; {option} would put the first scan at the first pose"
+    return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
+
+
+def find_size_problem(box: CellBox | None, longest: float, options: BuildOptions) -> str:
+    """Say why no map can be made for its size, or that of its longest beam (m); "" where it can."""
+    lattice = Lattice(options.resolution)
+    try:
+        if box is not None:
+            refuse_large(box, lattice, options.max_cells)
+        refuse_long(longest, options.resolution)
+    except MapError as error:
+        return str(error)
+    return ""
+
+
+def recommend(
+    logs: Sequence[LogFindings], options: BuildOptions
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Recommend a command line for the logs that can be mapped.
+
+    Returns
+    -------
+    command, differing
+        The words of the line, none where it takes more than one; and what it leaves out, or which
+        lines it takes.
+    """
+    stamps = options.posing.stamps
+    mapped = [  # with poses, or with a hint that the other of the two times gives some
+        log
+        for log in logs
+        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
+    ]
+    differing = tuple(list_apart(mapped, options))
+    command = compose_command(mapped, options) if mapped and not differing else ()
+    left = [log.path for log in logs if log not in mapped]
+    if left and (command or differing):
+        differing += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
+    return command, differing
+
+
+def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
+    """Compose the command line for logs that can be mapped: the options given, then the advice.
+
+    Where the poses do not fit the scans, it is the line of `occmap tune`, which looks for the
+    reason. It is empty where nothing helps, or where logs need different options.
+    """
+    paths = [log.path for log in logs]
+    concerns = [concern for log in logs for concern in log.concerns]
+    advised = list_advised(logs, options)
+    for concern in concerns:
+        for name, value in (concern.remedy or {}).items():
+            if advised.setdefault(name, value) != value:
+                return ()
+    command = compose_build(paths, options, advised)
+    hopeless = [concern for concern in concerns if concern.remedy is None]
+    if all(ASK_TUNE in concern.text for concern in hopeless):
+        return ("occmap", "tune", *command[2:-2]) if hopeless else command
+    return ()
+
+
+def list_apart(logs: Sequence[LogFindings], options: BuildOptions) -> Iterator[str]:
+    """Say which lines build logs that need different options, each added to those before."""
+    lines = [compose_command([log], options) for log in logs]
+    if len({(*line[:2], *line[3:-2]) for line in lines}) < 2:
+        return
+    if any(line[1:2] != ("build",) for line in lines):
+        yield "the logs need different options: check them one by one"
+        return
+    yield "the logs need different options: build one after the other"
+    yield from map(shlex.join, chain_builds(lines))
+
+
+def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
+    """List the options that the findings suggest, where the user has not decided."""
+    topics = [topic for log in logs for topic in log.scans]
+    advised = {}
+    for topic in topics:
+        if topic.poses.assumed:
+            advised["sensor_pose"] = topic.poses.assumed
+        if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
+            advised["stamps"] = topic.times.suggested_stamps
+    advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
+    if advice == {"clear"}:
+        advised["no_return"] = "clear"
+    return advised
+
+
+def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> list[Concern]:
+    """List what will spoil a map, or surprise its maker.
+
+    Parameters
+    ----------
+    spoilers
+        What the poses show, with the topics of the scans.
+    """
+    has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
+    found = []
+    for topic in log.scans:
+        mine = [concern for name, concern in spoilers if name == topic.topic]
+        mine += list_doubts(topic, has_poses)
+        if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
+            share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
+            text = f"{share} lie in occupied cells: the poses do not fit the scans; {ASK_TUNE}"
+            is_mended = any(concern.remedy for concern in mine)
+            mine.append(Concern(f"{text}, or another trajectory", {} if is_mended else None))
+        found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
+    return found
+
+
+def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
+    """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
+    oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
+    yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
+    if topic.mount and topic.mount.better:
+        yield warn_of_misfit(topic.mount.better)
+    lost = topic.poses.dropped
+    if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
+        yield Concern(f"scans without a pose: {write_counts(lost)}")
+    yield from map(Concern, list_clock_faults(topic))
+    for item in topic.ranges.repeated:
+        if not item.is_no_return:
+            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
+            yield Concern(f"{share} and may mean no return")
+    if not topic.ranges.measured and not topic.is_of_clouds:
+        yield Concern("no range value is a measurement")
+
+
+def list_clock_faults(topic: ScanFindings) -> Iterator[str]:
+    """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
+    times = topic.times
+    if topic.poses.stated:
+        return
+    if times.all_equal:
+        yield "all stamps are equal"
+    if times.jumps_back:
+        yield f"stamps jump back {count(times.jumps_back, 'time')}"
+    if abs(times.drift_s) > DRIFT_S:
+        yield f"stamps drift by {times.drift_s:.3g} s against the record times"
+
 
 __all__ = ["Inspection", "inspect"]
 

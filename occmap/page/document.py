@@ -14,11 +14,11 @@ from platform import python_version
 from typing import Any, Literal
 
 from occmap.evidence.manifest import describe_files
-from occmap.inspection import telling
+from occmap.inspection import findings
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import spell_flags
 from occmap.readers import Role
-from occmap.report.words import Noted, count, join_names, name_stdin
+from occmap.report import Noted, count, join_names, name_stdin
 from occmap.writers.atomic import open_atomic
 
 HERE = Path(__file__).parent
@@ -159,7 +159,7 @@ def write_inspection(path: Path, inspection: Inspection) -> None:
     verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
     sections = list(tell_findings(inspection))
     if inspection.map is not None:
-        facts = [("size", telling.describe_map(inspection.map))]
+        facts = [("size", findings.describe_map(inspection.map))]
         sections.append(Section("The map that they would make", [Block("facts", facts)]))
     inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
     page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
@@ -194,19 +194,19 @@ def list_log(log: LogFindings) -> Iterator[Block]:
     ]
     yield Block("table", streams, ("topic", "type", "#messages", "used as"), title="Topics")
     for topic in log.scans:
-        facts = list(telling.list_scan_facts(topic))
+        facts = list(findings.list_scan_facts(topic))
         if not topic.is_of_clouds:
-            facts.append(("ranges", telling.tell_ranges(topic.ranges)))
-        if crossed := telling.tell_crossed(topic.ranges):
+            facts.append(("ranges", findings.tell_ranges(topic.ranges)))
+        if crossed := findings.tell_crossed(topic.ranges):
             facts.append(("", crossed))
-        facts += telling.list_pose_facts(topic)
+        facts += findings.list_pose_facts(topic)
         yield Block("facts", facts, title=f"Scans on {topic.topic}")
-        kinds = list(telling.list_kinds(topic.ranges))
-        for metres, share, meaning in telling.list_repeated(topic.ranges):
+        kinds = list(findings.list_kinds(topic.ranges))
+        for metres, share, meaning in findings.list_repeated(topic.ranges):
             kinds.append((f"{metres} m, repeated", "", share, meaning))
         kinds = [] if topic.is_of_clouds else kinds
         yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
-    yield Block("list", title="Pose sources", texts=telling.tell_sources(log.coverage))
+    yield Block("list", title="Pose sources", texts=findings.tell_sources(log.coverage))
 
 
 def tell_notes(result: Noted) -> Section:

@@ -1,20 +1,168 @@
 """From recorded poses to the pose of each scan.
 
-A pose sample, such as a message on /tf, goes this way:
-
-1. `sources.gather` sorts all samples of a log by topic and frames. Those of one frame in another
-   become a `Track` (`tracks`), in the order of time, and with its frames an `Edge`.
-2. A `FrameTree` (`frames`) chooses between edges that contradict each other, and knows the ways
-   from frame to frame. A trajectory that the user gives (`trajectory`) is an edge beside it.
-
-A batch of scans goes this way, all of it in `attach.Poser.attach`:
-
-3. `resolve` finds the way through the tree, from the frame of the map to that of the scans.
-4. `chain` makes a `Chain` of it, and interpolates that at the stamps of the scans.
-5. `attach` leaves out scans without a pose, and `deskewing` gives each beam one of its own where
-   that is wanted.
-6. `leaps` leaves out scans whose poses leap away and back.
-7. `course` and `jumps` watch where the sensor goes, and say what of that spoils a map.
-
-`options` has what the user chooses on the way, and `rotations` the mathematics.
+Here is what a user may choose about poses, why a scan is left out, and what spoils a map.
 """
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple, TypeVar
+
+from occmap.choices import ABOVE_ZERO, MOUNT, PLANAR, TRANSFORM, check_bounds, option
+from occmap.errors import require
+from occmap.types import Pose, PoseSample
+
+Time = TypeVar("Time")
+MAX_OFFSET_S = 4e9
+"""The largest offset: from a clock that begins at 0 to any date; two of them fit an int64 of ns."""
+
+MAX_PLACE_M = 1e8
+"""The farthest place (m), twice around the Earth: a bound refuses nan and inf, too."""
+
+MAX_MOUNT_M = 1e6
+"""The farthest mount (m): nothing on a robot is further away, and a bound refuses nan and inf."""
+
+
+class Deskew(StrEnum):
+    """Whether every beam of a scan gets a pose of its own."""
+
+    AUTO = "auto"
+    """Where the log states the time between beams and the poses are dense enough."""
+    ON = "on"
+    """Wherever the log states the time between beams."""
+    OFF = "off"
+    """Never: one pose a scan, at its stamp."""
+
+
+class Stamps(StrEnum):
+    """Which of the two times of a message counts."""
+
+    HEADER = "header"
+    """The time that its driver wrote into it."""
+    RECORD = "record"
+    """The time at which the recorder stored it."""
+
+    def choose(self, stamp_ns: Time, record_ns: Time) -> Time:
+        """Choose between the two times of one message, or of many."""
+        return record_ns if self is Stamps.RECORD else stamp_ns
+
+
+class DropReason(StrEnum):
+    """Why a scan has no pose."""
+
+    BEFORE = "before the first pose"
+    AFTER = "after the last pose"
+    GAP = "in a pose gap longer than `max_pose_gap_s`"
+    UNUSABLE = "pose not finite or beyond 1e12 m or without a rotation"
+    LEAP = "further from their neighbours than `max_speed` allows"
+    NO_TRANSFORM = "no transform to the scan's frame"
+
+
+class Concern(NamedTuple):
+    """Something that its user should know before the map is used."""
+
+    text: str
+    remedy: Mapping[str, str] | None = {}
+    """Options that mend it, with their values. Empty: the map is of use all the same. None: it is
+    not, and no known option makes it so"""
+
+
+@dataclass(frozen=True, slots=True)
+class PosingOptions:
+    """The choices; each default lets the log decide.
+
+    Raises
+    ------
+    UsageError
+        A value is out of its range.
+    """
+
+    poses: str | None = option(
+        None,
+        "Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic.",
+        unit="path or topic",
+        metavar="FILE|TOPIC",
+    )
+    sensor_pose: Pose | None = option(
+        None,
+        "Where the laser sits on the robot (metres, radians).",
+        metavar="X,Y,YAW[,ROLL,PITCH]",
+        form=MOUNT,
+    )
+    # Each goes before what the log says of its child.
+    static_transforms: tuple[PoseSample, ...] = option(
+        (),
+        "A fixed transform that the log lacks (m, rad).",
+        metavar="PARENT,CHILD,X,Y,Z,ROLL,PITCH,YAW",
+        flag="static-tf",
+        form=TRANSFORM,
+    )
+    map_frame: str | None = option(
+        None,
+        "Map in this frame; by default map, else odom, else the root of the laser's tree.",
+        unit="frame",
+    )
+    transform: Pose | None = option(
+        None,
+        "Pose of the logs' map frame in the new map (m, rad), to join sessions that have a frame "
+        "each.",
+        metavar="X,Y,YAW",
+        form=PLANAR,
+    )
+    base_frame: str | None = option(None, "The moving body that `sensor_pose` is on.", unit="frame")
+    # None: across any gap. Logs that are whole have gaps of one second, and a robot that is not
+    # watched for longer than two can have been anywhere.
+    max_pose_gap_s: float | None = option(
+        2.0,
+        "Leave out scans in a longer gap between poses.",
+        unit="s",
+        bounds=(ABOVE_ZERO, math.inf),
+        none=("inf", "to interpolate across any gap"),
+    )
+    # The fastest step of nine logs of robots, with rounded stamps, is 8; cars reach 50.
+    max_speed: float = option(
+        50.0,
+        "Leave out scans whose poses leap away faster than this, and back.",
+        unit="m/s",
+        bounds=(ABOVE_ZERO, math.inf),
+    )
+    time_offset_s: float = option(
+        0.0,
+        "Add this to the stamps of scans.",
+        unit="s",
+        bounds=(-MAX_OFFSET_S, MAX_OFFSET_S),
+    )
+    stamps: Stamps = option(
+        Stamps.HEADER, "Use the times that the driver wrote, or the recorder's."
+    )
+    # Off unless asked: drivers disagree on which beam the stamp belongs to and on the order of the
+    # beams. Of two real logs that state a time between beams both were blurred by believing it.
+    deskew: Deskew = option(Deskew.OFF, "Give every beam of a scan a pose of its own.")
+    align: float | None = option(
+        0.0,
+        "Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
+        "angle that brings its walls along the axes.",
+        unit="degrees",
+        bounds=(-360, 360),
+        none=("auto", "so that walls run along the axes"),
+    )
+
+    def __post_init__(self) -> None:
+        for name in ("map_frame", "base_frame", "poses"):
+            found = f"`{name}` is empty"
+            require(getattr(self, name) != "", found, "give a name, or leave it out")
+        check_bounds(self)
+        if self.transform:
+            is_near = all(abs(value) <= MAX_PLACE_M for value in self.transform)
+            require(is_near, f"no log lies at {self.transform[:3]}", "give metres and radians")
+        if self.sensor_pose is not None:
+            _check_pose(self.sensor_pose, "the sensor's pose")
+        for sample in self.static_transforms:
+            _check_pose(sample.pose, f"the transform {sample.parent} -> {sample.child}")
+
+
+def _check_pose(pose: Pose, name: str) -> None:
+    """Refuse numbers that nothing can be mounted at."""
+    is_place = all(abs(value) <= MAX_MOUNT_M for value in pose) and any(pose[3:])
+    require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")

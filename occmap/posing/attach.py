@@ -12,14 +12,18 @@ from typing import Self
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing.chain import Chain, Status, Transforms
-from occmap.posing.course import STANDS, Course, list_tilts
-from occmap.posing.deskewing import choose_deskewed, list_moments, place_beams
-from occmap.posing.jumps import warn_of_jumps
+from occmap.posing import Concern, Deskew, DropReason, PosingOptions
+from occmap.posing.chain import (
+    Chain,
+    Status,
+    Transforms,
+    choose_deskewed,
+    list_moments,
+    place_beams,
+)
+from occmap.posing.course import STANDS, Course, list_tilts, warn_of_jumps
 from occmap.posing.leaps import LeapFilter
-from occmap.posing.options import Concern, Deskew, DropReason, PosingOptions
-from occmap.posing.resolve import resolve
-from occmap.posing.sources import Sources, gather
+from occmap.posing.sources import Sources, gather, resolve
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.types import (
     IDENTITY,

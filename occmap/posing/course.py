@@ -1,18 +1,208 @@
-"""How a sensor sat, where it went, and what in this spoils a map."""
+"""How a sensor sat, where it went, and what in this spoils a map.
+
+A jump is where poses suddenly take the robot elsewhere. REP 105 allows that in the correction of
+odometry (`map -> odom`), and live navigation recovers. A map does not: what was traced before such
+a jump and what is traced after it belong to different places. Other poses jump where a robot was
+carried, or where two trajectories were joined.
+"""
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing.chain import Chain, make_chain
+from occmap.posing import Concern, Stamps
+from occmap.posing.chain import Chain, Moving, Status, make_chain
 from occmap.posing.frames import Edge, Source
-from occmap.posing.jumps import Jump, find_jumps
-from occmap.posing.options import Concern, Stamps
-from occmap.posing.rotations import measure_turn
-from occmap.posing.tracks import TrackBuilder
+from occmap.posing.tracks import Track, TrackBuilder, measure_turn
 from occmap.types import Float64, Int64, PoseBatch, PosedScans
+
+JUMP_M, JUMP_RAD = 1.0, math.radians(20)
+"""A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
+UNDONE_SHARE = 0.1
+"""A jump undoes another where it leads back to within this share of the other's way, or JUMP_M."""
+STRIDE_M = 1.0
+"""A shorter step may be a correction of drift."""
+STRIDE_S = 10.0
+"""Between samples that are further apart in time a robot may have been carried."""
+STRIDE_TIMES = 2.5
+"""No robot drives this many times as fast as usual."""
+LONG_STEPS = 2.0
+"""A stride is this many times as long as nearly all steps: all steps of a sparse log are long."""
+SLOW_M_PER_S = 0.3
+"""A robot that stands or creeps may set out at this speed."""
+BESIDE = np.array([*range(-10, 0), *range(1, 11)])
+"""Offsets from a step to those beside it, which say how fast the robot drives there."""
+FASTEST_BESIDE = 3
+"""The third fastest of those steps counts: one or two may be strides themselves."""
+
+MS_NS = 10**6
+
+
+class Jump(NamedTuple):
+    """A moment at which the sensor is suddenly elsewhere."""
+
+    stamp_ns: int
+    """By the clock of the poses"""
+    before: Float64
+    """(3,) where the sensor was (m)"""
+    after: Float64
+    """(3,) where it is from then on (m)"""
+    rotation: Float64
+    """(3, 3) how it turned, in the frame of the map"""
+    name: str
+    """What jumped"""
+
+    @property
+    def metres(self) -> float:
+        """How far it moved."""
+        return float(np.linalg.norm(self.after - self.before))
+
+    @property
+    def radians(self) -> float:
+        """How far it turned."""
+        return float(measure_turn(np.eye(3), self.rotation))
+
+    def is_undone_by(self, later: Self) -> bool:
+        """Whether a later jump leads back to where this one came from."""
+        back = later.after + later.rotation @ (self.after - later.before)
+        apart = float(np.linalg.norm(back - self.before))
+        askew = float(measure_turn(later.rotation.T, self.rotation))
+        return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
+
+
+def warn_of_jumps(jumps: Sequence[Jump], stamp_ns: Int64, first_ns: int) -> Concern | None:
+    """Say which jump between used scans is the largest, and which options keep one part.
+
+    Parameters
+    ----------
+    jumps
+        Of the sensor, in the order of time.
+    stamp_ns
+        (S,) of the scans that have poses, by the clock of the poses.
+    first_ns
+        Stamp of the first scan of the log, by that clock.
+    """
+    jumps, scans = _part(jumps, stamp_ns)
+    used = np.flatnonzero(scans)
+    if len(used) < 2:
+        return None
+    longest = int(np.argmax(scans))
+    remedy = {}
+    if longest > used[0]:  # rounded so that no scan of another part is kept
+        start_ms = -(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS)
+        remedy["start_s"] = f"{start_ms / 1e3:.12g}"
+    if longest < used[-1]:
+        remedy["end_s"] = f"{(jumps[longest].stamp_ns - first_ns) // MS_NS / 1e3:.12g}"
+    keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
+    text = _describe_largest(jumps[used[0] : used[-1]], first_ns)
+    return Concern(
+        f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
+        f"part, {scans[longest] / sum(scans):.0%} of them",
+        remedy,
+    )
+
+
+def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]]:
+    """Count the scans before the first jump, between jumps and after the last.
+
+    A jump that the next one undoes, without any scan in between, harms nothing and is left out.
+    """
+    parts = np.searchsorted([jump.stamp_ns for jump in found], stamp_ns, side="right")
+    first, *others = np.bincount(parts, minlength=len(found) + 1).tolist()
+    jumps: list[Jump] = []
+    scans = [first]
+    for jump, following in zip(found, others, strict=True):
+        if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
+            jumps.pop()
+            scans.pop()
+            scans[-1] += following
+        else:
+            jumps.append(jump)
+            scans.append(following)
+    return jumps, scans
+
+
+def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
+    """Say of the largest jump what jumps, how far and when, and whether the next undoes it."""
+    worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
+    if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
+        worst -= 1
+    jump, later = jumps[worst], jumps[worst + 1 : worst + 2]
+    seconds = (jump.stamp_ns - first_ns) / 1e9
+    text = (
+        f"{jump.name} jumps by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg "
+        f"{seconds:.3f} s after the first scan"
+    )
+    if later and jump.is_undone_by(later[0]):
+        text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"
+    return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
+
+
+class Break(NamedTuple):
+    """A sample at which a step of a chain jumps."""
+
+    after_ns: int
+    """Stamp of the sample, by the clock of the poses"""
+    before_ns: int
+    """The last stamp that is clearly before the jump"""
+    step: Edge
+
+
+def find_jumps(chain: Chain) -> list[Jump]:
+    """Find the jumps that the sensor at the end of a chain makes."""
+    breaks = find_breaks(chain)
+    after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
+    before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
+    known = (before.status == Status.POSED) & (after.status == Status.POSED)
+    jumps = []
+    for at in np.flatnonzero(known).tolist():
+        stamp_ns, _, step = breaks[at]
+        rotation = after.rotation[at] @ before.rotation[at].T
+        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
+        jumps.append(Jump(stamp_ns, before.position[at], after.position[at], rotation, name))
+    return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
+
+
+def find_breaks(chain: Chain) -> list[Break]:
+    """Find when any step of a chain jumps, in the order of time and each moment once.
+
+    A correction jumps where its pose holds until then, any other step where a body moves faster
+    than a robot can.
+    """
+    found: dict[int, Break] = {}
+    for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
+        stamp_ns = leg.step.track.stamp_ns
+        for at in np.union1d(np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)):
+            after_ns = int(stamp_ns[at + 1])
+            # A pose that holds does so until just before the next sample.
+            before_ns = after_ns - 1 if leg.holds[at] else int(stamp_ns[at])
+            found[after_ns] = Break(after_ns, before_ns, leg.step)
+    return [found[after_ns] for after_ns in sorted(found)]
+
+
+def find_strides(track: Track) -> Int64:
+    """Find the steps (K,) that are far too fast for a robot that drives as it does beside them.
+
+    Such a step takes at most 10 s and is longer than 1 m and than twice nearly all steps (19 of
+    20). It is 2.5 times as fast as nearly all of them, and as the third fastest of the ten steps to
+    either side.
+    """
+    if len(track) < 3:
+        return np.zeros(0, np.int64)
+    speed = track.step_m / np.maximum(track.interval_s, 1e-3)
+    usual = max(SLOW_M_PER_S, float(np.quantile(speed, 0.95)))
+    long_m = max(STRIDE_M, LONG_STEPS * float(np.quantile(track.step_m, 0.95)))
+    far = (track.step_m > long_m) & (track.interval_s <= STRIDE_S)
+    steps = np.flatnonzero(far & (speed > STRIDE_TIMES * usual))
+    beside = steps[:, None] + BESIDE
+    known = (beside >= 0) & (beside < len(speed))
+    beside_m_per_s = np.where(known, speed[np.clip(beside, 0, len(speed) - 1)], 0)
+    fast = np.partition(beside_m_per_s, -FASTEST_BESIDE, axis=1)[:, -FASTEST_BESIDE]
+    strides: Int64 = steps[speed[steps] > STRIDE_TIMES * fast]
+    return strides
+
 
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at 3 degrees and 30 cm above it, within 6 m."""

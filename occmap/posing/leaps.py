@@ -24,8 +24,8 @@ from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
-from occmap.posing.options import DropReason
-from occmap.report.words import count
+from occmap.posing import DropReason
+from occmap.report import count
 from occmap.types import Attached, Bool, Float64, Int64, PosedScans
 
 SLACK_M = 1.0

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.posing.rotations import to_quaternions
+from occmap.posing.tracks import to_quaternions
 from occmap.types import Moments, Pose, PoseSample
 from occmap.values import parse_nanoseconds, parse_seconds, shorten
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import BinaryIO, NamedTuple
 
 from occmap.errors import LogError
-from occmap.readers.inflate import Buffer, inflate
+from occmap.readers.containers import Buffer, Channel, inflate
 from occmap.readers.records import (
     DESCRIPTION,
     OTHER,
@@ -20,7 +20,6 @@ from occmap.readers.records import (
     RecordSource,
     Summary,
 )
-from occmap.readers.source import Channel
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """The opcodes."""

@@ -2,22 +2,224 @@
 
 Their times stand in their names, or else only their order is known: then the poses of a trajectory
 are those of the files, one by one.
+
+The files are PCD, PLY, KITTI's .bin and NumPy's .npy:
+https://pointclouds.org/documentation/tutorials/pcd_file_format.html,
+http://paulbourke.net/dataformats/ply/. Every `read_` function takes the bytes of a file and raises
+DamageError where they are not what they should be.
 """
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.readers import NoteList, Role, Stream
-from occmap.readers.cloud_files import READERS, read_cloud
+from occmap.readers import NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
-from occmap.readers.probing import Probe
-from occmap.report.words import count
+from occmap.report import count
 from occmap.types import Cloud, Moments, PoseSample, Scan
-from occmap.values import as_stamp
+from occmap.values import as_stamp, shorten
+
+
+class Points(NamedTuple):
+    """The fields of the points of a file."""
+
+    columns: Mapping[str, NDArray[Any]]
+    """(N,) each, by the names that the file gives them"""
+    announced: int
+    """How many points it announces: more than N where it is cut short"""
+
+
+Read: TypeAlias = Callable[[bytes], Points]
+
+_PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
+_PLY_KINDS = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
+    "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+MOST_BYTES = 1 << 31
+"""What a file may unpack to; a cloud of a hundred million points has less."""
+
+
+def read_cloud(path: Path) -> Points:
+    """Read the points of a file, by its suffix.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    DamageError
+        It is not what its suffix says.
+    """
+    points = READERS[path.suffix.lower()](path.read_bytes())
+    _require_places(points.columns)
+    return points
+
+
+def read_pcd(data: bytes) -> Points:
+    """Read a PCD: ascii, binary or binary_compressed."""
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        line, at = _take_line(data, at)
+        word, *values = line.split() or [""]
+        header[word.upper()] = values
+    try:
+        names, points = header["FIELDS"], int(header["POINTS"][0])
+        counts = list(map(int, header.get("COUNT", ["1"] * len(names))))
+        sizes = zip(header["TYPE"], header["SIZE"], strict=True)
+        kinds = [f"<{_PCD_KINDS[kind]}{size}" for kind, size in sizes]
+        layout = _make_layout(list(zip(names, kinds, counts, strict=True)))
+        form = header["DATA"][0]
+        if points < 0:
+            raise ValueError(f"{points} points")
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        raise DamageError(f"has a header that cannot be read ({shorten(str(error))})") from None
+    _require_places(names)
+    if form == "ascii":
+        return _parse_text(data, at, layout, points)
+    if form == "binary":
+        return _view(data, at, layout, points)
+    if form != "binary_compressed":
+        raise DamageError(f"is written as {shorten(form)}, which no PCD is")
+    fields = _unpack_lzf(data[at:], layout.itemsize * points)
+    columns, at = {}, 0
+    for name in layout.names or ():  # one field of all points behind the other
+        kind, each = layout[name].base, layout[name].shape[0]
+        columns[name] = np.frombuffer(fields, kind, points * each, at)[::each]
+        at += layout[name].itemsize * points
+    return Points(columns, points)
+
+
+def _unpack_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
+    from occmap.readers import lzf  # noqa: PLC0415  late: it brings numba
+
+    packed_size, stated = np.frombuffer(data[:8].ljust(8, b"\0"), "<u4").tolist()
+    if len(data) - 8 < packed_size or stated != size or not 0 <= size < MOST_BYTES:
+        found = f"holds {max(len(data) - 8, 0)} of {packed_size} bytes of compressed points"
+        raise DamageError(f"is cut short or damaged: it {found}")
+    out = np.empty(size, np.uint8)
+    if lzf.inflate(np.frombuffer(data, np.uint8, packed_size, 8), out) != size:
+        raise DamageError("holds compressed points that are damaged")
+    return out
+
+
+def read_ply(data: bytes) -> Points:
+    """Read the vertices of a PLY: ascii or binary."""
+    order, elements, at = _read_ply_header(data)
+    for name, rows, fields in elements:
+        if any(len(each) != 2 or each[0] not in _PLY_KINDS for each in fields):
+            raise DamageError(f"has lists among the properties of its {name}: write it without")
+        kinds = ((each[1], (order or "<") + _PLY_KINDS[each[0]], 1) for each in fields)
+        layout = _make_layout(list(kinds))
+        if name == "vertex":
+            _require_places(layout.names or ())
+            return _view(data, at, layout, rows) if order else _parse_text(data, at, layout, rows)
+        if not order:
+            raise DamageError(f"has its {name} before its vertices, as text: write them behind")
+        at += rows * layout.itemsize
+    raise DamageError("holds no vertices")
+
+
+def _read_ply_header(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
+    """Read the byte order ("": text), the elements with their properties, and where they begin."""
+    order, line, at = None, "", 0
+    elements: list[tuple[str, int, list[list[str]]]] = []
+    while order is None or not line.startswith("end_header"):
+        line, at = _take_line(data, at)
+        word, *values = line.split() or [""]
+        if word == "format" and values:
+            order = _PLY_ORDERS.get(values[0])
+        elif word == "element" and len(values) == 2 and values[1].isdecimal():
+            elements.append((values[0], int(values[1]), []))
+        elif word == "property" and elements:
+            elements[-1][2].append(values)
+    return order, elements, at
+
+
+def read_bin(data: bytes) -> Points:
+    """Read KITTI's x, y, z and reflectance, each a float of 32 bits."""
+    if len(data) % 16:
+        raise DamageError(f"has {len(data):,} bytes, where KITTI's points take 16 each")
+    rows = np.frombuffer(data, "<f4").reshape(-1, 4)
+    return Points(dict(zip("xyz", rows.T, strict=False)), len(rows))
+
+
+def read_npy(data: bytes) -> Points:
+    """Read an array of NumPy: rows of x, y, z and perhaps more, or fields of these names."""
+    try:
+        array = np.load(BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, OSError, SyntaxError) as error:
+        raise DamageError(f"is no array of NumPy ({shorten(str(error))})") from None
+    if array.dtype.names:
+        names, rows = array.dtype.names, array.ravel()
+        return Points({name: rows[name] for name in names if rows[name].ndim == 1}, len(rows))
+    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
+        shape = " x ".join(map(str, array.shape))
+        raise DamageError(f"holds {shape} of {array.dtype}, where rows of x, y, z belong")
+    return Points(dict(zip("xyz", array.T, strict=False)), len(array))
+
+
+def _require_places(columns: Iterable[str]) -> None:
+    """Raise DamageError where x, y or z is not among the fields of points."""
+    if missing := sorted(set("xyz").difference(columns)):
+        raise DamageError(f"has no field {missing[0]} among {', '.join(columns) or 'none'}")
+
+
+def _take_line(data: bytes, at: int) -> tuple[str, int]:
+    """Take a line of a header, and find where the next one begins."""
+    end = data.find(b"\n", at, at + 4096)
+    if end < 0:
+        raise DamageError(f"ends within its header, at byte {min(at, len(data))}")
+    return data[at:end].decode("ascii", "replace"), end + 1
+
+
+def _make_layout(fields: list[tuple[str, str, int]]) -> np.dtype[Any]:
+    """Make the layout of one point; names that repeat, as those of padding, get a number."""
+    known: set[str] = set()
+    parts = []
+    for number, (name, kind, many) in enumerate(fields):
+        parts.append((f"{name}#{number}" if name in known else name, kind, (many,)))
+        known.add(name)
+    return np.dtype(parts)
+
+
+def _view(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
+    """See bytes as points: as many as are there."""
+    there = min(points, max(len(data) - at, 0) // max(layout.itemsize, 1))
+    rows = np.frombuffer(data, layout, there, at)
+    return Points({name: rows[name][:, 0] for name in layout.names or ()}, points)
+
+
+def _parse_text(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
+    """Parse a line of numbers for each point: as many as are whole."""
+    width = sum(layout[name].shape[0] for name in layout.names or ())
+    lines = data[at:].split(b"\n", points)[:points]
+    words = [line.split() for line in lines]
+    whole = next((n for n, each in enumerate(words) if len(each) != width), len(words))
+    try:
+        rows = np.array(words[:whole], np.float64).reshape(whole, width)
+    except ValueError as error:
+        raise DamageError(f"holds something else where numbers belong ({error})") from None
+    starts = np.cumsum([0, *(layout[name].shape[0] for name in layout.names or ())])
+    names = zip(layout.names or (), starts.tolist(), strict=False)
+    return Points({name: rows[:, start] for name, start in names}, points)
+
+
+READERS: Mapping[str, Read] = {
+    ".pcd": read_pcd,
+    ".ply": read_ply,
+    ".bin": read_bin,
+    ".npy": read_npy,
+}
+
 
 TOPIC, FRAME = "clouds", "lidar"
 SPACING_NS = 1_500_000_000

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.readers.text import Block
-from occmap.readers.text_log import ANY, NUMBER, RANGE, SAME, SECONDS, Pattern, Table
+from occmap.readers.text_log import ANY, NUMBER, RANGE, SAME, SECONDS, Block, Pattern, Table
 from occmap.types import Bool, Float32, Float64, Int64, UInt8
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 

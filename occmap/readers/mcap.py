@@ -17,8 +17,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from occmap.readers.inflate import Buffer, inflate
-from occmap.readers.probing import Probe
+from occmap.readers import Probe
+from occmap.readers.containers import Buffer, Channel, inflate
 from occmap.readers.records import (
     DESCRIPTION,
     Descriptions,
@@ -29,8 +29,7 @@ from occmap.readers.records import (
     Summary,
 )
 from occmap.readers.ros_log import RosReader
-from occmap.readers.source import Channel
-from occmap.report.words import count
+from occmap.report import count
 
 _HEAD = struct.Struct("<BQ")
 """What every record starts with: opcode and length of the body."""

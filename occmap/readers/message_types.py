@@ -27,6 +27,7 @@ from occmap.readers.cloud_messages import (
     read_fields,
     view_columns,
 )
+from occmap.readers.containers import Channel
 from occmap.readers.fields import (
     get,
     get_bytes,
@@ -37,7 +38,6 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.source import Channel
 from occmap.types import IDENTITY, Cloud, Pose, PoseSample, Scan
 from occmap.values import as_number
 

@@ -24,9 +24,8 @@ from typing import BinaryIO, ClassVar, NamedTuple, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
-from occmap.readers.inflate import MAX_INFLATED, Buffer
-from occmap.readers.source import Channel, RawMessage
-from occmap.report.words import count
+from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, RawMessage
+from occmap.report import count
 
 DESCRIPTION, OTHER = -1, -2
 """Stand in place of a message's channel for a record that describes one, and for any other."""

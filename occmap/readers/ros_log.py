@@ -20,7 +20,7 @@ from typing import Any, Generic, TypeAlias, TypeVar
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import is_depth, read_camera, tell_clouds
-from occmap.readers.inflate import Buffer
+from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.message_types import (
     PACKETS,
     TYPES,
@@ -31,9 +31,7 @@ from occmap.readers.message_types import (
     ToScan,
     find_type,
 )
-from occmap.readers.messages import make_reader
-from occmap.readers.source import Channel, RawMessage, Source
-from occmap.readers.stacks import Stacked, read_scan_run, read_transforms
+from occmap.readers.messages import Stacked, make_reader, read_scan_run, read_transforms
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")

@@ -18,13 +18,11 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import NoteList
+from occmap.readers import ZSTD_MAGIC, NoteList, Probe, probe_path
 from occmap.readers.bag1 import Bag1Source
-from occmap.readers.inflate import inflate_message, unzip_file
+from occmap.readers.containers import Channel, RawMessage, Source, inflate_message, unzip_file
 from occmap.readers.mcap import McapSource
-from occmap.readers.probing import ZSTD_MAGIC, Probe, probe_path
 from occmap.readers.ros_log import RosReader
-from occmap.readers.source import Channel, RawMessage, Source
 from occmap.readers.sqlite import SqliteSource
 
 METADATA = "metadata.yaml"

@@ -16,8 +16,8 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import NoteList
-from occmap.readers.source import Channel, RawMessage
-from occmap.report.words import count
+from occmap.readers.containers import Channel, RawMessage
+from occmap.report import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""

@@ -15,7 +15,7 @@ from itertools import permutations
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from occmap.errors import UsageError, require
-from occmap.report.printed import HIDDEN
+from occmap.report import HIDDEN
 
 if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
     from occmap.difference import MapDifference

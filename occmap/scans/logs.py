@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from occmap.errors import LogError, OccmapError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
-from occmap.posing.options import PosingOptions
 from occmap.readers import (
     HoldingClouds,
     Log,
@@ -24,10 +24,10 @@ from occmap.readers import (
     find_reader,
     get_moments,
     open_log,
+    probe_path,
     read_poses,
 )
-from occmap.readers.probing import probe_path
-from occmap.report.words import STDIN_FOLDER, count, join_names
+from occmap.report import STDIN_FOLDER, count, join_names
 from occmap.types import Cloud, Scan, Update
 
 

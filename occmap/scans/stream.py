@@ -9,12 +9,11 @@ from typing import Self, TypeAlias
 import numpy as np
 
 from occmap.options import BuildOptions, Selection
+from occmap.posing import Stamps
 from occmap.posing.attach import Poser
-from occmap.posing.options import Stamps
 from occmap.readers import Echo, Log, ReaderOptions, read_recorded, read_scans
 from occmap.scans.tally import LeftOut, Tally
-from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import read_limits
+from occmap.sensor import RangeLimits, read_limits
 from occmap.types import Attached, Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
 
 

@@ -14,11 +14,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from occmap.errors import LogError, MapError, PoseError
-from occmap.posing.options import DropReason
-from occmap.posing.rotations import to_quaternions
-from occmap.report.printed import Count
-from occmap.report.words import write_counts, write_unused
-from occmap.sensor.returns import ReturnCounts, ReturnOptions, interpret
+from occmap.posing import DropReason
+from occmap.posing.tracks import to_quaternions
+from occmap.report import Count, write_counts, write_unused
+from occmap.sensor import ReturnCounts, ReturnOptions, interpret
 from occmap.types import Attached, Float64, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400

@@ -7,21 +7,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 from occmap.cells import Ground, Slices
 from occmap.errors import name_log
-from occmap.evidence.fit import list_misfit
-from occmap.grid.lattice import Lattice
+from occmap.evidence import list_misfit
+from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
-from occmap.grid.slices import unite
-from occmap.grid.tiles import TileGrid
+from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
-from occmap.report.words import Note
-from occmap.scans.engines import make_cloud_engine, make_engine, make_grid
+from occmap.report import Note
+from occmap.scans import make_cloud_engine, make_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
-from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import ReturnCounts, ReturnOptions, interpret
+from occmap.sensor import RangeLimits, ReturnCounts, ReturnOptions, interpret
 from occmap.types import PosedScans, Rays, Update
 from occmap.workers import Workers
 

@@ -8,14 +8,12 @@ from pathlib import Path
 
 from occmap.errors import LogError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
-from occmap.report.doubts import list_frames
-from occmap.report.printed import HIDDEN, Count, printed_as
-from occmap.report.words import Noted, count
+from occmap.report import HIDDEN, Count, Noted, count, printed_as
+from occmap.report.results import list_frames
 from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import ScanCounts, Tally, refuse_unused
 from occmap.scans.tracing import Progress, Remarks, ignore_progress, trace_logs
-from occmap.scoring.score import SMALL
-from occmap.scoring.trials import HoldOut, ScoredVariant, Trials, Variant
+from occmap.scoring import SMALL, HoldOut, ScoredVariant, Trials, Variant
 from occmap.types import Update
 
 FEW_SCANS = 10

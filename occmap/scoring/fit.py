@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.choices.values import to_rpy
+from occmap.choices import to_rpy
 from occmap.types import Bool, Float32, Float64, Pose
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)

@@ -9,16 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.cells import CellClass, Decision, OccupancyMap, to_log_odds
-from occmap.difference.maps import ClassMap, Place
+from occmap.difference import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
-from occmap.report.printed import HIDDEN, Count, Finite, Printed, Share
+from occmap.report import HIDDEN, Count, Finite, Printed, Share
 from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import ScanCounts, Tally, refuse_unused
 from occmap.scans.tracing import AddRays, Progress, Remarks, ignore_progress, trace_logs
+from occmap.scoring import Trial, score_map
 from occmap.scoring.fit import STAY, Transform, Walls, fit
-from occmap.scoring.score import Trial, score_map
 from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Rays, UInt8
 
 LEAST_CHANCE = 0.001

@@ -1,1 +1,438 @@
-"""What a range value means, and what an observation says about a cell."""
+"""What a range value means: hit, free up to a known distance, or nothing.
+
+Drivers disagree on what they write when nothing came back (REP 117 says +inf; others write the
+maximum, a value beyond it, or zero), so all of that is decided here, in one place, and counted.
+Drivers that have no infinity write numbers beyond what they can measure: one value, or several
+close together, with a stray one above them at times. Such numbers lie in a band at the top of all
+ranges, far more of them than of the ranges just below.
+
+The robot is in its own scans: it blocks sectors, and fills a box. Both are given in the sensor's
+frame, where a person reads them off a plot of one scan, and where they hold however the sensor is
+mounted. What an observation says about a cell is the business of `models`.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import lru_cache
+from typing import NamedTuple, Self, TypeAlias
+
+import numpy as np
+
+from occmap.cells import Box
+from occmap.choices import ABOVE_ZERO, SECTOR, check_bounds, make_box_form, option
+from occmap.errors import require
+from occmap.types import (
+    Bool,
+    Cloud,
+    Float32,
+    Float64,
+    Int64,
+    Kind,
+    PosedScans,
+    Rays,
+    Recorded,
+    Scan,
+    ScanBatch,
+    ScanRun,
+    UInt8,
+)
+from occmap.values import as_float32
+
+Sector: TypeAlias = tuple[float, float]
+"""From one bearing counter-clockwise to another (rad)."""
+
+FULL_TURN = 2 * math.pi
+EDGE_RAD = 1e-6
+"""A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
+
+
+class NoReturn(StrEnum):
+    """What to make of a beam from which nothing came back."""
+
+    CLEAR = "clear"
+    """Space is free up to the range limit."""
+    IGNORE = "ignore"
+    """Nothing is known: glass, black paint and open space look alike."""
+
+
+@dataclass(frozen=True)
+class ReturnOptions:
+    """How range values are read.
+
+    Raises
+    ------
+    UsageError
+        The limits leave no range to use, or a sector or the box is empty.
+    """
+
+    min_range: float = option(0.0, "Ignore nearer ranges.", unit="m")
+    max_range: float = option(
+        math.inf,
+        "Use beams only up to here; a longer one clears the space up to here. No limit by default.",
+        unit="m",
+    )
+    range_max: float | None = option(
+        None,
+        "Ranges at or beyond this count as no return; by default the limit that the log states.",
+        unit="m",
+        bounds=(ABOVE_ZERO, math.inf),
+    )
+    no_return: NoReturn = option(
+        NoReturn.IGNORE, "A beam without return clears the space up to the limit, or says nothing."
+    )
+    ignore_sectors: tuple[Sector, ...] = option(
+        (),
+        "Leave out the beams from one bearing counter-clockwise to another (rad, as the sensor "
+        "sees it): the robot blocks them.",
+        metavar="FROM,TO",
+        flag="ignore-sector",
+        form=SECTOR,
+    )
+    footprint: Box | None = option(
+        None,
+        "Leave out what is measured in this box around the sensor (m, as the sensor sees it): it "
+        "is the robot.",
+        metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
+        form=make_box_form("(-0.4, -0.3, 0.2, 0.3)"),
+    )
+
+    def __post_init__(self) -> None:
+        for start, end in self.ignore_sectors:
+            is_sector = math.isfinite(start) and math.isfinite(end) and start != end
+            fix = "give two bearings, counter-clockwise, such as `ignore_sectors=2.5,-2.5`"
+            require(is_sector, f"from {start} to {end} rad is not a sector", fix)
+        if self.footprint is not None:
+            x_min, y_min, x_max, y_max = self.footprint
+            has_inside = all(map(math.isfinite, self.footprint)) and x_min < x_max and y_min < y_max
+            fix = "give x_min,y_min,x_max,y_max around the sensor in metres"
+            require(has_inside, f"{self.footprint} is not a footprint", fix)
+        found = f"`min_range={self.min_range}` and `max_range={self.max_range}` leave no range"
+        fix = "they must satisfy 0 <= min < max"
+        require(0 <= self.min_range < self.max_range, found, fix)
+        check_bounds(self)
+
+
+class ReturnCounts(NamedTuple):
+    """How many beams were read as what."""
+
+    hit: int = 0
+    """Beams that measured a range"""
+    beyond_max_range: int = 0
+    """Beams with a range beyond `max_range`: free up to there"""
+    no_return: int = 0
+    """Beams that nothing came back to: +inf, or at or beyond the sensor's limit"""
+    too_close: int = 0
+    """Beams with a range of zero, below zero, or below the nearest that counts"""
+    nan: int = 0
+    """Beams that were not measured"""
+    own_robot: int = 0
+    """Beams in one of the `ignore_sectors`, or with a hit in the `footprint`"""
+
+    @property
+    def by_name(self) -> dict[str, int]:
+        """The counts by what people call them."""
+        return {name.replace("_", " "): number for name, number in self._asdict().items()}
+
+    def __add__(self, other: tuple[int, ...]) -> Self:  # type: ignore[override]  # a sum
+        return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
+
+
+def read_limits(scan: Scan) -> tuple[float, float]:
+    """Read the nearest and the farthest range (m) that a scan states; 0 and inf where it has none.
+
+    A limit that leaves no range, or NaN, counts as none: some drivers write zero there.
+    """
+    return (
+        scan.range_min if scan.range_min >= 0 else 0.0,
+        scan.range_max if scan.range_max > 0 else math.inf,
+    )
+
+
+def interpret(posed: PosedScans, options: ReturnOptions) -> tuple[Rays, ReturnCounts]:
+    """Turn posed scans into rays in the map frame, and count what the range values meant.
+
+    A level sensor's beam at bearing a and range r ends at origin + r (cos a, sin a), turned by the
+    sensor's rotation (Thrun, Burgard, Fox 2005, ch. 6); a tilted one's beam is projected down.
+    """
+    batch = posed.batch
+    kind, distance, counts = classify(batch, options)
+    origin, turn = posed.position[..., :2], posed.rotation[..., :2, :2]
+    if origin.ndim == 2:
+        origin, turn = origin[:, None], turn[:, None]
+    rays = Rays(
+        origin=np.ascontiguousarray(origin),
+        turn=np.ascontiguousarray(turn),
+        bearing=tabulate_bearings(batch.angle_min, batch.angle_increment, batch.ranges.shape[1]),
+        distance=distance,
+        kind=kind,
+        stamp_ns=batch.stamp_ns,
+        full_circle=goes_round(batch),
+    )
+    return rays, counts
+
+
+def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, ReturnCounts]:
+    """Say for every range value what it means and how far the beam reached.
+
+    Returns
+    -------
+    kind, reach, counts
+        (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
+    """
+    ranges, own = batch.ranges, find_own(batch, options)
+    sensor_limit = batch.range_max if options.range_max is None else options.range_max
+    nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
+    free_reach = min(sensor_limit, options.max_range)
+    limits = nearest, options.max_range, sensor_limit, free_reach
+    nearest, farthest, no_return, free_reach = as_float32(limits)  # rounded as ranges are
+    hit = (ranges >= nearest) & (ranges < no_return) & (ranges <= farthest) & ~own
+    # Most beams hit: only the few others are looked at more closely.
+    others = np.flatnonzero(~hit)
+    few = ranges.ravel()[others]
+    robot = own.ravel()[others]
+    close = (few < nearest) & ~robot
+    none = (few >= no_return) & ~close & ~robot
+    missing = np.isnan(few) & ~robot
+    beyond = ~(close | none | robot | missing)
+    clears = options.no_return is NoReturn.CLEAR and np.isfinite(free_reach)
+    free = beyond | none if clears else beyond
+    kind, reach = hit.view(np.uint8) * np.uint8(Kind.HIT), ranges.copy()
+    kind.ravel()[others] = free * np.uint8(Kind.FREE)
+    reach.ravel()[others] = np.where(free, free_reach, np.float32(0))
+    counts = map(int, map(np.count_nonzero, (beyond, none, close, missing, robot)))
+    return kind, reach, ReturnCounts(hit.size - others.size, *counts)
+
+
+def find_own(batch: ScanBatch, options: ReturnOptions) -> Bool:
+    """(S, B): which ranges are the robot's own or blocked by it, as the user says."""
+    shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
+    own = np.broadcast_to(mask_sectors(*shape, options.ignore_sectors), batch.ranges.shape)
+    if options.footprint is None:
+        return own
+    return own | mask_box(batch.ranges, tabulate_bearings(*shape), options.footprint)
+
+
+@lru_cache(maxsize=64)
+def mask_sectors(
+    angle_min: float, angle_increment: float, beams: int, sectors: tuple[Sector, ...]
+) -> Bool:
+    """(B,): which beams point into one of the sectors."""
+    bearings = angle_min + angle_increment * np.arange(beams)
+    inside = np.zeros(beams, np.bool_)
+    for start, end in sectors:
+        width = (end - start) % FULL_TURN or FULL_TURN
+        inside |= (bearings - start + EDGE_RAD) % FULL_TURN <= width + 2 * EDGE_RAD
+    return inside
+
+
+def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
+    """(S, B): which ranges, along bearings (2, B), end in the box."""
+    # Slab by slab: a ray that misses the box enters it behind where it leaves it.
+    tiny = float(np.finfo(np.float32).tiny)
+    along = np.where(np.abs(bearing) < tiny, tiny, bearing)
+    corners = np.array(box).reshape(2, 2, 1)
+    low, high = corners / along
+    near = np.maximum(np.minimum(low, high).max(axis=0), 0)
+    far = np.maximum(low, high).min(axis=0)
+    return np.asarray((ranges >= as_float32(near)) & (ranges <= as_float32(far)))
+
+
+def goes_round(batch: ScanBatch) -> bool:
+    """Whether the beams go all the way round, to half an increment."""
+    beams = batch.ranges.shape[1]
+    return bool((beams + 0.5) * abs(batch.angle_increment) >= 2 * math.pi)
+
+
+@lru_cache(maxsize=64)
+def tabulate_bearings(angle_min: float, angle_increment: float, beams: int) -> Float64:
+    """(2, B) unit vectors of every bearing: a log repeats its geometry thousands of times."""
+    bearings = angle_min + angle_increment * np.arange(beams)
+    return np.stack([np.cos(bearings), np.sin(bearings)])
+
+
+BAND = 0.025
+"""How wide a band is, and the nearly empty part below it, as a share of the band's top"""
+MIN_READINGS = 10
+"""A band has at least so many readings, and fewer than so many lie above it"""
+DOMINANCE = 10
+"""How many times more readings than what is around it something must have that stands out: a band
+than the part below it, and in a check one value than any near it"""
+MOST_CODES = 3
+"""At least half of a band's readings are of so few values; a far wall has noise, and thus more"""
+MIN_VALUES = 16
+"""Fewer different ranges tell nothing: in a log made by hand all may be 5 m"""
+SICK_CODES = (81.82, 81.92)
+"""Between these the SICK LMS writes its error codes, from 8183 to 8191 cm, which `COARSE` rounds
+down: one is enough"""
+COARSE = np.uint32(0xFFFFFF00)
+"""The bits of a float32 by which ranges are counted, so that near 80 m they are 2 mm apart"""
+
+
+@dataclass(frozen=True)
+class Band:
+    """Ranges that stand for "no return"."""
+
+    limit: float
+    """From this range on (m)"""
+    low: float
+    """The smallest of them and the largest, rounded down as `COARSE` says (m)"""
+    high: float
+    count: int
+
+    @property
+    def values(self) -> str:
+        """From the smallest to the largest, or the one that there is."""
+        low, high = f"{self.low:.4g} m", f"{self.high:.4g} m"
+        return low if low == high else f"{low} to {high}"
+
+
+class RangeTally:
+    """Counts the largest ranges of a stream of scans, in bounded memory and in any order."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        """Ranges seen"""
+        self.stated = 0.0
+        """The largest range_max that the scans state (m)"""
+        self.above = 0
+        """Finite ranges above the limit that their own scan states"""
+        self.largest = 0.0
+        """The largest finite range above the limit of its scan (m)"""
+        self._different: set[float] = set()
+        """Different measured ranges, until there are at least MIN_VALUES"""
+        self._values = np.zeros(0, np.float32)
+        """The largest ranges in ascending order, rounded down"""
+        self._counts = np.zeros(0, np.int64)
+        """How many there are of each of the `_values`"""
+        self._floor: Float32 = as_float32(np.finfo(np.float32).tiny)
+
+    def add(self, ranges: Float32, range_max: float) -> None:
+        """Count the ranges (of any shape) of scans that state one limit (m)."""
+        self.total += ranges.size
+        self.stated = max(self.stated, range_max)
+        limit = as_float32(range_max)
+        if len(self._different) < MIN_VALUES:
+            measured = ranges[(ranges > 0) & (ranges < limit)]
+            self._different.update(np.unique(measured)[:MIN_VALUES].tolist())
+        far = ranges[ranges >= np.minimum(self._floor, limit)]  # few; all ranges are looked at once
+        above = far[(far > limit) & (far < np.inf)]
+        self.above += above.size
+        self.largest = max(self.largest, float(above.max(initial=0)))
+        if (far := far[(far >= self._floor) & (far < limit)]).size:
+            self._keep(*np.unique(round_down(far), return_counts=True))
+
+    def _keep(self, values: Float32, counts: Int64) -> None:
+        """Add to the counts of values (N,), all different, and forget what no band can reach."""
+        every = np.concatenate([self._counts, counts])
+        values, places = np.unique(np.concatenate([self._values, values]), return_inverse=True)
+        counts = np.bincount(places, weights=every).astype(np.int64)
+        at_or_above = np.cumsum(counts[::-1])[::-1]
+        # Any band has so many readings at or above its top.
+        if at_or_above.size and at_or_above[0] >= MIN_READINGS:
+            top = values[at_or_above >= MIN_READINGS][-1]
+            self._floor = round_down(as_float32((1 - 2 * BAND) * float(top)))
+        kept = values >= self._floor
+        self._values, self._counts = values[kept], counts[kept]
+
+    def find_band(self) -> Band | None:
+        """Find the ranges that stand for "no return" below what the scans state as their limit."""
+        values, counts = self._values.astype(np.float64), self._counts
+        for at in range(len(values) - 1, -1, -1):
+            if counts[at + 1 :].sum() >= MIN_READINGS:  # too many to be stray
+                return None
+            top = values[at]
+            is_code = SICK_CODES[0] <= top <= SICK_CODES[1]
+            limit = SICK_CODES[0] if is_code else (1 - BAND) * top
+            low, empty = np.searchsorted(values, [limit, (1 - 2 * BAND) * top])
+            readings, below = counts[low : at + 1].sum(), counts[empty:low].sum()
+            enough = len(self._different) >= MIN_VALUES and readings >= MIN_READINGS
+            codes = np.sort(counts[low : at + 1])[-MOST_CODES:].sum()
+            stands_out = readings >= DOMINANCE * below and 2 * codes >= readings
+            if is_code or (enough and stands_out):
+                count = int(counts[low:].sum())
+                return Band(float(limit), float(values[low]), float(values[-1]), count)
+        return None
+
+
+def round_down(ranges: Float32) -> Float32:
+    """Round ranges (m) of any shape down to the values that `COARSE` leaves."""
+    rounded: Float32 = (np.ascontiguousarray(ranges).view(np.uint32) & COARSE).view(np.float32)
+    return rounded.reshape(np.shape(ranges))
+
+
+class RangeLimits:
+    """For each scan topic of one log, from what range on nothing came back.
+
+    A log shows that only when all of it was read. So the scans that come first say what is applied
+    to the rest, and `settle` tells in the end whether that was right: it nearly always is, and if
+    not, the log is read once more. Where the user gives a limit, nothing is looked for.
+    """
+
+    def __init__(self, options: ReturnOptions) -> None:
+        self._looks = options.range_max is None
+        self._tallies: dict[str, RangeTally] = {}
+        self._senseless: dict[str, float] = {}
+        """The limit that the scans of a topic state, where it cannot be one (m)"""
+        self._applied: dict[str, float] = {}
+        self._settled = False
+
+    def see(self, some: Scan | ScanRun) -> None:
+        """Count the ranges of a scan, or of those of a run."""
+        if self._looks and not self._settled and some.ranges.size:
+            first = some.first
+            tally = self._tallies.setdefault(first.topic, RangeTally())
+            _, range_max = read_limits(first)
+            tally.add(some.ranges, range_max)
+            if range_max != first.range_max:
+                self._senseless.setdefault(first.topic, first.range_max)
+
+    def watch(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
+        """Pass scans on, and count their ranges."""
+        for some in scans:
+            if not isinstance(some, Cloud):
+                self.see(some)
+            yield some
+
+    def apply(self, batch: ScanBatch) -> ScanBatch:
+        """State the limit in a batch of scans."""
+        if not self._looks or batch.clouds:
+            return batch
+        if batch.topic not in self._applied:
+            self._applied[batch.topic] = self._find(batch.topic)
+        return replace(batch, range_max=min(batch.range_max, self._applied[batch.topic]))
+
+    def settle(self) -> bool:
+        """Say whether the limits so far are the whole log's, and apply those from now on."""
+        right = all(limit == self._find(topic) for topic, limit in self._applied.items())
+        self._settled = True
+        self._applied.clear()
+        return right
+
+    def _find(self, topic: str) -> float:
+        tally = self._tallies.get(topic)  # of this topic alone: there may be very many
+        band = tally and tally.find_band()
+        return band.limit if band else math.inf
+
+    def list_notes(self) -> Iterator[str]:
+        """Say what the user should know of each topic, and how to change it."""
+        for topic, tally in self._tallies.items():
+            unstated = math.isinf(tally.stated)
+            limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
+            if topic in self._senseless:
+                limit = (
+                    f"{self._senseless[topic]:g} m as its range limit, which is not a usable one"
+                )
+            band = tally.find_band()
+            count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
+            if band is not None:
+                count, where = band.count, f"read {band.values}"
+            if count:
+                found = f"{count:,} of {tally.total:,} ranges ({count / tally.total:.1%}) {where}"
+                yield f"{topic} states {limit}; {found}, taken as no return: `range_max` overrides"
+            elif unstated:
+                yield (
+                    f'{topic} states {limit}; no value stands for "no return", so every range is '
+                    "used as measured: `range_max` sets a limit"
+                )

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from occmap.cells import EVEN_ODDS, Decision, to_log_odds
-from occmap.choices.values import Form
+from occmap.choices import Form
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.types import Float64

@@ -1,7 +1,193 @@
-"""Saved evidence: merged, rendered again, and kept in blocks for maps larger than memory.
+"""Saved evidence: read, merged, rendered again, and kept in blocks for maps larger than memory.
 
 A store is such evidence as a Zarr v3 folder. It is made block by block, by as many processes as
 there are: `writing.create_store`, then `writing.write_block` and `writing.paint_block` for each
-block, then `writing.finish_store`. It is read block by block, too: `reading.open_store`.
-docs/formats.md says what is in it.
+block, then `writing.finish_store`. docs/formats.md says what is in it. Here evidence is read: a
+file at once, a store block by block, or any of it as blocks.
 """
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from occmap.cells import Evidence, Ground, Manifest
+from occmap.errors import MapError
+from occmap.grid import CellBox
+from occmap.grid.tiles import INT32_LIMIT, TILE, take
+from occmap.store.layout import (
+    LAYERS,
+    SIDE,
+    TABLE,
+    Block,
+    BlockContent,
+    BlockRecord,
+    find_place,
+    gather_tiles,
+    hash_content,
+    hash_table,
+    import_zarr,
+    join_contents,
+    list_blocks,
+    read_table,
+    refuse_unfinished,
+    split_evidence,
+    unpack_layers,
+)
+from occmap.types import Int64
+from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Evidence that is read block by block: a store, evidence in memory, or a sum of these."""
+
+    manifest: Manifest
+    where: str
+    """What it was read from"""
+    blocks: Mapping[Block, CellBox]
+    """Those that anything was observed in, in ascending order, and how far it reaches at most"""
+    read_block: Callable[[Block], BlockContent]
+    """Gives what was observed in one of them; raises MapError where it is damaged"""
+    read_ground: Callable[[], Ground | None]
+    """Gives what clouds were traced over; raises MapError likewise"""
+
+
+@dataclass(frozen=True, eq=False)
+class Store(Blocks):
+    """A store that is whole, as its attributes and its table say; blocks are checked when read."""
+
+    path: Path
+    offset: tuple[int, int]
+    """Row and column of the lattice that its arrays begin with"""
+    root: Any
+    """The group of Zarr"""
+    digest: str
+    """SHA-256 of all that was observed"""
+    records: Mapping[Block, BlockRecord]
+    """What the table says of each block"""
+
+
+Saved: TypeAlias = Evidence | Blocks
+
+
+def open_saved(path: Path) -> Evidence | Store:
+    """Read an evidence file, or open a store.
+
+    Raises
+    ------
+    UsageError
+        It is a store, and zarr is not installed.
+    MapError
+        It is missing, damaged, or no evidence.
+    """
+    if path.is_dir() or path.suffix.lower() == ".zarr":
+        return open_store(path)
+    return read_evidence(path)
+
+
+def open_store(path: Path) -> Store:
+    """Open a store, and check what is read of all of it.
+
+    Raises
+    ------
+    UsageError
+        zarr is not installed.
+    MapError
+        It is missing, not a store, of another format, not complete, or not as it was written.
+    """
+    if not path.exists():
+        raise MapError("no such folder", where=path, fix="check the path")
+    if not (path / "zarr.json").is_file():
+        fix = "build one with `outputs=map.zarr`"
+        raise MapError("is not a store of evidence", where=path, fix=fix)
+    zarr = import_zarr()
+    with refuse_damage(path):
+        root = zarr.open_group(path, mode="r", zarr_format=3)
+        head = root.attrs.get("occmap", {})
+        refuse_unfinished(path, head)
+        manifest = Manifest.from_json(head)
+        table = {name: root[f"blocks/{name}"][...] for name in TABLE}
+        below = {name: root[f"ground/{name}"][...] for name in GROUND if "ground" in root}
+        if head["table"] != hash_table(table | below):
+            found = "its table of blocks, or its ground, was altered"
+            raise MapError(found, where=path, fix="build it again")
+        records = {record.block: record for record in read_table(table)}
+        row, col = head["offset"]
+
+    def read_block(block: Block) -> BlockContent:
+        return read_stored(path, root, manifest, records[block])
+
+    return Store(
+        manifest=manifest,
+        where=str(path),
+        blocks={block: record.reach for block, record in records.items()},
+        read_block=read_block,
+        read_ground=lambda: unpack_ground(below),
+        path=path,
+        offset=(row, col),
+        root=root,
+        digest=head["digest"],
+        records=records,
+    )
+
+
+def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) -> BlockContent:
+    """Read what was observed in a block of a store.
+
+    Raises
+    ------
+    MapError
+        It is not as it was written, or not what occmap writes.
+    """
+    row, col = record.block
+    with refuse_damage(path):
+        place = find_place(record.block, root.attrs["occmap"]["offset"])
+        whole = np.stack([root[name][place] for name in LAYERS[manifest.kind]])
+        tiles, numbers = gather_tiles(whole, row * SIDE, col * SIDE)
+        array = root[f"slices/{row}.{col}"]
+        slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
+        fits = numbers.min(initial=0) >= -INT32_LIMIT and numbers.max(initial=0) <= INT32_LIMIT
+        cells: Int64 = numbers.astype(np.int32) if fits else numbers
+        content = BlockContent(tiles, cells, slices, record.logs)
+    if hash_content(content) != record.sha256:
+        found = f"its block ({row}, {col}) was altered or a file of it is missing"
+        raise MapError(found, where=path, fix="build it again")
+    return content
+
+
+def as_blocks(saved: Saved) -> Blocks:
+    """Cut evidence into blocks, where it is not yet."""
+    if not isinstance(saved, Evidence):
+        return saved
+    contents = dict(split_evidence(saved))
+    reach = {block: block.box for block in contents}
+    of_block, ground = contents.__getitem__, saved.ground
+    return Blocks(saved.manifest, saved.where, reach, of_block, lambda: ground)
+
+
+def read_all(saved: Saved) -> Evidence:
+    """Read all blocks at once."""
+    if isinstance(saved, Evidence):
+        return saved
+    whole = join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
+    return replace(whole, ground=saved.read_ground())
+
+
+def read_part(saved: Saved, box: CellBox) -> Evidence:
+    """Read the tiles that lie in a box of cells or beside it; of evidence in memory, all."""
+    if isinstance(saved, Evidence):
+        return saved
+    near = box.align(TILE).grow(TILE)
+    contents = (saved.read_block(each) for each in list_blocks(near) if each in saved.blocks)
+    cut = (cut_content(content, near.shrink(TILE)) for content in contents)
+    return join_contents(cut, saved.manifest, saved.where)
+
+
+def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
+    """Keep the tiles in a box, which counts tiles."""
+    which = box.find(content.tiles)
+    slices = tuple(take(layer, box.find(layer.tiles)) for layer in content.slices)
+    return BlockContent(content.tiles[which], content.cells[which], slices, content.logs)

@@ -1,4 +1,4 @@
-"""Evidence added up and taken apart again, exactly."""
+"""Evidence added up and taken apart again, exactly, over one ground."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -8,18 +8,69 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest
-from occmap.clouds.fit import join_grounds
+from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError
-from occmap.evidence import Described, read_model, to_grid
-from occmap.evidence.fit import list_misfit
+from occmap.evidence import Described, list_misfit, read_model, to_grid
 from occmap.evidence.manifest import MEANING, list_inputs
-from occmap.grid.slices import restrict
-from occmap.grid.tiles import EvidenceKind, TileGrid, add_stack, drop_empty, stack_tiles, view_tiles
+from occmap.grid.tiles import (
+    EvidenceKind,
+    TileGrid,
+    add_stack,
+    drop_empty,
+    restrict,
+    stack_tiles,
+    view_tiles,
+)
 from occmap.sensor.models import SensorModel
-from occmap.store.blocks import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
-from occmap.store.reading import Blocks, Saved, as_blocks, open_saved
+from occmap.store import Blocks, Saved, as_blocks, open_saved
+from occmap.store.layout import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
 from occmap.types import Bool, Int64
+
+UNEVEN_MM = 50
+"""Columns whose ground differs by more were not traced alike."""
+UNEVEN_SHARE = 0.05
+"""Noise of poses makes some such columns; more than this share of them is a different ground."""
+
+
+def join_grounds(ground: Ground | None, other: Ground | None, where: str) -> Ground | None:
+    """Extend a ground by another one where it has none.
+
+    Parameters
+    ----------
+    where
+        The file of the other one.
+
+    Raises
+    ------
+    MapError
+        They differ where both were measured.
+    """
+    if ground is None or other is None:
+        return ground or other
+    blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
+    mine, its = spread(ground, blocks), spread(other, blocks)
+    both = mine.measured & its.measured
+    uneven = np.abs(mine.height_mm - its.height_mm)[both] > UNEVEN_MM
+    if uneven.sum() > UNEVEN_SHARE * len(uneven):
+        raise MapError(
+            f"lies over other ground: {uneven.mean():.0%} of what both measured differs by more "
+            f"than {UNEVEN_MM / 1000:g} m",
+            where=where,
+            fix="build it over the ground of the other one: `ground=first.npz`",
+        )
+    known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
+    height = np.where(known, mine.height_mm, its.height_mm)
+    return Ground(blocks, height, mine.measured | its.measured)
+
+
+def spread(ground: Ground, blocks: Int64) -> Ground:
+    """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
+    shape = len(blocks), ground.height_mm.shape[1]
+    height, measured = np.full(shape, -(1 << 30), np.int32), np.zeros(shape, np.bool_)
+    places = {tuple(block): at for at, block in enumerate(blocks.tolist())}
+    at = [places[tuple(block)] for block in ground.blocks.tolist()]
+    height[at], measured[at] = ground.height_mm, ground.measured
+    return Ground(blocks, height, measured)
 
 
 def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:

@@ -1,29 +1,287 @@
-"""Saved evidence made into files again, and what the report says of it."""
+"""Saved evidence made into files again, and what the report says of it.
+
+A map is made block by block: memory is that of the map and of a few blocks.
+"""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, lru_cache, reduce
 from pathlib import Path
 
-from occmap.cells import Evidence, Manifest, OccupancyMap
+import numpy as np
+
+from occmap.cells import Box, CellClass, Decision, Evidence, Manifest, OccupancyMap, to_log_odds
 from occmap.choices import option
 from occmap.errors import UsageError
-from occmap.evidence import read_model, refuse_other_profile, to_grid
+from occmap.evidence import (
+    check_passes,
+    choose_tiles,
+    describe_lost,
+    keep_lasting,
+    paint_box,
+    read_model,
+    refuse_nothing_left,
+    refuse_other_profile,
+    render_lasting,
+    to_grid,
+)
 from occmap.evidence.manifest import BuildRecord, list_doubts
-from occmap.evidence.persistence import check_passes, render_lasting
-from occmap.grid.rendering import Framing
-from occmap.grid.tiles import MAX_CELLS
-from occmap.report.doubts import list_disagreement, list_unreached
-from occmap.report.results import Build, MapFacts, MapSummary, Report, describe_map
+from occmap.grid import CellBox, Lattice
+from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
+from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
+from occmap.report.results import (
+    Build,
+    MapFacts,
+    MapSummary,
+    Report,
+    count_cells,
+    describe_map,
+    list_disagreement,
+    list_unreached,
+)
 from occmap.scans.tally import ScanCounts
-from occmap.sensor.models import MODEL, SensorModel, describe_model, parse_model
-from occmap.sensor.returns import ReturnCounts
-from occmap.store import rendering
-from occmap.store.reading import Blocks, Saved, Store, as_blocks, read_all
-from occmap.store.writer import ZarrWriter
-from occmap.writers import Product, ProductWriter, WindowWriter, WriteOptions
-from occmap.writers.outputs import check_outputs, find_writer, list_idle, write_outputs
+from occmap.sensor import ReturnCounts
+from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
+from occmap.store import Blocks, Saved, Store, as_blocks, read_all, read_part
+from occmap.store.layout import Block, list_blocks
+from occmap.store.writing import ZarrWriter
+from occmap.types import Int64, UInt8
+from occmap.writers import (
+    Product,
+    ProductWriter,
+    WindowWriter,
+    WriteOptions,
+    check_outputs,
+    find_writer,
+    list_idle,
+    write_outputs,
+)
+from occmap.writers.npz import refuse_damage
+
+KEPT_BLOCKS = 18
+"""How many blocks are kept that were read last, up to 8 MiB each"""
+STRIPE = 3
+"""Blocks are painted in stripes so many rows high, so that few of them are read twice"""
+
+EVERYTHING = Framing()
+
+CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
+"""Of a pixel of each CellClass, of which nothing else is known"""
+
+
+@dataclass(frozen=True, eq=False)
+class BlockMap:
+    """A map that is painted piece by piece, anew whenever it is asked for."""
+
+    source: Blocks
+    model: SensorModel
+    min_passes: int | None
+    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    box: CellBox
+    """Its cells"""
+    is_part: bool
+    """Whether it ends where the user says"""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.box.shape
+
+    @property
+    def place(self) -> Int64:
+        """(2,) row and column of its first cell on the lattice."""
+        return np.array(self.box[:2])
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell (m)."""
+        return self.source.manifest.resolution
+
+    @property
+    def decision(self) -> Decision:
+        """How its cells are decided."""
+        return find_decision(self.model)
+
+    @property
+    def extent(self) -> Box:
+        """Lowest x and y, highest x and y (m)."""
+        return Lattice(self.resolution).measure(self.box)
+
+    def take(self, rows: slice, cols: slice) -> OccupancyMap:
+        """Paint a part of it."""
+        part = CellBox(rows.start, cols.start, rows.stop, cols.stop)
+        box = part.move(self.box.row, self.box.col)
+        made, _ = render_blocks(replace(self, box=box, is_part=True), box.cells)
+        return made
+
+    def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
+        """Paint piece by piece, with the box of each; what is in none of them was not observed.
+
+        With each come counts (2, 2): hits in cells called occupied, and all hits; cells that were
+        occupied before anything was forgotten, and those of them that are still.
+        """
+        blocks, model = self.source.blocks, self.model
+        beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
+        # Cells that were forgotten count as lost, and may lie beyond those that are left.
+        counts_beyond = self.min_passes is not None and not self.is_part
+        for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
+            box = self.box.clip(block.box)
+            area = block.box if counts_beyond else box
+            if not area.cells:
+                continue
+            grid, lasting = read_lasting(self.source, area, self.min_passes)
+            made = paint_box(lasting, model, box)
+            counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
+            if lasting is not grid:
+                before = paint_box(grid, model, area).occupied
+                still = before[box.within(area)] & made.occupied
+                counts[1] = np.count_nonzero(before), np.count_nonzero(still)
+            yield box, made, counts
+
+
+def open_map(
+    source: Blocks,
+    model: SensorModel,
+    framing: Framing = EVERYTHING,
+    min_passes: int | None = None,
+) -> BlockMap:
+    """Find out what cells a map covers; the blocks that were read last are kept from now on.
+
+    Raises
+    ------
+    MapError
+        Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
+    """
+    kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
+    bounds = find_bounds(kept, model, min_passes)
+    box = choose_box(bounds, framing, Lattice(source.manifest.resolution))
+    return BlockMap(kept, model, min_passes, box, is_part=framing.extent is not None)
+
+
+def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
+    """The smallest box around all cells of a map; only blocks that may reach its edges are read.
+
+    Raises
+    ------
+    MapError
+        Nothing was observed, or lasts.
+    """
+    reach, found = source.blocks, None
+    known: dict[Block, CellBox | None] = {}
+    for side, outward in enumerate((-1, -1, 1, 1)):  # of a box: row, col, row_end, col_end
+        for block in sorted(reach, key=lambda each: -outward * reach[each][side]):
+            # A hit speaks for the cell beside it, so a block may reach one cell farther.
+            if found and outward * found[side] >= outward * reach[block][side] + 1:
+                break
+            if block not in known:
+                _, lasting = read_lasting(source, block.box, min_passes)
+                known[block] = measure_bounds(choose_tiles(lasting, model))
+            if box := known[block]:
+                found = found.join(box) if found else box
+    if found is None:
+        refuse_nothing_left(min_passes if reach else None)
+    return found
+
+
+def read_lasting(source: Blocks, box: CellBox, min_passes: int | None) -> tuple[TileGrid, TileGrid]:
+    """What was observed in a box of cells or beside it, and what of that lasts."""
+    evidence = read_part(source, box)
+    grid = to_grid(evidence)
+    return grid, keep_lasting(grid, evidence.slices, min_passes)
+
+
+def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
+    """Paint all of a map; notes say where little of what was observed lasts.
+
+    Cell by cell it is the map of `render_lasting`. The agreement is that of a whole map: a part
+    has none.
+
+    Raises
+    ------
+    MapError
+        The map would be too large, or a block cannot be read.
+    """
+    refuse_large(made.box, Lattice(made.resolution), max_cells)
+    prior, (x, y, _, _) = made.model.prior, made.extent
+    log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
+    observed = np.zeros(made.shape, np.bool_)
+    counts = np.zeros((2, 2), np.int64)
+    for box, piece, of_piece in made.walk():
+        window = box.within(made.box)
+        log_odds[window], observed[window] = piece.log_odds, piece.observed
+        counts += of_piece
+    painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
+    agreement, notes = sum_up(made, counts)
+    return replace(painted, agreement=agreement), notes
+
+
+def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
+    """(H, W) of CellClass, a byte for each cell; raises MapError as `render_blocks`."""
+    refuse_large(made.box, Lattice(made.resolution), max_cells)
+    decision = writing.decide(made.decision)
+    classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
+    for box, piece, _ in made.walk():
+        classes[box.within(made.box)] = replace(piece, decision=decision).classes
+    return classes
+
+
+def survey_blocks(made: BlockMap, writing: WriteOptions) -> MapFacts:
+    """Measure a map that is never there as a whole.
+
+    Raises
+    ------
+    MapError
+        A block cannot be read.
+    """
+    cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
+    for _, piece, of_piece in made.walk():
+        cells += count_cells(piece, writing)
+        counts += of_piece
+    agreement, lost = sum_up(made, counts)
+    return MapFacts(made.resolution, made.extent, made.shape, cells, agreement, lost)
+
+
+def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
+    """The agreement of a map, and what its pieces lost."""
+    (agreed, hits), (were, still) = counts.tolist()
+    agreement = agreed / hits if hits and not made.is_part else None
+    return agreement, list(describe_lost(were, were - still))
+
+
+def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> OccupancyMap:
+    """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
+
+    Raises
+    ------
+    UsageError
+        The store has no picture of such squares.
+    MapError
+        Nothing was observed or lies in the extent, the map would be too large, or the picture
+        cannot be read.
+    """
+    with refuse_damage(store.path):
+        arrays = {int(name): array for name, array in store.root["classes"].arrays()}
+    if side not in arrays:
+        found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
+        fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
+        raise UsageError(found, where=store.path, fix=fix)
+    if not store.blocks:
+        refuse_nothing_left(None)
+    fine = Lattice(store.manifest.resolution)
+    coarse = Lattice(round(fine.resolution * side, 12))
+    observed = reduce(CellBox.join, store.blocks.values())
+    row, col = store.offset
+    box = choose_box(observed, framing, fine).move(-row, -col).align(side).shrink(side)
+    refuse_large(box, coarse, max_cells)
+    whole = CellBox(0, 0, *arrays[side].shape)
+    there = whole.clip(box)
+    classes = np.full((box.rows, box.cols), CellClass.NEITHER, np.uint8)
+    with refuse_damage(store.path):
+        classes[there.within(box)] = arrays[side][there.within(whole)]
+    origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
+    is_known = classes != CellClass.NEITHER
+    return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)
 
 
 @dataclass(frozen=True)
@@ -58,11 +316,11 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         if isinstance(writer, ProductWriter):
             refuse_unknown(path, writer, options)
     model, manifest = choose_model(saved, options)
-    grid: OccupancyMap | rendering.BlockMap
+    grid: OccupancyMap | BlockMap
     in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for _, writer in writers)
     if isinstance(saved, Blocks) and in_parts and options.overview is None:
-        grid = rendering.open_map(saved, model, options.framing, options.min_passes)
-        facts = rendering.survey_blocks(grid, options.writing)
+        grid = open_map(saved, model, options.framing, options.min_passes)
+        facts = survey_blocks(grid, options.writing)
     else:
         grid, facts = paint_saved(saved, model, options)
     report = summarise(manifest, facts, options, outputs)
@@ -144,13 +402,13 @@ def paint_saved(
             )
             raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
         side, most = options.overview, options.max_cells
-        shown = rendering.read_overview(saved, side, options.framing, most)
+        shown = read_overview(saved, side, options.framing, most)
     elif isinstance(saved, Evidence):
         shown, lost = render_lasting(to_grid(saved), saved.slices, model, options)
         lost = [*saved.notes, *lost]
     else:
-        made = rendering.open_map(saved, model, options.framing, options.min_passes)
-        shown, lost = rendering.render_blocks(made, options.max_cells)
+        made = open_map(saved, model, options.framing, options.min_passes)
+        shown, lost = render_blocks(made, options.max_cells)
     return shown, describe_map(shown, options.writing)._replace(lost=lost)
 
 

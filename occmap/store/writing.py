@@ -1,4 +1,4 @@
-"""How a store is made: created, written block by block by whoever has one, and finished."""
+"""The writer of stores, whose names end in `.zarr`: made, written block by block, finished."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,13 +10,13 @@ import numpy as np
 from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, keep_largest
 from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
-from occmap.grid.lattice import CellBox
+from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
-from occmap.store import layout
-from occmap.store.blocks import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
+from occmap.store import Blocks, as_blocks, layout
+from occmap.store.layout import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
 from occmap.types import Int64
-from occmap.writers.atomic import refuse_unwritable
+from occmap.writers.atomic import make_folder, refuse_unwritable
 from occmap.writers.npz import compute_checksum, pack_ground
 
 CHUNK = 256
@@ -227,3 +227,46 @@ def add_coarse_levels(root: Any, boxes: Sequence[CellBox]) -> None:
         for row, col in sorted({(box.row // reach, box.col // reach) for box in boxes}):
             shard = CellBox.at(row, col).scale(LEVEL_CELLS)
             level[shard.slices] = keep_largest(finer[shard.scale(4).slices], 4)
+
+
+class ZarrWriter:
+    """What was observed, as a Zarr folder that is read part by part."""
+
+    description = "evidence as a Zarr folder, for maps of a city; it does all that an .npz does"
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the folder."""
+        layout.import_zarr()
+        return (path,)
+
+    def owns(self, path: Path) -> bool:
+        """Whether a folder is one that this writer made."""
+        return (path / "zarr.json").is_file() and (path / "slices").is_dir()
+
+    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
+        """Write evidence; return its path.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written; then nothing is left behind.
+        """
+        return self.write_blocks(path, as_blocks(evidence), evidence.manifest)
+
+    def write_blocks(self, path: Path, source: Blocks, manifest: Manifest) -> tuple[Path, ...]:
+        """Write evidence block by block; the manifest may name another model.
+
+        Raises
+        ------
+        OccmapError
+            As `write_evidence`, or a block cannot be read.
+        """
+        with make_folder(path) as folder:
+            create_store(folder, manifest, source.blocks)
+            records = [
+                write_block(folder, block, source.read_block(block)) for block in source.blocks
+            ]
+            for block in source.blocks:
+                paint_block(folder, block)
+            finish_store(folder, manifest, records, source.read_ground())
+        return (path,)

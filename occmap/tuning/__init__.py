@@ -7,17 +7,25 @@ from pathlib import Path
 import numpy as np
 
 from occmap.options import BuildOptions, compose_build
-from occmap.report.printed import HIDDEN, Count, Finite, Share
+from occmap.report import HIDDEN, Count, Finite, Share, count
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.report.words import count
 from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Progress, Remarks, ignore_progress
+from occmap.scoring import Gain
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
-from occmap.scoring.score import Gain
 from occmap.tuning import search
-from occmap.tuning.kept import MOST_SCANS, KeptLog, find_mount, keep_logs
-from occmap.tuning.search import Correction, Finding, Knob, Scorer, Verdict
+from occmap.tuning.search import (
+    MOST_SCANS,
+    Correction,
+    Finding,
+    KeptLog,
+    Knob,
+    Scorer,
+    Verdict,
+    find_mount,
+    keep_logs,
+)
 from occmap.types import Pose, Rays
 
 USUAL_SCORINGS = 35

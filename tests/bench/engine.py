@@ -7,13 +7,13 @@ from time import process_time
 
 import numpy as np
 
-from occmap.grid.lattice import CellBox
+from occmap.grid import CellBox
 from occmap.grid.rendering import paint
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions
-from occmap.scans.engines import make_engine
+from occmap.scans import make_engine
+from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
-from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import Int64, PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.cells import Decision, OccupancyMap, to_log_odds
+from occmap.grid import CellBox, Lattice
 from occmap.grid.kernels.units import FREE, HIT, SKIP
-from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import find_bounds, paint
 from occmap.grid.tiles import TileGrid
 from occmap.jit import kernel

@@ -18,9 +18,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.evidence import paint_box
-from occmap.evidence.persistence import keep_lasting
-from occmap.grid.lattice import CellBox
+from occmap.evidence import keep_lasting, paint_box
+from occmap.grid import CellBox
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.types import Bool, Float64

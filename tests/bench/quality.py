@@ -30,9 +30,8 @@ from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import trace_logs
+from occmap.scoring import HoldOut, Score, SharedEvidence, estimate_error, score_map
 from occmap.scoring.compare import refuse_unscored
-from occmap.scoring.score import Score, estimate_error, score_map
-from occmap.scoring.trials import HoldOut, SharedEvidence
 from occmap.types import Bool, Float64, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from occmap.options import BuildOptions, choose_model
-from occmap.posing.options import Deskew, PosingOptions
+from occmap.posing import Deskew, PosingOptions
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import parse_model
-from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, Update
 from tests.samples import REAL_LOGS
 

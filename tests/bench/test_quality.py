@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from occmap.cells import OccupancyMap
+from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
-from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.grid.lattice import CellBox
+from occmap.grid import CellBox
 from occmap.jit import kernel
 from occmap.types import Float32, Float64
 from tests.bench.workloads import Sensor, Workload

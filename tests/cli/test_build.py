@@ -12,10 +12,10 @@ from occmap.cli.build import build_command, read_request
 from occmap.cli.console import Console, Verbosity
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, SimpleModel
-from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
 from tests.cli.runner import find_command, occmap, read_error

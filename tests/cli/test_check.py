@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from occmap.choices.values import format_mount, format_static
+from occmap.choices import format_mount, format_static
 from occmap.cli import run
 from occmap.options import OPTIONS
 from tests.cli.runner import occmap

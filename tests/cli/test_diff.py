@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.cli.diff import limit_change
+from occmap.cli.compare import limit_change
 from occmap.errors import UsageError
 from occmap.writers import WriteOptions
 from occmap.writers.pgm import PgmWriter

@@ -9,7 +9,7 @@ from jsonschema import Draft202012Validator
 
 from occmap.cells import Box
 from occmap.cli.lists import make_schema
-from occmap.report.printed import HIDDEN, Count, Finite, Share, printed_as, to_plain
+from occmap.report import HIDDEN, Count, Finite, Share, printed_as, to_plain
 
 
 class Colour(StrEnum):

@@ -14,10 +14,10 @@ from occmap.grid.kernels.projection import project_ends
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import Deskew, PosingOptions
+from occmap.posing import Deskew, PosingOptions
 from occmap.readers.decimals import parse_rows
+from occmap.scoring import combine
 from occmap.scoring.compare import compare
-from occmap.scoring.trials import combine
 from occmap.sensor.models import parse_model
 from occmap.types import BEAM_UPDATES, Update
 

@@ -6,7 +6,7 @@ from collections import defaultdict
 import numpy as np
 
 from occmap.cells import Ground
-from occmap.clouds.options import CloudOptions
+from occmap.clouds import CloudOptions
 from occmap.types import Float64, PosedScans
 
 Cell = tuple[int, int]

@@ -7,10 +7,10 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.cells import Ground
+from occmap.clouds import CloudOptions
 from occmap.clouds.engine import CloudEngine
 from occmap.clouds.ground import GroundFinder
-from occmap.clouds.options import CloudOptions
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid import CellBox, Lattice
 from occmap.options import choose_model
 from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
 

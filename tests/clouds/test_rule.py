@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from occmap.clouds.options import CloudOptions
+from occmap.clouds import CloudOptions
 from occmap.errors import MapError, UsageError
 from occmap.types import Float64, PosedScans
 from tests.clouds.reference import SlowEngine

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from occmap.difference import Blob, find_largest_blob
-from occmap.grid.lattice import CellBox
+from occmap.grid import CellBox
 from occmap.types import Bool
 
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from occmap.cells import CellClass, Decision
-from occmap.difference.maps import Place, load_map
+from occmap.difference import Place, load_map
 from occmap.errors import MapError, UsageError
 from occmap.types import UInt8
 from occmap.writers import MapMode, Shade, WriteOptions, Writer

@@ -12,9 +12,9 @@ from occmap.errors import MapError
 from occmap.evidence import weigh
 from occmap.evidence.manifest import describe_files
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
+from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SimpleModel, parse_model
-from occmap.sensor.returns import ReturnCounts
 from occmap.store.publishing import RenderOptions, publish, render_kept
 from occmap.types import Update
 from occmap.writers.npz import read_evidence

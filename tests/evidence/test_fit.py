@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import occmap
-from occmap.evidence.fit import Fit, list_misfit, measure_fit
-from occmap.grid.lattice import Lattice
+from occmap.evidence import Fit, list_misfit, measure_fit
+from occmap.grid import Lattice
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.sensor.models import CountingModel, QuadraticModel
 from tests.evidence.saving import DRIVE, MIDDLE_S

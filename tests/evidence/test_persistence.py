@@ -12,15 +12,13 @@ import pytest
 
 from occmap.cells import Slices
 from occmap.errors import MapError, UsageError
-from occmap.evidence import render, to_grid
-from occmap.evidence.persistence import keep_lasting, list_lost, render_lasting
-from occmap.grid.lattice import Lattice
-from occmap.grid.slices import pack
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.evidence import keep_lasting, list_lost, render, render_lasting, to_grid
+from occmap.grid import Lattice
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, pack
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.sensor import ReturnOptions
 from occmap.sensor.models import parse_model
-from occmap.sensor.returns import ReturnOptions
 from occmap.store.publishing import RenderOptions
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS

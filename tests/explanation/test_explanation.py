@@ -10,13 +10,12 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.errors import MapError, UsageError
-from occmap.evidence import render, to_grid
-from occmap.evidence.persistence import keep_lasting
+from occmap.evidence import keep_lasting, render, to_grid
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.history import add_up
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import Deskew, PosingOptions
+from occmap.posing import Deskew, PosingOptions
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,

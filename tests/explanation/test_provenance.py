@@ -9,10 +9,10 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.errors import LogError, PoseError
-from occmap.explanation.provenance import Use, find_uses, list_logs, list_missing
+from occmap.explanation.history import Use, find_uses, list_logs, list_missing
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.store.merging import merge
 from occmap.writers.npz import read_evidence
 from tests.samples import SAMPLE_LOGS, write_csv

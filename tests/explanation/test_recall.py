@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from occmap.clouds.options import CloudOptions
+from occmap.clouds import CloudOptions
 from occmap.errors import MapError
 from occmap.evidence.manifest import UNRECORDED, describe_build
-from occmap.explanation.provenance import recall_options
+from occmap.explanation.history import recall_options
 from occmap.options import BuildOptions, Selection
-from occmap.posing.options import Deskew, PosingOptions, Stamps
+from occmap.posing import Deskew, PosingOptions, Stamps
 from occmap.readers import Echo, ReaderOptions
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
-from occmap.sensor.returns import NoReturn, ReturnOptions
 from occmap.types import Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
 from tests.samples import write_csv

@@ -15,8 +15,7 @@ from typing import Any
 
 import pytest
 
-from occmap.cli import run
-from occmap.cli.signals import Signals
+from occmap.cli import Signals, run
 from tests.faults.scene import Scene, set_up
 
 # A file that was being opened is left to its destructor.
@@ -137,7 +136,7 @@ def test_of_two_signals_at_once_the_second_does_not_break_off_the_clearing_up(
     signal.raise_signal(signal.SIGHUP)
     assert signals.exit_code == 143
     signals.receive(signal.SIGINT, None)
-    monkeypatch.setattr("occmap.cli.signals.monotonic", lambda: time.monotonic() + 2)
+    monkeypatch.setattr("occmap.cli.monotonic", lambda: time.monotonic() + 2)
     with pytest.raises(KeyboardInterrupt):  # whoever waits for longer is heard again
         signals.receive(signal.SIGINT, None)
 

@@ -10,7 +10,7 @@ import pytest
 from occmap.fleet import Fleet
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.report.results import Report
 from tests.samples import DRIVES, SAMPLE_LOGS
 

@@ -20,10 +20,10 @@ from occmap.fleet.cluster import open_cluster
 from occmap.fleet.tasks import Job, Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.scans.tracing import Keep, ignore_progress
+from occmap.store import open_store, read_all
 from occmap.store.layout import digest_evidence
-from occmap.store.reading import open_store, read_all
 from tests.cli.runner import occmap
 from tests.samples import DRIVES
 

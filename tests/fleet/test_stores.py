@@ -10,7 +10,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.scans.tracing import ignore_progress
 from occmap.sensor.models import parse_model
-from occmap.store.reading import open_store
+from occmap.store import open_store
 from occmap.types import Update
 from tests.samples import DRIVES, SAMPLE_LOGS
 

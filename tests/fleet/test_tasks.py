@@ -9,7 +9,7 @@ from occmap.fleet.tasks import Job, Setting, add_up, trace_log
 from occmap.grid.tiles import stack_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import text
+from occmap.readers import text_log
 from occmap.scans.tracing import Keep
 from tests.samples import write_late
 
@@ -18,7 +18,7 @@ def test_a_log_that_is_read_twice_counts_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Memory holds next to nothing, so run files are written in both readings."""
-    monkeypatch.setattr(text, "BLOCK_BYTES", 3000)  # ten scans or so
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", 3000)  # ten scans or so
     log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
     options = BuildOptions(jobs=1, pass_gap_s=2.0)
     alone = build([log], options)

@@ -11,11 +11,10 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import OccmapError
-from occmap.readers import Reader
+from occmap.readers import Reader, probe_path
 from occmap.readers.carmen import CarmenReader
 from occmap.readers.csv import CsvReader
 from occmap.readers.mcap import McapReader
-from occmap.readers.probing import probe_path
 from occmap.readers.rosbag import RosbagReader
 from tests.readers.foxglove_logs import WRITERS, place, scan
 from tests.readers.foxglove_logs import drive as foxglove_drive

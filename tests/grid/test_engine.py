@@ -11,11 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError, UsageError
-from occmap.grid.engine import GridEngine
+from occmap.grid import Lattice
+from occmap.grid.engine import BeamWindow, GridEngine, Window, choose_windows
 from occmap.grid.kernels.projection import join_viewpoints, prepare, project
-from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, tabulate
-from occmap.grid.windows import BeamWindow, Window, choose_windows
 from occmap.sensor.models import QuadraticModel
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from tests.grid import reference

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from occmap.errors import UsageError
+from occmap.grid import CellBox, Lattice
 from occmap.grid.kernels.projection import round_to_units
-from occmap.grid.lattice import CellBox, Lattice
 
 
 @pytest.mark.parametrize(

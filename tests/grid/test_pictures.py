@@ -5,7 +5,7 @@ from textwrap import dedent
 
 import pytest
 
-from occmap.grid.lattice import Lattice
+from occmap.grid import Lattice
 from occmap.grid.tiles import GridSpec
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from tests.grid import reference

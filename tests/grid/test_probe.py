@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.errors import MapError
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid import CellBox, Lattice
+from occmap.grid.engine import find_near, look_at_cell
 from occmap.grid.tiles import GridSpec
-from occmap.grid.windows import find_near, look_at_cell
 from occmap.types import Kind, Rays, Update
 from tests.grid.scans import FEW, Drive, aim, drives, observe
 from tests.grid.test_engine import KINDS_OF_MAP, all_specs

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from occmap.grid import Lattice
 from occmap.grid.kernels.projection import join_viewpoints
 from occmap.grid.kernels.units import TABLE_STEPS
-from occmap.grid.lattice import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, WINDOW_CELLS, GridSpec, tabulate
+from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel
-from occmap.sensor.returns import ReturnOptions, interpret
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from tests.bench.workloads import Sensor, make_office
 from tests.grid import radial_reference

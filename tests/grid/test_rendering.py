@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from occmap.cells import OccupancyMap
 from occmap.errors import MapError
 from occmap.evidence import render
+from occmap.grid import CellBox, Lattice
 from occmap.grid.engine import GridEngine
-from occmap.grid.lattice import CellBox, Lattice
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.engine import GridEngine, SlicedEngine
-from occmap.grid.slices import count_visits, split_tiles, unpack
-from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec
+from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack
 from occmap.types import Kind, Rays
 from tests.grid.reference import Cell
 from tests.grid.scans import FEW, Drive, aim, aligned_drives, drives, read_cells, take

@@ -7,10 +7,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from occmap.cells import Slices
-from occmap.grid import slices as module
-from occmap.grid.lattice import Lattice
-from occmap.grid.slices import pack, restrict, split_tiles, take, unite, unpack
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.grid import Lattice
+from occmap.grid import tiles as module
+from occmap.grid.tiles import (
+    TILE,
+    EvidenceKind,
+    TileGrid,
+    pack,
+    restrict,
+    split_tiles,
+    take,
+    unite,
+    unpack,
+)
 from tests.grid.scans import FEW
 
 CELLS = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 63), st.integers(0, 63)), max_size=9)

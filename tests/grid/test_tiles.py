@@ -5,7 +5,7 @@ import pytest
 
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.grid.lattice import CellBox, Lattice
+from occmap.grid import CellBox, Lattice
 from occmap.grid.rendering import Reach, find_bounds, paint
 from occmap.grid.tiles import (
     INT32_LIMIT,

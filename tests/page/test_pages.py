@@ -9,9 +9,8 @@ from PIL import Image
 from selenium.webdriver import Chrome
 
 from occmap import api
-from occmap.api.maps import Map
-from occmap.page.raster import make_raster
-from occmap.page.views import CLASS_COLOURS, SCAN_COLOUR
+from occmap.api import Map
+from occmap.page.raster import CLASS_COLOURS, SCAN_COLOUR, make_raster
 from tests.page.browser import BROWSER, FLAGS, Shown, open_browser
 
 DRIVE = Path("sample_logs/drive.mcap")
@@ -219,7 +218,7 @@ def test_a_page_that_had_to_be_made_smaller_says_so_and_still_points(
     browser: Chrome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "occmap.page.product.make_raster", lambda grid, evidence: make_raster(grid, evidence, 1)
+        "occmap.page.pages.make_raster", lambda grid, evidence: make_raster(grid, evidence, 1)
     )
     path = tmp_path / "m.html"
     made = api.build_map(DRIVE, resolution=0.05, stride=10, outputs=path)

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from occmap import api
-from occmap.api.maps import Map
+from occmap.api import Map
 from occmap.cells import OccupancyMap
-from occmap.grid.lattice import CellBox
+from occmap.grid import CellBox
 from occmap.page.raster import MOST_CELLS, Raster, classify, make_raster, round_counts
 from tests.page.test_packing import unpack
 from tests.writers.maps import map_of

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
-from occmap.posing.options import PosingOptions
 from occmap.types import Float64, Pose, PosedScans, PoseSample, ScanBatch
 
 SECOND = 10**9

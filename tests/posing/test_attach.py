@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from occmap.inspection.poses import list_coverage
+from occmap.posing import Deskew, DropReason, PosingOptions, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.frames import Source
-from occmap.posing.options import Deskew, DropReason, PosingOptions, Stamps
 from occmap.types import Float64, Pose, PoseSample, ScanBatch
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned, yaw_of
 

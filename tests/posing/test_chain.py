@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from occmap.posing import Stamps
 from occmap.posing.chain import Chain, Status, make_chain
+from occmap.posing.course import find_breaks
 from occmap.posing.frames import Edge, Source
-from occmap.posing.jumps import find_breaks
-from occmap.posing.options import Stamps
 from occmap.posing.tracks import TrackBuilder
 from occmap.types import Float64, Pose
 from tests.posing.scenes import SECOND, at, turned, yaw_of

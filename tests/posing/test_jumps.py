@@ -9,9 +9,9 @@ import pytest
 
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
+from occmap.posing import Concern, DropReason
 from occmap.posing.attach import Poser
-from occmap.posing.jumps import find_strides
-from occmap.posing.options import Concern, DropReason
+from occmap.posing.course import find_strides
 from occmap.posing.tracks import Track
 from occmap.types import Pose, PoseSample
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned

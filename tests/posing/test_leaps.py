@@ -13,8 +13,8 @@ import pytest
 from occmap.inspection import inspect
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
+from occmap.posing import PosingOptions, Stamps
 from occmap.posing.leaps import LONG_ROW_STEPS, MOST_SCANS
-from occmap.posing.options import PosingOptions, Stamps
 from occmap.report.results import Build
 from occmap.scans import stream
 from occmap.scans.stream import stack

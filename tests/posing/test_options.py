@@ -3,7 +3,7 @@ import math
 import pytest
 
 from occmap.errors import UsageError
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.types import Pose
 from tests.posing.scenes import bolted
 

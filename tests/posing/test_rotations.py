@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.posing.rotations import angle_between, rotate_by, slerp, to_quaternions
+from occmap.posing.tracks import angle_between, rotate_by, slerp, to_quaternions
 from occmap.types import Float64, Pose
 
 ANGLES = st.floats(-math.pi, math.pi)

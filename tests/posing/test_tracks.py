@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from occmap.posing.options import Stamps
+from occmap.posing import Stamps
 from occmap.posing.tracks import Track, TrackBuilder
 from occmap.types import Pose, PoseBatch, PoseSample
 

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import LogError
+from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
-from occmap.posing.options import PosingOptions
 from occmap.posing.trajectory import read_trajectory
 from occmap.types import PoseSample
 

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from occmap.readers import NoteList
-from occmap.readers.source import Channel, RawMessage
+from occmap.readers.containers import Channel, RawMessage
 from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)

@@ -14,7 +14,7 @@ import zstandard
 from occmap.errors import LogError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import Log, open_log, text
+from occmap.readers import Log, open_log, text_log
 from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
 from tests.samples import SAMPLE_LOGS
 
@@ -73,7 +73,7 @@ def test_one_long_line_before_many_short_ones(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("filler", [b"\n", b"ODOM 0 0 0 0 0 0 1 h 1\n", b"x"])
 def test_a_gzip_bomb(tmp_path: Path, filler: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text, "FREE_LINES", 20_000)  # by default it takes some seconds
+    monkeypatch.setattr(text_log, "FREE_LINES", 20_000)  # by default it takes some seconds
     deflater = zlib.compressobj(wbits=31)
     start = b"FLASER 2 1.5 2.5 0 0 0 0 0 0 1 host 1\n"
     piece = filler * (1_000_000 // len(filler))

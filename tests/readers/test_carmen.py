@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Role, StackingScans, Stream, carmen
+from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
 from occmap.readers.carmen import CarmenReader
-from occmap.readers.probing import Probe, probe_path
-from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import ReturnOptions
+from occmap.sensor import RangeLimits, ReturnOptions
 from occmap.types import Pose, PoseSample, ScanRun
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
@@ -215,7 +213,7 @@ def test_how_many_lines_are_parsed_together_makes_no_difference(
     expected = summarise(log)
     assert [note.damage for note in log.notes].count(True) == 2
     for size in (1, 700, 1500):
-        monkeypatch.setattr("occmap.readers.text.BLOCK_BYTES", size)
+        monkeypatch.setattr("occmap.readers.text_log.BLOCK_BYTES", size)
         np.testing.assert_equal(summarise(CarmenReader().open(path)), expected)
 
 

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.carmen_lines import (
+from occmap.readers.carmen import (
     CarmenForm,
     imply_increment,
     parse_front_offset,
     parse_odometry,
 )
 from occmap.readers.decimals import parse_table
-from occmap.readers.text import PADDING, Block
+from occmap.readers.text_log import PADDING, Block
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"

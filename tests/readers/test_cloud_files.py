@@ -10,11 +10,18 @@ import pytest
 from occmap.errors import DamageError, LogError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import DropReason, PosingOptions
+from occmap.posing import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
 from occmap.readers import HoldingClouds, Role, open_log
-from occmap.readers.cloud_files import Points, read_bin, read_pcd, read_ply
-from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_time
+from occmap.readers.cloud_folder import (
+    SPACING_NS,
+    CloudFolder,
+    Points,
+    read_bin,
+    read_pcd,
+    read_ply,
+    read_time,
+)
 from occmap.readers.lzf import inflate
 from occmap.types import Cloud, Float32, Moments, Pose
 

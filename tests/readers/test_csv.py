@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Role, Stream
+from occmap.readers import Log, Note, Probe, Role, Stream, probe_path
 from occmap.readers.csv import CsvLog, CsvReader
-from occmap.readers.probing import Probe, probe_path
 from occmap.types import Pose, Scan
 
 HEADER = "stamp,x,y,yaw,angle_min,angle_increment,range_min,range_max,time_increment,r0,r1,r2"

@@ -62,7 +62,7 @@ def test_no_row_is_read_in_two_ways(
 
     together = read(write(path, text))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("occmap.readers.text.BLOCK_BYTES", 1)  # a line of its own is parsed alone
+        patch.setattr("occmap.readers.text_log.BLOCK_BYTES", 1)  # a line of its own is parsed alone
         assert read(write(path, text)) == together
 
 

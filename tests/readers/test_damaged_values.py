@@ -10,9 +10,9 @@ import pytest
 
 from occmap.readers import ReaderOptions, message_types, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud
+from occmap.readers.containers import Channel
 from occmap.readers.fields import get_row
 from occmap.readers.ros_log import RosLog
-from occmap.readers.source import Channel
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
 from tests.readers.ros import scan as ros_scan

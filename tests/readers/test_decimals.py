@@ -10,14 +10,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.decimals import parse_table
-from occmap.readers.text import PADDING, Block
 from occmap.readers.text_log import (
     ANY,
     NANOSECONDS,
     NUMBER,
+    PADDING,
     RANGE,
     SAME,
     SECONDS,
+    Block,
     Pattern,
     Table,
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from occmap.readers.inflate import MAX_INFLATED, inflate, inflate_message, unzip_file
+from occmap.readers.containers import MAX_INFLATED, inflate, inflate_message, unzip_file
 
 NOISE = np.random.default_rng(1).integers(0, 4, 3_000_000, dtype=np.uint8).tobytes()
 COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {

@@ -10,9 +10,8 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from occmap.errors import LogError
-from occmap.readers import Note, Role, Stream, open_log
+from occmap.readers import Note, Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader
-from occmap.readers.probing import probe_path
 from tests.readers.ros import RANGES, ROS2, SCAN, Written, drive, scan, write_mcap
 from tests.readers.runs import count_scans
 from tests.test_damage import time_limit

@@ -5,9 +5,9 @@ import pytest
 from rosbags.typesys.store import Typestore
 
 from occmap.readers import ReaderOptions, Role
+from occmap.readers.containers import Channel, normalise_type
 from occmap.readers.message_types import TYPES, convert_laser_scan, find_type
 from occmap.readers.ros_log import RosLog
-from occmap.readers.source import Channel, normalise_type
 from occmap.types import Pose, PoseSample
 from tests.readers.ros import RANGES, ROS1, ROS2, SCAN, Memory, header, pose, scan, transforms
 

@@ -16,9 +16,9 @@ from google.protobuf.descriptor_pb2 import (
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from occmap.readers import messages
+from occmap.readers.containers import Channel
 from occmap.readers.messages import make_reader
 from occmap.readers.ros_log import RosLog
-from occmap.readers.source import Channel
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan

@@ -11,8 +11,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
-from occmap.readers import Note, Role, Stream, open_log
-from occmap.readers.probing import Probe, probe_path
+from occmap.readers import Note, Probe, Role, Stream, open_log, probe_path
 from occmap.readers.rosbag import RosbagReader
 from tests.readers.ros import (
     RANGES,

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers import ros_log
+from occmap.readers.containers import Channel, RawMessage
 from occmap.readers.ros_log import RosLog
-from occmap.readers.source import Channel, RawMessage
 from occmap.types import Pose, PoseBatch, PoseSample
 from tests.readers.ros import ROS1, ROS2, TF, Memory, transforms
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Note, NoteList, text
-from occmap.readers.text import Block, Line, read_blocks
+from occmap.readers import Note, NoteList, text_log
+from occmap.readers.text_log import Block, Line, read_blocks
 
 
 def list_lines(block: Block) -> list[Line]:
@@ -38,7 +38,7 @@ def test_lines_have_numbers_and_no_ends(tmp_path: Path) -> None:
 def test_lines_of_an_old_mac_are_lines(
     pack: Callable[[bytes], bytes], size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(text, "BLOCK_BYTES", size)
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", size)
     path = tmp_path / "log"
     path.write_bytes(pack(b"one\r\rtwo\r" + b"more\r" * 9 + b"last"))
     lines, notes = read(path)
@@ -52,7 +52,7 @@ def test_lines_of_an_old_mac_are_lines(
 def test_a_line_feed_in_the_next_block_is_no_line(
     size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(text, "BLOCK_BYTES", size)
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", size)
     (tmp_path / "log").write_bytes(b"four\r\nlast\r\n")
     lines, _ = read(tmp_path / "log")
     assert [line.raw for line in lines] == [b"four", b"last"]
@@ -117,14 +117,14 @@ def test_a_note_is_given_once_for_two_readings(tmp_path: Path) -> None:
 
 
 def test_a_line_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text, "MAX_LINE_BYTES", 100)
+    monkeypatch.setattr(text_log, "MAX_LINE_BYTES", 100)
     (tmp_path / "log").write_bytes(b"1 " * 51)
     with pytest.raises(LogError, match="no end of line within 102 bytes"):
         read(tmp_path / "log")
 
 
 def test_a_gzip_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text, "FREE_EXPANSION_BYTES", 10_000)
+    monkeypatch.setattr(text_log, "FREE_EXPANSION_BYTES", 10_000)
     path = tmp_path / "bomb.gz"
     path.write_bytes(gzip.compress(b"0\n" * 1_000_000))
     with pytest.raises(LogError, match="grows more than 100-fold"):
@@ -137,7 +137,7 @@ def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
 
 
 def test_a_block_of_lines_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text, "BLOCK_BYTES", 10)
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", 10)
     (tmp_path / "log").write_bytes(b"one\ntwo\nthree\na longer line\nlast")
     blocks = read_blocks(tmp_path / "log", NoteList())
     assert [(block.number, [line.raw for line in list_lines(block)]) for block in blocks] == [

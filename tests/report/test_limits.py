@@ -5,8 +5,8 @@ import math
 import pytest
 
 from occmap.errors import UsageError
+from occmap.report import to_plain
 from occmap.report.limits import COUNT, SHARE, Measure, judge, parse_limit
-from occmap.report.printed import to_plain
 
 MEASURES = (
     Measure[dict[str, float]]("lost", SHARE, lambda result: result["lost"]),

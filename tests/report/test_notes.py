@@ -4,7 +4,7 @@ import json
 import pickle
 
 from occmap.inspection.findings import LogFindings
-from occmap.report.words import Note
+from occmap.report import Note
 
 
 def test_a_note_is_its_sentence_and_knows_of_damage() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from occmap.report.words import count, join_names, write_box, write_span, write_time
+from occmap.report import count, join_names, write_box, write_span, write_time
 
 
 @pytest.mark.parametrize(

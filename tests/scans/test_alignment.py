@@ -12,8 +12,8 @@ from occmap.cells import OccupancyMap
 from occmap.errors import MapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
-from occmap.scans.alignment import COMMON_SHARE, find_turn
+from occmap.posing import PosingOptions
+from occmap.scans.mounts import COMMON_SHARE, find_turn
 from occmap.types import Float64
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.posing.options import DropReason
+from occmap.posing import DropReason
 from occmap.scans.tally import JourneyRecorder
-from occmap.sensor.returns import ReturnOptions
+from occmap.sensor import ReturnOptions
 from occmap.types import Attached, PosedScans, ScanBatch
 
 LOG = Path("a.bag")

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import Stamps
+from occmap.posing import Stamps
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
-from occmap.sensor.no_return import RangeLimits
-from occmap.sensor.returns import ReturnOptions
+from occmap.sensor import RangeLimits, ReturnOptions
 from occmap.types import Scan, ScanBatch, ScanRun
 from tests.samples import write_csv
 

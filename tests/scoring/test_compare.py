@@ -13,9 +13,17 @@ from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.scans.tracing import Remarks
+from occmap.scoring import (
+    HoldOut,
+    Score,
+    ScoredVariant,
+    Variant,
+    combine,
+    estimate_error,
+    shorten_model,
+)
 from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
-from occmap.scoring.score import Score, estimate_error
-from occmap.scoring.trials import HoldOut, ScoredVariant, Variant, combine, shorten_model
+from occmap.sensor import ReturnOptions
 from occmap.sensor.models import (
     CountingModel,
     QuadraticModel,
@@ -23,7 +31,6 @@ from occmap.sensor.models import (
     SimpleModel,
     parse_model,
 )
-from occmap.sensor.returns import ReturnOptions
 from occmap.types import Kind, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
 
@@ -34,7 +41,7 @@ LATE_KERNELS = """
 import sys
 import occmap
 from occmap import jit
-from occmap.scoring.trials import Trials
+from occmap.scoring import Trials
 
 loaded = []
 load, begin = jit.KeptCode.load_overload, Trials.begin

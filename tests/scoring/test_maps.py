@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from occmap.cells import CellClass
-from occmap.difference.maps import ClassMap, Place, load_map
+from occmap.difference import ClassMap, Place, load_map
 from occmap.errors import MapError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
+from occmap.scoring import combine
 from occmap.scoring.compare import compare
 from occmap.scoring.fit import STAY, Transform, Walls, fit
 from occmap.scoring.maps import score_by_logs, score_by_truth
-from occmap.scoring.trials import combine
 from occmap.tuning import tune
 from occmap.types import Pose
 from occmap.writers import WriteOptions

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import OccupancyMap
-from occmap.scoring.score import ReliabilityBin, score_map
+from occmap.scoring import ReliabilityBin, score_map
 from occmap.types import Kind
 from tests.grid.scans import make_scan
 

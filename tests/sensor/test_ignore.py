@@ -7,7 +7,7 @@ import pytest
 
 from occmap.cells import Box
 from occmap.errors import UsageError
-from occmap.sensor.returns import (
+from occmap.sensor import (
     NoReturn,
     ReturnCounts,
     ReturnOptions,

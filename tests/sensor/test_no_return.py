@@ -14,8 +14,7 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.scans import stream
-from occmap.sensor.no_return import Band, RangeLimits, RangeTally
-from occmap.sensor.returns import ReturnOptions
+from occmap.sensor import Band, RangeLimits, RangeTally, ReturnOptions
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
 from tests.samples import PLAIN, write_late

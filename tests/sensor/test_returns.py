@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.errors import UsageError
-from occmap.sensor.returns import (
+from occmap.sensor import (
     NoReturn,
     ReturnCounts,
     ReturnOptions,

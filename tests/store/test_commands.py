@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import rasterio
 
-from occmap.difference.maps import load_map
+from occmap.difference import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
-from occmap.store.reading import open_store
+from occmap.store import open_store
 from occmap.types import Update
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence

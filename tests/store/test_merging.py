@@ -10,11 +10,10 @@ import pytest
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.explanation.history import Visits, look_at
-from occmap.grid.slices import count_visits, split_tiles, unite
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, unite
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.store.merging import merge, subtract
 from occmap.store.publishing import RenderOptions, publish
 from occmap.types import Update

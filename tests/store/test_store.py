@@ -15,14 +15,12 @@ import zarr
 
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError, OutputError
-from occmap.grid.slices import pack
-from occmap.grid.tiles import TILE
-from occmap.store.blocks import BLOCK, Block, split_evidence
-from occmap.store.layout import digest_evidence
+from occmap.grid.tiles import TILE, pack
+from occmap.store import open_store, read_all
+from occmap.store.layout import BLOCK, Block, digest_evidence, split_evidence
 from occmap.store.publishing import RenderOptions, render_kept
-from occmap.store.reading import open_store, read_all
-from occmap.store.writer import ZarrWriter
 from occmap.store.writing import (
+    ZarrWriter,
     create_store,
     finish_store,
     paint_block,

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from occmap.choices.values import to_rpy
+from occmap.choices import to_rpy
 from occmap.readers import open_log
 from occmap.types import Scan
 from tests.samples import SAMPLE_LOGS, Planar

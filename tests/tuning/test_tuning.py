@@ -8,19 +8,27 @@ import numpy as np
 import pytest
 
 from occmap import tuning as tuning_package
-from occmap.choices.values import to_rpy
+from occmap.choices import to_rpy
 from occmap.errors import LogError, PoseError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
-from occmap.posing.options import PosingOptions
+from occmap.posing import PosingOptions
 from occmap.readers import open_log
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Remarks
+from occmap.scoring import Gain, Variant
 from occmap.scoring.compare import compare
-from occmap.scoring.score import Gain
-from occmap.scoring.trials import Variant
 from occmap.tuning import tune
-from occmap.tuning.kept import KeptLog, find_mount, keep_logs, take_every
-from occmap.tuning.search import TIME, YAW, Correction, Verdict, X
+from occmap.tuning.search import (
+    TIME,
+    YAW,
+    Correction,
+    KeptLog,
+    Verdict,
+    X,
+    find_mount,
+    keep_logs,
+    take_every,
+)
 from occmap.types import Float64, Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 from tests.tuning.simulated import read_drive, write_drive
@@ -244,7 +252,7 @@ def test_every_nth_scan_is_taken_however_they_are_batched(
 
 
 def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("occmap.tuning.kept.MOST_SCANS", 150)
+    monkeypatch.setattr("occmap.tuning.search.MOST_SCANS", 150)
     ((log,), notes) = keep(SAMPLE_LOGS / "drive.csv", BuildOptions())
     (batch,) = log.batches
     assert batch.stamp_ns.tolist() == [scan.stamp_ns for scan in read_drive()[::4]]

@@ -9,10 +9,9 @@ from rosbags.highlevel import AnyReader
 from occmap.cells import Evidence, OccupancyMap
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.posing.rotations import rotate_by
+from occmap.posing.tracks import rotate_by
 from occmap.types import Journey, Pose, Trajectory
-from occmap.writers import MapMode, Product, WriteOptions
-from occmap.writers.outputs import write_outputs
+from occmap.writers import MapMode, Product, WriteOptions, write_outputs
 from tests.map_loaders import load_nav2
 from tests.writers.maps import map_of, map_of_art
 

@@ -11,8 +11,7 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.grid.slices import pack
-from occmap.grid.tiles import TILE
+from occmap.grid.tiles import TILE, pack
 from occmap.types import Int64
 from occmap.writers.npz import (
     SIDE,

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from occmap import writers
 from occmap.errors import UsageError
-from occmap.writers import MapMode, WriteOptions, outputs
-from occmap.writers.outputs import find_writer
+from occmap.writers import MapMode, WriteOptions, find_writer
 from occmap.writers.pgm import PgmWriter
 from occmap.writers.png import PngWriter
 
@@ -34,7 +34,7 @@ def test_unknown_suffix_lists_the_known_ones(name: str, found: str) -> None:
 
 
 def test_a_writer_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outputs, "load_plugin", lambda _group, _name: None)
+    monkeypatch.setattr(writers, "load_plugin", lambda _group, _name: None)
     with pytest.raises(UsageError, match=r"the writer for \.png does not load"):
         find_writer(Path("map.png"))
 

@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 
 from occmap.cells import CellClass, OccupancyMap
-from occmap.difference.maps import load_map
+from occmap.difference import load_map
 from occmap.writers import WriteOptions
-from occmap.writers.tiles import TILE_PIXELS, TilesWriter
+from occmap.writers.images import TILE_PIXELS, TilesWriter
 
 GREY = {CellClass.NEITHER: 205, CellClass.FREE: 254, CellClass.OCCUPIED: 0}
 

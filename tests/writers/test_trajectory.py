@@ -8,8 +8,7 @@ from occmap.cells import Evidence
 from occmap.cli import run
 from occmap.errors import UsageError
 from occmap.types import Journey, Trajectory
-from occmap.writers import Product, WriteOptions
-from occmap.writers.outputs import write_outputs
+from occmap.writers import Product, WriteOptions, write_outputs
 from tests.writers.maps import map_of
 
 DRIVE = "sample_logs/drive.csv"

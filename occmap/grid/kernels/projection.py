@@ -1,6 +1,6 @@
 """Rays on the lattice: where beams end, and what neighbours together say of a surface.
 
-Ends are rounded as `occmap.grid.lattice` does.
+Ends are rounded as `occmap.grid` does.
 
 In the surface update, a denser laser would have sent more beams between two neighbours that meet
 one surface. They are drawn as far as cells lie between the ends, and from five eighths of their way
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.errors import MapError
+from occmap.grid import FARTHEST_UNIT, CellBox, refuse_long
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
-from occmap.grid.lattice import FARTHEST_UNIT, CellBox, refuse_long
 from occmap.grid.tiles import GridSpec
 from occmap.jit import kernel
 from occmap.types import Float64, Int16, Int32, Int64, Kind, Rays, UInt8, Update

@@ -13,19 +13,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.fill import Spans, fill_outline, find_rows, make_outline, make_spans
-from occmap.grid.kernels.projection import Beams
-from occmap.grid.kernels.sectors import (
-    BEARINGS,
-    ROUNDED,
-    bearing_of,
-    cover_bearings,
-    find_sectors,
-    make_sectors,
-    outline_sectors,
-    reach_out,
-    stay_inside,
+from occmap.grid.kernels.polygon import (
+    Outline,
+    Spans,
+    fill_outline,
+    find_rows,
+    make_outline,
+    make_spans,
 )
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import (
     AT_A_TIME,
     CELL_SHIFT,
@@ -33,13 +29,15 @@ from occmap.grid.kernels.units import (
     HALF_CELL,
     HIT,
     MANY,
+    NO_LENGTH,
     NOTHING,
     PAD,
+    SKIP,
     TABLE_STEPS,
     Tables,
 )
 from occmap.jit import kernel
-from occmap.types import Float64, Int32, Int64
+from occmap.types import Bool, Float64, Int32, Int64, UInt8
 
 
 class View(NamedTuple):
@@ -190,3 +188,211 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     for i in range(size):
         k = np.uint64(i)
         flat[np.uint64(rows[k])] += entries[np.uint64(places[k])]
+
+
+BEARINGS = 1 << 14
+"""Steps of a full turn to which the bearing of a cell is known."""
+STEP = 5e-4
+"""More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
+ROUNDED = 4
+"""Lattice units by which corners may lie farther out than the sectors that they are made for."""
+BESIDE = 2.0
+"""How far rounding may take a corner to the side (lattice units)."""
+COS_60, SIN_60 = 0.5, 0.75**0.5
+ROUNDING = 1e-6
+"""Unit vectors that add up to less are opposite: their sum is only rounding. A scan that turns by
+less (rad) turns neither way, and a sector this narrow covers nothing. All of this happens with an
+upright laser, whose beams lie in one vertical plane."""
+
+
+class Sectors(NamedTuple):
+    """What each beam of a scan covers: from half-way to one neighbour to half-way to the other."""
+
+    direction: Float64
+    """(B, 2) of the beams, of length 1"""
+    sides: Float64
+    """(B, 4) x and y of the unit vector at the side of the beam before, and of that at the side of
+    the beam after, at most 60 degrees away"""
+    covers: Bool
+    """(B,) False where a beam is SKIP, and where its sides lie the wrong way round. That happens
+    where a scan is not seen from where it was taken and a nearer thing shifts across a farther one;
+    its neighbours' sectors then overlap"""
+    shares_side: Bool
+    """(B,) whether a sector begins where the one before ends, which 60 degrees may have ended
+    earlier"""
+    lengths: Float64
+    """(B, 4) how far to outline a sector along each of its sides, and how far to the left of it, in
+    lattice units from the sensor"""
+
+
+@kernel
+def make_sectors(count: int) -> Sectors:
+    """Room for the sectors of so many beams."""
+    sides, lengths = np.empty((count, 4)), np.empty((count, 4))
+    covers, shares_side = np.empty(count, np.bool_), np.empty(count, np.bool_)
+    return Sectors(np.empty((count, 2)), sides, covers, shares_side, lengths)
+
+
+@kernel
+def find_sectors(beams: Beams, s: int, sectors: Sectors) -> float:
+    """Find what each beam of a scan covers; all but `lengths` is written.
+
+    Returns
+    -------
+    1 where the scan turns counter-clockwise or neither way, -1 where clockwise.
+    """
+    direction, sides = sectors.direction, sectors.sides
+    covers, shares_side = sectors.covers, sectors.shares_side
+    turns, bearing, kinds = beams.rays.turn[s], beams.rays.bearing, beams.rays.kind[s]
+    count, turn = kinds.size, 0.0
+    for b in range(count):
+        t = min(b, turns.shape[0] - 1)
+        x = turns[t, 0, 0] * bearing[0, b] + turns[t, 0, 1] * bearing[1, b]
+        y = turns[t, 1, 0] * bearing[0, b] + turns[t, 1, 1] * bearing[1, b]
+        length = max(np.sqrt(x * x + y * y), NO_LENGTH)
+        direction[b, 0], direction[b, 1] = x / length, y / length
+    for b in range(1, count):
+        turn += direction[b - 1, 0] * direction[b, 1] - direction[b - 1, 1] * direction[b, 0]
+    sign = 1.0 if turn >= -ROUNDING else -1.0
+    for b in range(count):
+        after = b + 1 if b < count - 1 else 0
+        x, y = direction[b, 0] + direction[after, 0], direction[b, 1] + direction[after, 1]
+        length = np.sqrt(x * x + y * y)
+        share = 1 / length if length > ROUNDING else 0.0
+        sides[b, 2], sides[b, 3] = share * x, share * y
+        sides[after, 0], sides[after, 1] = share * x, share * y
+    if not beams.rays.full_circle:
+        # The first beam and the last cover as much beyond themselves as to their neighbour.
+        for b, i in ((0, 2), (count - 1, 0)):
+            cosine = sides[b, i] * direction[b, 0] + sides[b, i + 1] * direction[b, 1]
+            sides[b, 2 - i] = 2 * cosine * direction[b, 0] - sides[b, i]
+            sides[b, 3 - i] = 2 * cosine * direction[b, 1] - sides[b, i + 1]
+    for b in range(count):
+        along_x, along_y = direction[b, 0], direction[b, 1]
+        for side in range(0, 4, 2):
+            if sides[b, side] * along_x + sides[b, side + 1] * along_y < COS_60:
+                sine = sign * (side - 1) * SIN_60
+                sides[b, side] = COS_60 * along_x - sine * along_y
+                sides[b, side + 1] = COS_60 * along_y + sine * along_x
+        widening = sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2]
+        covers[b] = kinds[b] != 0 and sign * widening > ROUNDING
+    for b in range(count):
+        shared = sides[b - 1, 2] == sides[b, 0] and sides[b - 1, 3] == sides[b, 1]
+        shares_side[b] = b > 0 and covers[b - 1] and covers[b] and shared
+    return sign
+
+
+@kernel
+def bearing_of(x: float, y: float) -> np.int64:
+    """Which of the steps of a turn a vector points to, counter-clockwise from +x.
+
+    Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
+    no arc tangent.
+    """
+    part = x / max(abs(x) + abs(y), NO_LENGTH)
+    turned = 1.0 - part if y >= 0 else 3.0 + part
+    return np.int64(turned * (BEARINGS / 4))
+
+
+@kernel
+def cover_bearings(sectors: Sectors, kinds: UInt8, sign: float, covering: Int32) -> bool:
+    """Write for each step of a turn the beam that covers it, the later of two; B where none does.
+
+    Returns
+    -------
+    Whether the beams lie side by side: each that is not SKIP has a step, and none has another's.
+    """
+    sides, covers = sectors.sides, sectors.covers
+    covering[:] = covers.size
+    right = 0 if sign > 0 else 2
+    side_by_side, given = True, np.int64(0)
+    for b in range(covers.size):
+        first = bearing_of(sides[b, right], sides[b, right + 1])
+        last = bearing_of(sides[b, 2 - right], sides[b, 3 - right])
+        if not covers[b] or first == last:
+            side_by_side = side_by_side and kinds[b] == SKIP
+        elif last < first:
+            covering[first:] = b
+            covering[:last] = b
+            given += BEARINGS - first + last
+        else:
+            covering[first:last] = b
+            given += last - first
+    covered = np.int64(0)
+    for i in range(BEARINGS):
+        covered += covering[i] < covers.size
+    return bool(side_by_side and given == covered)
+
+
+@kernel
+def reach_out(beams: Beams, s: int, depth: float, sectors: Sectors) -> None:
+    """Write how far sectors must go to hold every cell that their beams reach.
+
+    That is to the tangent at the outermost circle, and a little more for rounding. A side lies at
+    most 60 degrees from its beam; a beam straight up has no sides.
+    """
+    sides, direction, lengths = sectors.sides, sectors.direction, sectors.lengths
+    ranges, kinds = beams.ranges[s], beams.rays.kind[s]
+    for b in range(kinds.size):
+        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + ROUNDED
+        for i in range(0, 4, 2):
+            cosine = sides[b, i] * direction[b, 0] + sides[b, i + 1] * direction[b, 1]
+            lengths[b, i], lengths[b, i + 1] = reach / max(cosine, COS_60 / 2), 0.0
+    for b in range(0 if beams.rays.full_circle else 1, kinds.size):
+        lengths[b - 1, 2] = lengths[b, 0] = max(lengths[b - 1, 2], lengths[b, 0])
+
+
+@kernel
+def stay_inside(own: Float64, sign: float, sectors: Sectors) -> None:
+    """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
+
+    Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
+    cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
+    its neighbours do.
+    """
+    sides, shares_side, lengths = sectors.sides, sectors.shares_side, sectors.lengths
+    reach, inward = np.empty(own.size), np.empty(own.size)
+    for b in range(own.size):
+        after = b + 1 if b + 1 < own.size else 0
+        width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])
+        is_wide = own[b] * width > 2 * (BESIDE + STEP * own[b])
+        inward[b] = sign if is_wide else 0.0
+        reach[b] = own[b] if is_wide else min(own[b - 1], own[b], own[after])
+    for b in range(own.size):
+        least, shift_before, shift = 0.0, -inward[b - 1], inward[b]
+        if shares_side[b]:
+            least = min(reach[b - 1], reach[b])
+            shift_before = shift = shift if reach[b] > reach[b - 1] else shift_before
+        length = reach[b - 1] if shift_before else least
+        lengths[b - 1, 2] = length
+        lengths[b - 1, 3] = shift_before * (min(BESIDE, length) + STEP * length)
+        length = reach[b] if shift else least
+        lengths[b, 0], lengths[b, 1] = length, shift * (min(BESIDE, length) + STEP * length)
+
+
+@kernel
+def outline_sectors(at_x: int, at_y: int, sectors: Sectors, outline: Outline) -> int:
+    """Write corners around the sectors of beams; returns their number.
+
+    A run of sectors that share their sides is closed at the sensor, at `at_x`, `at_y`.
+    """
+    sides, lengths = sectors.sides, sectors.lengths
+    covers, shares_side = sectors.covers, sectors.shares_side
+    x, y, begins = outline.x, outline.y, outline.begins
+    corners = 0
+    for b in range(covers.size):
+        if not covers[b]:
+            continue
+        if not shares_side[b]:
+            x[corners], y[corners], begins[corners] = at_x, at_y, True
+            corners += 1
+        for i in range(0, 4, 2):
+            along, left = lengths[b, i], lengths[b, i + 1]
+            x[corners] = at_x + int(np.rint(along * sides[b, i] - left * sides[b, i + 1]))
+            y[corners] = at_y + int(np.rint(along * sides[b, i + 1] + left * sides[b, i]))
+            begins[corners] = False
+            corners += 1
+        if b + 1 == covers.size or not shares_side[b + 1]:
+            x[corners], y[corners], begins[corners] = at_x, at_y, False
+            corners += 1
+    return corners

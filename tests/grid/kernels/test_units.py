@@ -1,7 +1,7 @@
 """The loops' own numbers are those of the types and of the lattice."""
 
+from occmap.grid import Lattice
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, SKIP, UNITS_PER_CELL
-from occmap.grid.lattice import Lattice
 from occmap.types import Kind
 
 
