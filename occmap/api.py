@@ -124,7 +124,7 @@ class Map(OccupancyMap):
 
 AnyPath = str | Path
 OF_ONE_MAP = (
-    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there", "fit"),
     *("extent", "margin", "align"),
 )
 """Options of a single map: what inspects logs, or makes several maps of them, does not take them"""

@@ -231,7 +231,14 @@ def make_box_form(example: str) -> Form:
     return Form(lambda value: _read_numbers(value, 4), text)
 
 
+def _read_switch(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
 FORMS: dict[Any, Form] = {
+    bool: Form(_read_switch, "True or False"),
     float: Form(_read_number, "a number"),
     int: Form(operator.index, "a whole number"),
     str: Form(_read_text, "text"),

@@ -126,6 +126,12 @@ class BuildOptions:
         metavar="NPZ",
     )
 
+    fit: bool = option(
+        False,
+        "With evidence to add to: first move the logs by the shift of up to 2 m and the turn of up "
+        "to 20 degrees by which their walls lie on its walls, where one is clearly the best.",
+    )
+
     def __post_init__(self) -> None:
         if self.model is None:
             object.__setattr__(self, "model", choose_model(self.update))
@@ -141,6 +147,8 @@ class BuildOptions:
             yield "`jump` does nothing under `occmap build beam`"
         if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:
             yield "`border_gap` does nothing: it is for `occmap build polygon`"
+        if self.fit and not (self.resume or self.resume_if_there):
+            yield "`fit` does nothing: it is for `resume`"
 
 
 OPTIONS = list_options(BuildOptions)
@@ -158,7 +166,8 @@ MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 """An option in a text, as libraries write it: `max_range`, `max_range=6`, `transform=(1,2,0)`"""
 
 NOT_WRITTEN = (
-    *("jobs", "update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there"),
+    *("jobs", "update", "model", "min_passes", "pass_gap_s"),
+    *("resume", "resume_if_there", "fit"),
     *list_options(WriteOptions),
 )
 """Options that do not change how logs are read, or that a caller names itself"""

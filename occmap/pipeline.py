@@ -55,7 +55,7 @@ def build(
     """
     check_outputs(outputs, list_inputs(paths, options))
     with hold_alone(options.resume or options.resume_if_there, outputs):
-        past, options = open_past(options)
+        past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)
         wants_evidence = want_evidence(outputs)
         keep = Keep(
@@ -76,7 +76,7 @@ def build(
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = plan_manifest(options, made, past.manifest if past and made else None)
         facts = describe_map(grid, options.writing)
-        remarks.notes += [*unaligned, *misfit, *lost, *list_doubts(manifest)]
+        remarks.notes += [*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)]
         remarks.notes += list_notes(paths, options, outputs, tally, facts)
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
@@ -101,20 +101,24 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     return [*paths, *bags, *poses]
 
 
-def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
+def open_past(
+    paths: Sequence[Path], options: BuildOptions
+) -> tuple[Evidence | None, BuildOptions, list[str]]:
     """Read the evidence that a build is to be added to, if there is any.
 
-    Where the user names no angle, the options turn the map as that evidence is turned.
+    Where the user names no angle, the options turn the map as that evidence is turned; where the
+    logs are to be fitted to it, they move them, and a note says how.
 
     Raises
     ------
-    MapError
-        It cannot be read, or cannot be combined with what the build makes.
+    OccmapError
+        It cannot be read, or cannot be combined with what the build makes; or it is not sure where
+        the logs lie on it.
     """
     there = options.resume_if_there
     path = options.resume or (there if there and there.exists() else None)
     if path is None:
-        return None, options
+        return None, options, []
     past = read_all(open_saved(path))
     if options.posing.align is None:
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
@@ -122,7 +126,12 @@ def open_past(options: BuildOptions) -> tuple[Evidence | None, BuildOptions]:
         model = choose_model(Update.CLOUD)
         options = replace(options, update=Update.CLOUD, model=model)
     refuse_different(plan_manifest(options), past)
-    return past, options
+    if not options.fit:
+        return past, options, []
+    from occmap.scoring.sessions import find_transform  # noqa: PLC0415  late: few builds want it
+
+    transform, note = find_transform(paths, options, past)
+    return past, replace(options, posing=replace(options.posing, transform=transform)), [note]
 
 
 def open_ground(options: BuildOptions, past: Evidence | None) -> Ground | None:

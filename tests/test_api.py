@@ -106,6 +106,7 @@ PLAIN: list[tuple[str, Any, BuildOptions]] = [
         (1, 2, math.pi / 2),
         BuildOptions(posing=PosingOptions(transform=Pose(1, 2, 0, 0, 0, HALF, HALF))),
     ),
+    ("fit", True, BuildOptions(fit=True)),
     ("align", None, BuildOptions(posing=PosingOptions(align=None))),
     ("extent", [0, 0, 2, 1], BuildOptions(framing=Framing(extent=(0.0, 0.0, 2.0, 1.0)))),
     ("margin", 2, BuildOptions(framing=Framing(margin=2.0))),

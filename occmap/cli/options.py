@@ -147,7 +147,10 @@ writing = join(
         help=OPTIONS["shade"].declared.help,
     ),
 )
-resume = fields(FILES, "resume resume_if_there")
+resume = join(
+    fields(FILES, "resume resume_if_there"),
+    option(FILES, spell_flag("fit"), is_flag=True, help=OPTIONS["fit"].declared.help),
+)
 
 resolution = field(MAP, "resolution", "-r")
 max_cells = field(MAP, "max_cells", type=click.IntRange(min=1))

@@ -57,6 +57,7 @@ against = join(
     option(
         AGAINST,
         "--fit",
+        "is_fitted",
         is_flag=True,
         help="First move the recordings onto the map, or the map onto the truth, by the shift of "
         "up to 2 m and the turn of up to 20 degrees by which they fit best.",
@@ -109,10 +110,10 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
         common = take(BuildOptions, values)
         found = gather_logs(console, logs, common)
         with show_progress(console) as progress:
-            by_logs, notes = score_by_logs(written, found, common, values["fit"], progress)
+            by_logs, notes = score_by_logs(written, found, common, values["is_fitted"], progress)
         score = replace(score, by_logs=by_logs, notes=tuple(notes))
     if true:
-        by_truth = score_by_truth(written, true, values["within"], values["fit"])
+        by_truth = score_by_truth(written, true, values["within"], values["is_fitted"])
         score = replace(score, by_truth=by_truth)
         if values["picture"]:
             from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow

@@ -18,7 +18,7 @@ from occmap.grid.tiles import EvidenceKind
 from occmap.sensor.models import NO_CLAMP, RadialModel, SensorModel, describe_model
 from occmap.types import Update
 
-UNRECORDED = ("framing", "jobs", "resume", "resume_if_there")
+UNRECORDED = ("framing", "jobs", "resume", "resume_if_there", "fit")
 """Options that change nothing about what is observed, so builds do not record them."""
 BuildRecord = dict[str, Any]
 """An entry of `Manifest.builds`, as `describe_build` makes it"""

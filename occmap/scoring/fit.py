@@ -1,7 +1,8 @@
 """The small transform by which walls lie on the walls of a map best."""
 
 import math
-from typing import NamedTuple
+from itertools import product
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,8 +13,15 @@ REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for"""
 STEP_M, STEP_RAD = 0.2, math.radians(2)
 """Of the first look; then both are halved again and again"""
-HALVINGS = 6
-MOST_POINTS = 4000
+HALVINGS, ROUGH = 6, 3
+"""How often for the best place, and for those that it is compared with"""
+MOST_PEAKS = 12
+APART_M, APART_RAD = 0.3, math.radians(3)
+"""Places nearer to one another are the same"""
+LEAST_SHARE, MOST_RIVAL = 0.35, 0.75
+"""Halves of real logs fit with a share of 0.45 to 0.78, and their rivals have 0.3 to 0.7 of that.
+Logs of other buildings fit with one below 0.35, or their rivals have 0.79 of it and more."""
+MOST_POINTS = 10_000
 MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
 
@@ -44,10 +52,9 @@ class Transform(NamedTuple):
         yaw = math.remainder(to_rpy(first)[2] + self.yaw, math.tau)
         return Transform(round(x, 5), round(y, 5), round(yaw, 6))
 
-    def is_far(self, points: Float64) -> bool:
-        """Whether it moves points (N, 2) as far as `fit` looks, so that the best may be beyond."""
-        middle = points.mean(axis=0)
-        shift = float(np.abs(self.move(middle) - middle).max())
+    def is_far(self, pivot: Float64) -> bool:
+        """Whether it moves the pivot (2,) as far as `fit` looks, so that the best may be beyond."""
+        shift = float(np.abs(self.move(pivot) - pivot).max())
         return shift > REACH_M - STEP_M / 2 or abs(self.yaw) > REACH_RAD - STEP_RAD / 2
 
     @property
@@ -93,6 +100,16 @@ class Walls(NamedTuple):
         away = np.minimum(np.sqrt(squares) * np.float32(resolution), np.float32(limit))
         return cls(away, corner - side * resolution, resolution, limit)
 
+    @property
+    def pivot(self) -> Float64:
+        """(2,) what `fit` turns about (m): the world's zero, or what is next to it in the map.
+
+        A session that begins at the same dock as another is turned about that.
+        """
+        height, width = self.away.shape
+        last = self.corner + np.array([width, height]) * self.resolution
+        return np.clip(np.zeros(2), self.corner, last)
+
     def measure(self, points: Float64) -> Float32:
         """How far it is from the cells of points (N, 2) to the nearest wall (m)."""
         cols, rows = np.floor((points - self.corner) / self.resolution).astype(np.int64).T
@@ -103,40 +120,92 @@ class Walls(NamedTuple):
         return found
 
 
-def fit(points: Float64, walls: Walls) -> Transform:
-    """Find by which transform points (N, 2) lie nearest to walls.
+class Match(NamedTuple):
+    """Where points lie nearest to walls. Of points that all lie on walls the share is 1."""
 
-    All transforms on a coarse grid are tried, and then those beside the best of it, in steps half
-    as long again and again. A point tells less and less the farther it is from a wall, so that what
-    has no wall in the other map, as people have none, does not pull.
+    transform: Transform
+    share: float
+    rival: float
+    """The share at the best other place, which is APART_M or APART_RAD away at least"""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether no other place is nearly as good, as along a corridor or in another building."""
+        return self.share >= LEAST_SHARE and self.rival <= MOST_RIVAL * self.share
+
+
+def fit(points: Float64, walls: Walls) -> Match:
+    """Find by which transform points (N, 2) lie nearest to walls, and how sure that is.
+
+    All transforms on a coarse grid are tried, by turns about the pivot of the walls. Those that are
+    better than the ones beside them are refined, in steps half as long again and again. A point
+    tells less and less the farther it is from a wall, so that what has no wall in the other map, as
+    people have none, does not pull.
     """
     points = points[:: max(len(points) // MOST_POINTS, 1)]
     middle = points.mean(axis=0)
-    centred = points - middle
-
-    def judge(place: tuple[float, float, float], width: float) -> float:
-        x, y, yaw = place
-        there = Transform(x, y, yaw).move(centred) + middle
-        return float(np.exp(-0.5 * (walls.measure(there) / width) ** 2).sum())
-
-    shifts = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
-    turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
-    sparse, dense = centred[:: max(len(centred) // 500, 1)], centred
-    centred = sparse
-    tried = [(x, y, yaw) for yaw in turns for x in shifts for y in shifts]
-    best = max(tried, key=lambda place: judge(place, STEP_M))
-    centred = dense
-    step_m, step_rad = STEP_M, STEP_RAD
-    for _ in range(HALVINGS):
-        step_m, step_rad = step_m / 2, step_rad / 2
-        width = max(step_m, walls.resolution)
-        around = [
-            (best[0] + x * step_m, best[1] + y * step_m, best[2] + yaw * step_rad)
-            for yaw in (-2, -1, 0, 1, 2)
-            for x in (-2, -1, 0, 1, 2)
-            for y in (-2, -1, 0, 1, 2)
-        ]
-        best = max(around, key=lambda place: judge(place, width))
-    x, y, yaw = best
+    search = _Search(points - middle, middle, walls)
+    refined = [search.refine(place, range(1, ROUGH + 1), 1500) for place in search.list_peaks()]
+    (share, best), *others = sorted(((search.judge(each), each) for each in refined), reverse=True)
+    rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
+    x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
     shift = middle - Transform(0.0, 0.0, yaw).move(middle[None])[0]
-    return Transform(round(x + float(shift[0]), 5), round(y + float(shift[1]), 5), round(yaw, 6))
+    made = Transform(round(x + float(shift[0]), 5), round(y + float(shift[1]), 5), round(yaw, 6))
+    return Match(made, share, rival)
+
+
+Place: TypeAlias = tuple[float, float, float]
+"""A turn (rad) about the middle of the points and then a shift: x, y (m) and yaw"""
+
+
+class _Search(NamedTuple):
+    """A search for the place of points."""
+
+    points: Float64
+    """(N, 2) from their middle (m)"""
+    middle: Float64
+    """(2,) in the map of the walls (m)"""
+    walls: Walls
+
+    def judge(self, place: Place, width: float = 0.0, most: int = MOST_POINTS) -> float:
+        """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6."""
+        points = self.points[:: max(len(self.points) // most, 1)]
+        away = self.walls.measure(Transform(*place).move(points) + self.middle)
+        return float(np.exp(-0.5 * (away / max(width, self.walls.resolution)) ** 2).mean())
+
+    def list_peaks(self) -> list[Place]:
+        """List the places on a coarse grid that none beside them beats, the best ones first."""
+        shifts = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
+        turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
+        arm = self.middle - self.walls.pivot
+        swings = [Transform(0.0, 0.0, yaw).move(arm) - arm for yaw in turns]
+        places = [
+            (x + swing[0], y + swing[1], yaw)
+            for x, y, (yaw, swing) in product(shifts, shifts, zip(turns, swings, strict=True))
+        ]
+        shape = len(shifts), len(shifts), len(turns)
+        shares = np.reshape([self.judge(place, STEP_M, 500) for place in places], shape)
+        framed = np.pad(shares, 1)
+        parts = [slice(at, at + size) for size in shape for at in range(3)]
+        beside = [framed[x, y, yaw] for x, y, yaw in product(parts[:3], parts[3:6], parts[6:])]
+        peaks = np.flatnonzero(shares >= np.max(beside, axis=0))
+        best = peaks[np.argsort(-shares.ravel()[peaks], kind="stable")]
+        return [places[at] for at in best[:MOST_PEAKS].tolist()]
+
+    def refine(self, place: Place, halvings: range, most: int = MOST_POINTS) -> Place:
+        """Go on to the best of the places beside, in shorter and shorter steps."""
+        for halving in halvings:
+            step_m, step_rad = STEP_M / 2**halving, STEP_RAD / 2**halving
+            x, y, yaw = place
+            around = [
+                (x + right * step_m, y + up * step_m, yaw + turn * step_rad)
+                for turn, right, up in product(range(-2, 3), repeat=3)
+            ]
+            shares = [self.judge(each, step_m, most) for each in around]
+            place = around[int(np.argmax(shares))]
+        return place
+
+
+def _are_apart(place: Place, other: Place) -> bool:
+    x, y, yaw = np.abs(np.subtract(place, other)).tolist()
+    return math.hypot(x, y) > APART_M or yaw > APART_RAD

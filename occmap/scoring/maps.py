@@ -175,8 +175,8 @@ def score_by_logs(
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = measure_walls(written)
-    moved = fit(hits, walls) if is_fitted else STAY
-    if is_fitted and moved.is_far(hits):
+    moved = fit(hits, walls).transform if is_fitted else STAY
+    if is_fitted and moved.is_far(walls.pivot):
         remarks.notes.append(
             "the logs fit best at the end of what is searched, and perhaps better beyond: try "
             "again with a first `transform`"
@@ -256,7 +256,7 @@ def score_by_truth(
     MapError
         One of them says not where it lies, or both together are too large.
     """
-    moved = fit(list_walls(written), measure_walls(truth)) if is_fitted else STAY
+    moved = fit(list_walls(written), measure_walls(truth)).transform if is_fitted else STAY
     canvas = make_canvas(written, truth, moved)
     is_true, is_said = canvas.lay(truth, STAY), canvas.lay(written, moved)
     shape, side = is_true.shape, canvas.side

@@ -109,7 +109,7 @@ def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
     walls = Walls.of(occupied, corner, plan.place.resolution, 2.0)
     points = (np.argwhere(occupied)[:, ::-1] + 0.5) * plan.place.resolution + corner
     true = Transform(*moved)
-    found = fit(true.move_back(points), walls)
+    found = fit(true.move_back(points), walls).transform
     assert found.yaw == pytest.approx(true.yaw, abs=0.004)
     apart = np.linalg.norm(found.move(true.move_back(points)) - points, axis=1)
     assert apart.max() < 0.06
