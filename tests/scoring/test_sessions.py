@@ -13,8 +13,7 @@ from occmap.errors import PoseError
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring.fit import Transform, Walls, fit
-from occmap.scoring.sessions import find_transform
+from occmap.scoring.fit import Transform, Walls, find_transform, fit
 from occmap.types import Pose
 from tests.samples import SAMPLE_LOGS
 
