@@ -14,7 +14,7 @@ from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, Rays, Update
-from tests.bench import people, quality
+from tests.bench import drives, people, quality
 from tests.bench.peers import (
     COUNT_RULES,
     SCAN_RULES,
@@ -219,3 +219,13 @@ def test_the_default_keeps_what_stands_and_loses_what_stood_there_once(tmp_path:
     assert fates["default"].removed >= 0.8
     assert fates["two visits"].kept < fates["default"].kept
     assert fates["two visits"].removed > fates["default"].removed
+
+
+def test_measures_of_drives_beyond_their_limits_are_marked() -> None:
+    found = {"edge": 97.99, "danger": 4.0, "phantom": 0.41, "free": 97.5, "unknown": 1.0}
+    assert drives.mark(found) == ["97.99 !", "4.00", "0.41 !", "97.50"]
+
+
+def test_the_rules_of_others_are_read_from_their_table() -> None:
+    text = "Measured:\n\n| rule | a |\n|---|---|\n| voxels | 96 / 10 / 8 |\n\n| what if | b |\n"
+    assert drives.list_others(text) == ["| rule | a |", "|---|---|", "| voxels | 96 / 10 / 8 |"]
