@@ -38,6 +38,8 @@ KNOWN_POINTS = 1000
 """Points that are taken to show ground that is known"""
 REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
+PASSES = 2
+"""The ground grows so often: what it reached only over a low thing or up a kerb, it then loses"""
 ROUNDS = 4
 SQUARE_MM, STOREY_MM = 1000, 1800
 """Where a path comes by a square again, so much higher, it is on another storey"""
@@ -176,17 +178,15 @@ def find_ground(
     depth, spread, beside = measure_depth(columns, path, options.sensor_height)
     if options.ground == FLAT:
         return make_flat(path, depth), []
-    height = np.full(len(tall), NO_GROUND, np.int32)
-    found = Found(height, np.zeros_like(height), np.zeros_like(tall), tall)
     span = np.array([beside, UNDER, depth - spread, depth + spread], np.int64)
-    growth.seed_ground(blocks, peaks, path, span, found)
-    lay_known(blocks, known, found)
-    for reach in REACHES:
-        if growth.grow_ground(blocks, peaks, found, STEP_MM, reach) and reach > 1:
-            growth.grow_ground(blocks, peaks, found, STEP_MM, 1)
-    level, base = np.empty_like(height), np.empty_like(height)
-    growth.drop_raised(blocks, found, level)
-    growth.smooth_ground(blocks, peaks, level, ALIKE_MM, base)
+    shown, level = peaks, np.empty(len(tall), np.int32)
+    for _ in range(PASSES):
+        found = grow(columns._replace(peaks=shown), path, span, known)
+        growth.drop_raised(blocks, found, level)
+        raised = np.flatnonzero(level != found.height)
+        shown = lower(shown, raised, level[raised], found.weight[raised])
+    base = np.empty_like(level)
+    growth.smooth_ground(blocks, shown, level, ALIKE_MM, base)
     lay_known(blocks, known, found._replace(height=base))
     measured = base != NO_GROUND
     if not measured.any():
@@ -203,6 +203,28 @@ def find_ground(
         f"{np.count_nonzero(measured):,} of {filled:,} columns of 0.15 m"
     )
     return pack_ground(blocks, base, measured), [note, *list_storeys(path)]
+
+
+def grow(columns: Columns, path: Int64, span: Int64, known: Ground | None) -> Found:
+    """Let the ground grow from under the path."""
+    blocks, peaks, tall, _ = columns
+    height = np.full(len(tall), NO_GROUND, np.int32)
+    found = Found(height, np.zeros_like(height), np.zeros_like(tall), tall)
+    growth.seed_ground(blocks, peaks, path, span, found)
+    lay_known(blocks, known, found)
+    for reach in REACHES:
+        if growth.grow_ground(blocks, peaks, found, STEP_MM, reach) and reach > 1:
+            growth.grow_ground(blocks, peaks, found, STEP_MM, 1)
+    return found
+
+
+def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
+    """Let raised columns (N,) show nothing but the ground around them, by its level and weight."""
+    first, many = peaks.first.copy(), peaks.many.copy()
+    first[raised] = np.arange(len(peaks.height), len(peaks.height) + len(raised))
+    many[raised] = 1
+    height = np.concatenate([peaks.height, level])
+    return Peaks(first, many, height, np.concatenate([peaks.weight, weight]))
 
 
 def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:

@@ -91,6 +91,18 @@ def test_a_kerb_is_an_edge() -> None:
     assert occupied[find_cells((1.0, 9.0), (4.5, 4.55))].mean() > 0.8
 
 
+def test_the_ground_does_not_climb_a_kerb_that_poses_blur() -> None:
+    noise = np.random.default_rng(1)
+    posed = [
+        replace(each, position=each.position + noise.normal(0, (0.02, 0.02, 0.03)))
+        for each in drive(Room([(0.0, 10.0, 4.5, 6.0, 0.0, 0.12)]), clouds=24)
+    ]
+    occupied, free = classify(posed)
+
+    assert occupied[find_cells((1.0, 9.0), (4.5, 4.55))].mean() > 0.75
+    assert free[find_cells((1.0, 9.0), (4.8, 5.6))].mean() < 0.75
+
+
 @pytest.mark.parametrize(
     "mounts",
     [
