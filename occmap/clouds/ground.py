@@ -182,6 +182,8 @@ def find_ground(
     shown, level = peaks, np.empty(len(tall), np.int32)
     for _ in range(PASSES):
         found = grow(columns._replace(peaks=shown), path, span, known)
+        growth.drop_sunk(blocks, found, level)
+        found = found._replace(height=level.copy())
         growth.drop_raised(blocks, found, level)
         raised = np.flatnonzero(level != found.height)
         shown = lower(shown, raised, level[raised], found.weight[raised])

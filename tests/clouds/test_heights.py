@@ -5,7 +5,15 @@ import pytest
 
 from occmap.cells import Ground
 from occmap.clouds.ground import fit_plane, index_blocks, list_storeys
-from occmap.clouds.kernels.growth import NO_GROUND, Blocks, Found, Peaks, drop_raised, smooth_ground
+from occmap.clouds.kernels.growth import (
+    NO_GROUND,
+    Blocks,
+    Found,
+    Peaks,
+    drop_raised,
+    drop_sunk,
+    smooth_ground,
+)
 from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
 from occmap.types import Bool, Float64, Int32
 
@@ -56,6 +64,25 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
 
     assert base[650] == height
     assert base[651] == -160
+
+
+@pytest.mark.parametrize(
+    ("points", "stood", "height"), [(9, 0, NO_GROUND), (11, 0, -100), (9, 1, -100)]
+)
+def test_a_column_of_few_points_below_others_is_no_ground(
+    points: int, stood: int, height: int
+) -> None:
+    heights = lay({650: -100, 651: 0, 652: 10, 653: 0})
+    nothing, stands = np.zeros(heights.size, np.uint8), np.zeros(heights.size, np.uint8)
+    stands[650] = stood
+    # The mean of those above it is 20: half of that decides.
+    found = Found(heights, lay({650: points, 651: 25, 652: 15, 653: 20}, 0), stands, nothing)
+    base = np.empty_like(heights)
+
+    drop_sunk(BLOCKS, found, base)
+
+    assert base[650] == height
+    assert base[651:654].tolist() == [0, 10, 0]
 
 
 def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:

@@ -255,38 +255,76 @@ def is_walled(blocks: Blocks, tall: UInt8, row: int, col: int, up: int, right: i
     return False
 
 
-@kernel
-def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
-    """Take low things that stand on the ground out of it: pallets, low boxes.
+@step
+def sum_stepped(blocks: Blocks, found: Found, at: int, sign: int) -> tuple[int, int, int]:
+    """Sum up the columns that are a step lower than one (`sign` 1), or higher (-1).
 
-    Columns within half a metre are lower if the column stands 6 cm + 0.12 of the distance above
-    them, and less than 30 cm, with no wall between. Where they hold more points than it does, it is
-    no ground, unless the robot stood there; it takes their mean.
+    They lie within half a metre, no wall is between, and the step is more than 6 cm + 0.12 of the
+    distance, and less than 30 cm.
+
+    Returns
+    -------
+    columns, points, weighted
+        How many there are, their points, and the sum of points times height.
+    """
+    height, weight, _, tall = found
+    row, col = place_row(blocks, at), place_col(blocks, at)
+    columns, points, weighted = 0, 0, 0
+    for up in range(-3, 4):
+        for right in range(-3, 4):
+            near = find_column(blocks, row + up, col + right)
+            if near < 0 or height[near] == NO_GROUND:
+                continue
+            apart = np.sqrt(float(up * up + right * right)) * COLUMN_MM
+            is_stepped = 60 + 0.12 * apart < sign * (height[at] - height[near]) < 300
+            if is_stepped and not is_walled(blocks, tall, row, col, up, right):
+                columns += 1
+                points += weight[near]
+                weighted += weight[near] * height[near]
+    return columns, points, weighted
+
+
+@kernel
+def drop_sunk(blocks: Blocks, found: Found, base: Int32) -> None:
+    """Take out of the ground what few points show below it: echoes, and noise under tables.
+
+    A column has less than half as many as the mean of those that are a step higher.
 
     Parameters
     ----------
     base
         (C,) filled: heights of the ground without them (mm).
     """
-    height, weight, stood, tall = found
+    height, weight, stood, _ = found
     for at in range(height.size):
         base[at] = height[at]
         if height[at] == NO_GROUND or stood[at]:
             continue
-        row, col = place_row(blocks, at), place_col(blocks, at)
-        points, total = 0, 0
-        for up in range(-3, 4):
-            for right in range(-3, 4):
-                near = find_column(blocks, row + up, col + right)
-                if near < 0 or height[near] == NO_GROUND:
-                    continue
-                apart = np.sqrt(float(up * up + right * right)) * COLUMN_MM
-                is_lower = 60 + 0.12 * apart < height[at] - height[near] < 300
-                if is_lower and not is_walled(blocks, tall, row, col, up, right):
-                    points += weight[near]
-                    total += weight[near] * height[near]
+        columns, points, _ = sum_stepped(blocks, found, at, -1)
+        if 2 * weight[at] * columns < points:
+            base[at] = NO_GROUND
+
+
+@kernel
+def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
+    """Take low things that stand on the ground out of it: pallets, low boxes, kerbs.
+
+    Where the columns that are a step lower hold more points together than a column does, it is no
+    ground, unless the robot stood there; it takes their mean.
+
+    Parameters
+    ----------
+    base
+        (C,) filled: heights of the ground without them (mm).
+    """
+    height, weight, stood, _ = found
+    for at in range(height.size):
+        base[at] = height[at]
+        if height[at] == NO_GROUND or stood[at]:
+            continue
+        _, points, weighted = sum_stepped(blocks, found, at, 1)
         if points > weight[at]:
-            base[at] = total // points
+            base[at] = weighted // points
 
 
 @kernel
