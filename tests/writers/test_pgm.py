@@ -77,6 +77,12 @@ def test_yaml_names_the_image_whatever_it_is_called(tmp_path: Path, name: str) -
     assert yaml.stem == image.stem
 
 
+@pytest.mark.parametrize("name", ["map-0.05.pgm", "v1.2.pgm", "no.pgm"])
+def test_a_name_with_dots_has_no_quotes(tmp_path: Path, name: str) -> None:
+    _, yaml = PgmWriter().write(tmp_path / name, map_of([[0.5]]), TRINARY)
+    assert yaml.read_text().splitlines()[0] == f"image: {name}"
+
+
 def test_numbers_are_python_floats_in_full() -> None:
     grid = OccupancyMap(
         np.zeros((1, 1), np.float32),
