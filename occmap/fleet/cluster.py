@@ -71,10 +71,25 @@ class Cluster:
         OccmapError
             Of the first job that failed, or its workers died, or the scheduler did.
         """
+        from distributed.comm.core import CommClosedError  # noqa: PLC0415  late: an extra
+
+        try:
+            if self._client.status == "running":  # else it would wait for ever
+                return self._follow(phase, task, jobs, tell)
+        except CommClosedError:  # it was lost while a result was fetched
+            pass
+        raise self._explain_loss(phase, task, jobs)
+
+    def _follow(
+        self,
+        phase: str,
+        task: Callable[[AnyJob], Result],
+        jobs: Sequence[AnyJob],
+        tell: Callable[[Result], None],
+    ) -> list[Result]:
+        """Hand out jobs and take their results; raises as `run`, or what closed connections do."""
         from distributed import as_completed  # noqa: PLC0415  late: an extra
 
-        if self._client.status != "running":  # it would wait for ever
-            raise self._explain_loss(phase, task, jobs)
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
         self._keys.update(str(future.key) for future in futures)

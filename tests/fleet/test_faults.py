@@ -13,6 +13,7 @@ from threading import Thread
 
 import pytest
 from distributed import Client
+from distributed.comm.core import CommClosedError
 
 from occmap.errors import FleetError, LogError, MapError, UsageError
 from occmap.fleet import Fleet, cluster, open_scratch
@@ -178,6 +179,19 @@ def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
             found.run("trace", die, [job])
         assert list(found.list_losses()) == []
+
+
+def test_a_connection_that_closes_while_jobs_run_is_a_scheduler_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def close(*_: object, **__: object) -> None:
+        raise CommClosedError
+
+    job = Job(Setting(OPTIONS, Keep(), tmp_path, 1, 0, 0), "log", "drive.mcap")
+    with open_cluster("local", 1, print) as found:
+        monkeypatch.setattr(found._client, "map", close)
+        with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
+            found.run("trace", die, [job])
 
 
 def test_jobs_do_nothing_with_workers_that_are_there(
