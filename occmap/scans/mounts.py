@@ -83,6 +83,20 @@ def sample_scans(
     return [part for sample in samples.values() for part in sample.parts]
 
 
+def sample_rays(paths: Sequence[Path], options: BuildOptions) -> Iterator[Rays]:
+    """Interpret some scans of all logs, spread evenly over each.
+
+    Raises
+    ------
+    OccmapError
+        A log cannot be read, or has no scans or no poses.
+    """
+    for path in paths:
+        drive = open_drive(open_log(path, options.reading), options)
+        for part in sample_scans(drive.log, drive.topics, drive.poser, options):
+            yield interpret(part, options.returns)[0]
+
+
 def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
     """Estimate the share of hits that lie in cells which the map of a log calls occupied.
 
@@ -364,13 +378,8 @@ def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOpt
     """
     if options.posing.align is not None:
         return options, []
-    chords = [np.zeros((0, 2))]
-    for path in paths:
-        drive = open_drive(open_log(path, options.reading), options)
-        for part in sample_scans(drive.log, drive.topics, drive.poser, options):
-            rays, _ = interpret(part, options.returns)
-            chords.append(list_chords(rays))
-    turn, share = find_turn(np.concatenate(chords))
+    chords = [list_chords(rays) for rays in sample_rays(paths, options)]
+    turn, share = find_turn(np.concatenate([np.zeros((0, 2)), *chords]))
     notes = []
     if share < COMMON_SHARE:
         turn = 0.0

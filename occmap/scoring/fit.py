@@ -16,9 +16,7 @@ from occmap.choices import format_mount, to_rpy
 from occmap.errors import PoseError
 from occmap.evidence import render, to_grid
 from occmap.options import BuildOptions
-from occmap.readers import open_log
-from occmap.scans.mounts import open_drive, sample_scans
-from occmap.sensor import interpret
+from occmap.scans.mounts import sample_rays
 from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Pose, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
@@ -239,7 +237,7 @@ def find_transform(
     grid = render(to_grid(past), options.model, options.max_cells)
     walls = Walls.of(grid.occupied, np.array(grid.origin), grid.resolution, REACH_M)
     hits = list_hits(paths, options)
-    found = fit(hits, walls) if len(hits) else Match(Transform(0.0, 0.0, 0.0), 0.0, 0.0)
+    found = fit(hits, walls) if len(hits) else Match(STAY, 0.0, 0.0)
     told = (
         f"{found.share:.0%} of their hits lie on its walls, and {found.rival:.0%} at the best "
         "other place"
@@ -260,12 +258,9 @@ def find_transform(
 def list_hits(paths: Sequence[Path], options: BuildOptions) -> Float64:
     """(N, 2) where a map would have the hits of some scans of all logs (m)."""
     hits, deeper = [np.zeros((0, 2))], np.float32(options.hit_offset * options.resolution)
-    for path in paths:
-        drive = open_drive(open_log(path, options.reading), options)
-        for part in sample_scans(drive.log, drive.topics, drive.poser, options):
-            rays, _ = interpret(part, options.returns)
-            end = rays._replace(distance=rays.distance + deeper).end
-            hits.append(end[rays.kind == Kind.HIT])
+    for rays in sample_rays(paths, options):
+        end = rays._replace(distance=rays.distance + deeper).end
+        hits.append(end[rays.kind == Kind.HIT])
     return np.concatenate(hits)
 
 
