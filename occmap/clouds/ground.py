@@ -180,13 +180,16 @@ def find_ground(
         return make_flat(path, depth), []
     span = np.array([beside, UNDER, depth - spread, depth + spread], np.int64)
     shown, level = peaks, np.empty(len(tall), np.int32)
+    grown = []
     for _ in range(PASSES):
         found = grow(columns._replace(peaks=shown), path, span, known)
+        grown.append(found)
         growth.drop_sunk(blocks, found, level)
         found = found._replace(height=level.copy())
         growth.drop_raised(blocks, found, level)
         raised = np.flatnonzero(level != found.height)
         shown = lower(shown, raised, level[raised], found.weight[raised])
+    growth.restore_levels(blocks, grown[0], level)
     base = np.empty_like(level)
     growth.smooth_ground(blocks, shown, level, ALIKE_MM, base)
     lay_known(blocks, known, found._replace(height=base))
@@ -358,7 +361,7 @@ def lay_known(blocks: Blocks, known: Ground | None, found: Found) -> None:
         for mine, its in (
             (found.height, known.height_mm),
             (found.weight, np.int32(KNOWN_POINTS)),
-            (found.stood, np.uint8(1)),
+            (found.passed, np.uint8(growth.STOOD)),
         ):
             rows = mine.reshape(len(blocks.places), -1)
             rows[at] = np.where(known.measured, its, rows[at])

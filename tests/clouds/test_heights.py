@@ -7,11 +7,14 @@ from occmap.cells import Ground
 from occmap.clouds.ground import fit_plane, index_blocks, list_storeys
 from occmap.clouds.kernels.growth import (
     NO_GROUND,
+    PASSED,
+    STOOD,
     Blocks,
     Found,
     Peaks,
     drop_raised,
     drop_sunk,
+    restore_levels,
     smooth_ground,
 )
 from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
@@ -67,14 +70,57 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
 
 
 @pytest.mark.parametrize(
-    ("points", "stood", "height"), [(9, 0, NO_GROUND), (11, 0, -100), (9, 1, -100)]
+    ("step", "passed", "is_dropped"),
+    # A step from one column to the next is more than 60 + 0.12 x 150 = 78 mm, far away 156 mm.
+    [(77, PASSED, False), (79, PASSED, True), (79, STOOD, False), (155, 0, False), (157, 0, True)],
+)
+def test_a_step_is_higher_where_the_robot_did_not_pass(
+    step: int, passed: int, is_dropped: bool
+) -> None:
+    heights = lay({650: step, 651: 0})
+    where, nothing = lay({650: passed}, 0).astype(np.uint8), np.zeros(heights.size, np.uint8)
+    base = np.empty_like(heights)
+
+    drop_raised(BLOCKS, Found(heights, lay({650: 5, 651: 9}, 0), where, nothing), base)
+
+    assert base[650] == (0 if is_dropped else step)
+
+
+def lay_rows(rows: list[int]) -> Int32:
+    """Heights of ground of some columns of a block, by row; none elsewhere."""
+    laid = np.full((64, 64), NO_GROUND, np.int32)
+    laid[: len(rows), 26:34] = np.array(rows, np.int32)[:, None]
+    return laid.ravel()
+
+
+@pytest.mark.parametrize(
+    ("level", "wide", "lost"),
+    [(140, 20, [0, 1]), (140, 8, [0, 1, 2, 3]), (70, 20, [])],
+    ids=["a pavement loses its brink", "a pallet is gone", "too low for a step"],
+)
+def test_a_level_that_goes_on_is_given_back_but_for_its_brink(
+    level: int, wide: int, lost: list[int]
+) -> None:
+    first = lay_rows([0] * 20 + [level] * wide + [0] * 20)
+    nothing = np.zeros(first.size, np.uint8)
+    near = np.full(first.size, PASSED, np.uint8)
+    base = lay_rows([0] * 60)  # all that was raised is lowered
+
+    restore_levels(BLOCKS, Found(first, np.ones_like(first), near, nothing), base)
+
+    rows = base.reshape(64, 64)[20 : 20 + wide // 2, 30]
+    assert np.flatnonzero(rows == 0).tolist() == lost
+
+
+@pytest.mark.parametrize(
+    ("points", "passed", "height"), [(9, 0, NO_GROUND), (11, 0, -200), (9, STOOD, -200)]
 )
 def test_a_column_of_few_points_below_others_is_no_ground(
-    points: int, stood: int, height: int
+    points: int, passed: int, height: int
 ) -> None:
-    heights = lay({650: -100, 651: 0, 652: 10, 653: 0})
+    heights = lay({650: -200, 651: 0, 652: 10, 653: 0})
     nothing, stands = np.zeros(heights.size, np.uint8), np.zeros(heights.size, np.uint8)
-    stands[650] = stood
+    stands[650] = passed
     # The mean of those above it is 20: half of that decides.
     found = Found(heights, lay({650: points, 651: 25, 652: 15, 653: 20}, 0), stands, nothing)
     base = np.empty_like(heights)

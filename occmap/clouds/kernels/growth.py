@@ -12,6 +12,18 @@ BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
 SMOOTH = 4
 """How far around it the ground of a column is averaged (columns)"""
+PASSED, STOOD = 1, 2
+"""Columns that the robot passed by at up to `BY`, and those that it stood on"""
+BY = 27
+STEPPED = 3
+"""Low things are looked for so far around a column (columns)"""
+SLOPE_MM = 0.12 * COLUMN_MM
+"""By so much one surface rises from column to column"""
+BROAD = 10
+"""A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
+BRINK_MM, DROP_MM = 60, 80
+"""A level ends where one of the next two columns is so much lower; what falls by the second does
+not go on"""
 NO_GROUND = -(1 << 30)
 """A column without ground."""
 
@@ -73,8 +85,8 @@ class Found(NamedTuple):
     """(C,) of the ground (mm), or `NO_GROUND`"""
     weight: Int32
     """(C,) points that show it"""
-    stood: UInt8
-    """(C,) whether the robot stood there"""
+    passed: UInt8
+    """(C,) 0, `PASSED` or `STOOD`"""
     tall: UInt8
     """(C,) whether a wall stands there"""
 
@@ -133,19 +145,22 @@ def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: F
         greatest depth (mm).
     """
     beside, under, least, most = span
-    height, weight, stood, _ = found
+    height, weight, passed, _ = found
+    widest = max(beside, BY)
     for i in range(len(path)):
         row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
-        for up in range(-beside, beside + 1):
-            for right in range(-beside, beside + 1):
+        for up in range(-widest, widest + 1):
+            for right in range(-widest, widest + 1):
                 apart = up * up + right * right
-                if apart > beside * beside:
+                if apart > widest * widest:
                     continue
                 at = find_column(blocks, row + up, col + right)
                 if at < 0:
                     continue
-                if apart <= under * under:
-                    stood[at] = 1
+                if apart <= BY * BY:
+                    passed[at] = max(passed[at], STOOD if apart <= under * under else PASSED)
+                if apart > beside * beside:
+                    continue
                 for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
                     depth = path[i, 2] - peaks.height[k]
                     if least <= depth <= most:
@@ -255,33 +270,45 @@ def is_walled(blocks: Blocks, tall: UInt8, row: int, col: int, up: int, right: i
     return False
 
 
+class Stepped(NamedTuple):
+    """The columns near one that lie a step lower, or higher."""
+
+    columns: int
+    points: int
+    """How many they hold together"""
+    weighted: int
+    """Their heights (mm) times their points"""
+    up: int
+    right: int
+    """The sum of the ways there (columns)"""
+
+
 @step
-def sum_stepped(blocks: Blocks, found: Found, at: int, sign: int) -> tuple[int, int, int]:
+def sum_stepped(blocks: Blocks, found: Found, at: int, sign: int) -> Stepped:
     """Sum up the columns that are a step lower than one (`sign` 1), or higher (-1).
 
     They lie within half a metre, no wall is between, and the step is more than 6 cm + 0.12 of the
-    distance, and less than 30 cm.
-
-    Returns
-    -------
-    columns, points, weighted
-        How many there are, their points, and the sum of points times height.
+    distance, or twice that far from the path, and less than 30 cm.
     """
-    height, weight, _, tall = found
+    height, weight, passed, tall = found
     row, col = place_row(blocks, at), place_col(blocks, at)
-    columns, points, weighted = 0, 0, 0
-    for up in range(-3, 4):
-        for right in range(-3, 4):
+    columns, points, weighted, ups, rights = 0, 0, 0, 0, 0
+    for up in range(-STEPPED, STEPPED + 1):
+        for right in range(-STEPPED, STEPPED + 1):
             near = find_column(blocks, row + up, col + right)
             if near < 0 or height[near] == NO_GROUND:
                 continue
-            apart = np.sqrt(float(up * up + right * right)) * COLUMN_MM
-            is_stepped = 60 + 0.12 * apart < sign * (height[at] - height[near]) < 300
+            least = 60 + SLOPE_MM * np.sqrt(float(up * up + right * right))
+            # Far away, poses that are off by tenths of a degree make steps of slopes.
+            least *= 1 if passed[at] else 2
+            is_stepped = least < sign * (height[at] - height[near]) < 300
             if is_stepped and not is_walled(blocks, tall, row, col, up, right):
                 columns += 1
                 points += weight[near]
                 weighted += weight[near] * height[near]
-    return columns, points, weighted
+                ups += up
+                rights += right
+    return Stepped(columns, points, weighted, ups, rights)
 
 
 @kernel
@@ -295,13 +322,12 @@ def drop_sunk(blocks: Blocks, found: Found, base: Int32) -> None:
     base
         (C,) filled: heights of the ground without them (mm).
     """
-    height, weight, stood, _ = found
-    for at in range(height.size):
-        base[at] = height[at]
-        if height[at] == NO_GROUND or stood[at]:
+    for at in range(base.size):
+        base[at] = found.height[at]
+        if found.height[at] == NO_GROUND or found.passed[at] == STOOD:
             continue
-        columns, points, _ = sum_stepped(blocks, found, at, -1)
-        if 2 * weight[at] * columns < points:
+        higher = sum_stepped(blocks, found, at, -1)
+        if 2 * found.weight[at] * higher.columns < higher.points:
             base[at] = NO_GROUND
 
 
@@ -317,14 +343,69 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
     base
         (C,) filled: heights of the ground without them (mm).
     """
-    height, weight, stood, _ = found
-    for at in range(height.size):
-        base[at] = height[at]
-        if height[at] == NO_GROUND or stood[at]:
+    for at in range(base.size):
+        base[at] = found.height[at]
+        if found.height[at] == NO_GROUND or found.passed[at] == STOOD:
             continue
-        _, points, weighted = sum_stepped(blocks, found, at, 1)
-        if points > weight[at]:
-            base[at] = weighted // points
+        lower = sum_stepped(blocks, found, at, 1)
+        if lower.points > found.weight[at]:
+            base[at] = lower.weighted // lower.points
+
+
+@step
+def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool:
+    """Whether the surface of a column goes on for 1.5 m, on one way (columns)."""
+    row, col, way = place_row(blocks, at), place_col(blocks, at), max(abs(up), abs(right))
+    seen, high = 0, float(height[at])
+    for k in range(1, BROAD + 1 if way else 0):
+        rise, run = int(np.rint(k * up / way)), int(np.rint(k * right / way))
+        near = find_column(blocks, row + rise, col + run)
+        high -= SLOPE_MM
+        if near >= 0 and height[near] != NO_GROUND:
+            seen += 1
+            high = max(high, float(height[near]))
+            if high - height[near] > DROP_MM:
+                return False
+    return 2 * seen > BROAD
+
+
+@step
+def is_level(blocks: Blocks, found: Found, at: int) -> bool:
+    """Whether a column is of a surface that goes on, and not at its brink."""
+    height, lower = found.height, sum_stepped(blocks, found, at, 1)
+    if lower.columns == 0:
+        for up in range(-1, 2):
+            for right in range(-1, 2):
+                if up * right == 0 and goes_on(blocks, height, at, up, right):
+                    return True
+        return False
+    if not goes_on(blocks, height, at, -lower.up, -lower.right):
+        return False
+    row, col = place_row(blocks, at), place_col(blocks, at)
+    way = max(abs(lower.up), abs(lower.right))
+    for k in range(1, 3):
+        up, right = int(np.rint(k * lower.up / way)), int(np.rint(k * lower.right / way))
+        near = find_column(blocks, row + up, col + right)
+        if near < 0 or height[near] == NO_GROUND or height[at] - height[near] > BRINK_MM:
+            return False
+    return True
+
+
+@kernel
+def restore_levels(blocks: Blocks, found: Found, base: Int32) -> None:
+    """Give back to levels that go on, such as pavements, what was taken behind their brinks.
+
+    Parameters
+    ----------
+    found
+        What was found first, with all that stands on the ground.
+    base
+        (C,) heights of the ground without raised things (mm), changed in place.
+    """
+    for at in range(base.size):
+        is_lowered = base[at] != NO_GROUND and found.height[at] - base[at] >= BRINK_MM
+        if is_lowered and is_level(blocks, found, at):
+            base[at] = found.height[at]
 
 
 @kernel
