@@ -244,7 +244,7 @@ def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
 
 
 def find_writer(path: Path) -> AnyWriter:
-    """Find the writer for a file name by its suffix, upper or lower case.
+    """Find the writer for a file name by its suffix, upper or lower case, `.ground.tif` as one.
 
     Raises
     ------
@@ -252,7 +252,8 @@ def find_writer(path: Path) -> AnyWriter:
         No installed writer has that suffix, or it does not load.
     """
     known = [entry.name for entry in list_plugins("occmap.writers")]
-    name = path.suffix.lower().removeprefix(".")
+    endings = "".join(path.suffixes[-2:]).lower().removeprefix("."), path.suffix.lower()[1:]
+    name = next((each for each in endings if each in known), endings[1])
     listing = "occmap writes " + ", ".join(f".{each}" for each in known)
     if name not in known:
         found = f"unknown suffix {path.suffix!r}" if name else "the file name has no suffix"

@@ -1,16 +1,20 @@
 """GeoTIFF images, cloud-optimised, for maps that a GIS shows: one file, read part by part."""
 
+import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from occmap.cells import OccupancyMap
+import numpy as np
+
+from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
-from occmap.writers import Windows, WriteOptions
+from occmap.types import BLOCK_BITS, COLUMN_MM
+from occmap.writers import OneFile, Windows, WriteOptions
 from occmap.writers.atomic import check_target, follow_links, open_atomic
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
@@ -37,23 +41,74 @@ class GeoTiffWriter:
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        rasterio = import_rasterio()
-        check_target(path)
-        try:
-            with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
-                # GDAL can only copy into this format: all is written once without compression.
-                plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
-                with rasterio.open(plain, "w", **describe(grid)) as image:
-                    for window, part in paint_windows(grid):
-                        image.write(to_raw(part)[::-1], 1, window=window)
-                how = {"driver": "COG", "compress": "DEFLATE", "overview_resampling": "average"}
-                rasterio.shutil.copy(plain, done, **how)
-                with open_atomic(path) as (file,), done.open("rb") as made:
-                    shutil.copyfileobj(made, file)
-        except (OSError, rasterio.errors.RasterioError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise OutputError(f"cannot be written ({reason})", where=path) from None
+        parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
+        (row, col), kind = grid.place.tolist(), {"dtype": "uint8", "nodata": RAW_UNKNOWN}
+        write_image(path, describe(grid.shape, row, col, grid.resolution) | kind, parts)
         return (path,)
+
+
+class GroundWriter(OneFile):
+    """Heights of the ground in the map (m, float32) where it was measured; NaN is no data."""
+
+    description = "GeoTIFF of the height of the ground that clouds show (m)"
+
+    def targets(self, path: Path) -> tuple[Path, ...]:
+        """Return the image."""
+        import_rasterio()
+        return (path,)
+
+    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
+        """Write the ground that the evidence was traced over; return its path.
+
+        Raises
+        ------
+        OutputError
+            There is none, or it cannot be written; then nothing is left behind.
+        """
+        ground = evidence.ground
+        if ground is None:
+            found = "shows the ground below clouds, and this map was made of none"
+            raise OutputError(found, where=path, fix="leave it out")
+        low = ground.blocks.min(axis=0)
+        blocks = ground.blocks - low
+        heights = np.full((blocks.max(axis=0) + 1) << BLOCK_BITS, np.nan, np.float32)
+        side = 1 << BLOCK_BITS
+        for (up, right), height, measured in zip(
+            blocks << BLOCK_BITS, ground.height_mm, ground.measured, strict=True
+        ):
+            block = np.where(measured, height / 1000, np.nan).reshape(side, side)
+            heights[up : up + side, right : right + side] = block
+        row, col = (low << BLOCK_BITS).tolist()
+        kind = {"dtype": "float32", "nodata": math.nan}
+        layout = describe(heights.shape, row, col, COLUMN_MM / 1000) | kind
+        write_image(path, layout, [(None, heights[::-1])])
+        return (path,)
+
+
+def write_image(path: Path, layout: dict[str, Any], parts: Iterable[tuple[Any, Any]]) -> None:
+    """Write an image part by part: where in the image each part lies, and its pixels.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    rasterio = import_rasterio()
+    check_target(path)
+    try:
+        with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
+            # GDAL can only copy into this format: all is written once without compression.
+            plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
+            with rasterio.open(plain, "w", **layout) as image:
+                for window, pixels in parts:
+                    image.write(pixels, 1, window=window)
+            how = {"driver": "COG", "compress": "DEFLATE", "overview_resampling": "average"}
+            rasterio.shutil.copy(plain, done, **how)
+            with open_atomic(path) as (file,), done.open("rb") as made:
+                shutil.copyfileobj(made, file)
+    except (OSError, rasterio.errors.RasterioError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise OutputError(f"cannot be written ({reason})", where=path) from None
 
 
 def import_rasterio() -> Any:
@@ -70,13 +125,11 @@ def import_rasterio() -> Any:
     return rasterio
 
 
-def describe(grid: Windows) -> dict[str, Any]:
-    """Say where the image lies and how it is laid out; its frame is the map's, on no globe."""
-    (rows, cols), (row, col) = grid.shape, grid.place.tolist()
-    size = grid.resolution
+def describe(shape: tuple[int, ...], row: int, col: int, size: float) -> dict[str, Any]:
+    """Say where an image of cells lies and how it is laid out; its frame is on no globe."""
+    rows, cols = shape
     return {
         "driver": "GTiff",
-        "dtype": "uint8",
         "count": 1,
         "height": rows,
         "width": cols,
@@ -84,7 +137,6 @@ def describe(grid: Windows) -> dict[str, Any]:
         "blockxsize": 512,
         "blockysize": 512,
         "bigtiff": "if_safer",
-        "nodata": RAW_UNKNOWN,
         "transform": (size, 0.0, round(col * size, 12), 0.0, -size, round((row + rows) * size, 12)),
     }
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from occmap.cells import OccupancyMap
+from occmap import build_map
+from occmap.cells import Evidence, Ground, OccupancyMap
 from occmap.errors import OutputError
-from occmap.writers import WriteOptions
-from occmap.writers.geotiff import GeoTiffWriter
+from occmap.writers import WriteOptions, find_writer
+from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
+from tests.samples import SAMPLE_LOGS
 
 
 def make_map() -> OccupancyMap:
@@ -45,3 +47,42 @@ def test_nothing_is_left_where_it_cannot_be_written(
     with pytest.raises(OutputError, match=r"m\.tif: cannot be written \(No space left on device\)"):
         GeoTiffWriter().write(tmp_path / "m.tif", make_map(), WriteOptions())
     assert list(tmp_path.iterdir()) == []
+
+
+def make_evidence(ground: Ground | None) -> Evidence:
+    """Evidence of nothing, over some ground."""
+    nothing = np.zeros((0, 2), np.int64)
+    return Evidence(None, nothing, nothing, ground=ground)  # type: ignore[arg-type]  # not read
+
+
+def test_the_ground_lies_where_it_was_measured(tmp_path: Path) -> None:
+    height, measured = np.full((2, 4096), 70, np.int32), np.zeros((2, 4096), np.bool_)
+    # Blocks of 64 x 64 columns of 0.15 m: columns (-64 + 2, 0) and (1, 64 + 3), row first.
+    for block, at, level in ((0, 2 * 64, -250), (1, 64 + 3, 1400)):
+        height[block, at], measured[block, at] = level, True
+    ground = Ground(np.array([[-1, 0], [0, 1]]), height, measured)
+
+    GroundWriter().write_evidence(tmp_path / "m.ground.tif", make_evidence(ground))
+
+    with rasterio.open(tmp_path / "m.ground.tif") as image:
+        assert image.bounds == pytest.approx((0, -9.6, 19.2, 9.6))
+        heights = image.read(1)
+        assert heights[image.index(0.07, -9.6 + 2.5 * 0.15)] == pytest.approx(-0.25)
+        assert heights[image.index(9.6 + 3.5 * 0.15, 1.5 * 0.15)] == pytest.approx(1.4)
+        assert np.count_nonzero(~np.isnan(heights)) == 2  # what was filled is not shown
+
+
+def test_the_ground_of_a_planar_log_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"m\.ground\.tif: .* made of none"):
+        GroundWriter().write_evidence(tmp_path / "m.ground.tif", make_evidence(None))
+
+
+def test_the_longer_ending_is_another_format(tmp_path: Path) -> None:
+    assert isinstance(find_writer(tmp_path / "a.ground.TIF"), GroundWriter)
+    assert isinstance(find_writer(tmp_path / "ground.tif"), GeoTiffWriter)
+    build_map(SAMPLE_LOGS / "hall.mcap", outputs=tmp_path / "hall.ground.tif")
+    with rasterio.open(tmp_path / "hall.ground.tif") as image:
+        heights = image.read(1)
+        # A floor, and a ramp that begins beyond x = 5.
+        assert abs(heights[image.index(1, 3)]) < 0.02
+        assert heights[image.index(8, 3)] > 0.2

@@ -28,7 +28,7 @@ def test_targets_are_known_before_writing() -> None:
 )
 def test_unknown_suffix_lists_the_known_ones(name: str, found: str) -> None:
     with pytest.raises(
-        UsageError, match=rf"{name}: .*{found}; occmap writes \.csv, \.html, \.mcap"
+        UsageError, match=rf"{name}: .*{found}; occmap writes \.csv, \.ground\.tif, \.html"
     ):
         find_writer(Path(name))
 
