@@ -29,7 +29,19 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
         ("models", ["counting", "quadratic", "simple"]),
         (
             "writers",
-            ["csv", "html", "mcap", "npz", "pgm", "png", "tif", "tiles", "tum", "zarr"],
+            [
+                "csv",
+                "ground.tif",
+                "html",
+                "mcap",
+                "npz",
+                "pgm",
+                "png",
+                "tif",
+                "tiles",
+                "tum",
+                "zarr",
+            ],
         ),
     ],
 )
