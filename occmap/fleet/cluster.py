@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -76,7 +77,7 @@ class Cluster:
         try:
             if self._client.status == "running":  # else it would wait for ever
                 return self._follow(phase, task, jobs, tell)
-        except CommClosedError:  # it was lost while a result was fetched
+        except (CancelledError, CommClosedError):  # it was lost while a result was fetched
             pass
         raise self._explain_loss(phase, task, jobs)
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -181,11 +182,12 @@ def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path
         assert list(found.list_losses()) == []
 
 
+@pytest.mark.parametrize("error", [CommClosedError, CancelledError])
 def test_a_connection_that_closes_while_jobs_run_is_a_scheduler_that_is_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
 ) -> None:
     def close(*_: object, **__: object) -> None:
-        raise CommClosedError
+        raise error
 
     job = Job(Setting(OPTIONS, Keep(), tmp_path, 1, 0, 0), "log", "drive.mcap")
     with open_cluster("local", 1, print) as found:
