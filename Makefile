@@ -7,7 +7,7 @@ DEMO = build/demo
 MAPS = build/maps
 LOGS = drive.csv drive.log drive.bag drive_ros2 drive.mcap
 
-.PHONY: help demo maps test bench bench-scale fuzz clean
+.PHONY: help demo maps test bench bench-scale fuzz docs gallery clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-11s  %s\n", $$1, $$2 }' Makefile
@@ -40,6 +40,19 @@ bench-scale: $(STAMP) ## Measure what a build by many workers costs
 
 fuzz: $(STAMP) ## Feed the readers damaged logs, a minute each
 	@$(BIN)/python -m tests.fuzz
+
+docs: $(STAMP) ## Make the docs a site, and check its links
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check ".[docs]"
+	@rm -rf build/pages && mkdir -p build/pages/sample_logs
+	@cp -R README.md CHANGELOG.md CONTRIBUTING.md LICENSE docs build/pages
+	@cp sample_logs/map.png build/pages/sample_logs
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict --config-file .github/mkdocs.yml
+	@echo "Look at build/site/index.html"
+
+gallery: $(STAMP) ## Make the pictures of docs/gallery.md anew
+	@rm -rf build/gallery && mkdir -p build/gallery && ln -s ../../sample_logs build/gallery
+	@awk '/^```/ { on = /sh$$/; next } on' docs/gallery.md > build/gallery/commands
+	@cd build/gallery && PATH="$(CURDIR)/$(BIN):$$PATH" sh -e commands > log 2>&1 && cp *.png ../../docs/pictures
 
 clean: ## Remove what was built, and the virtual environment
 	@rm -rf build dist .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis

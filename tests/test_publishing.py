@@ -26,6 +26,7 @@ def test_the_recipe_is_that_of_the_project() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     recipe = load(HIDDEN / "conda" / "recipe.yaml")
     assert recipe["context"]["version"] == project["version"]
+    assert load(ROOT / "CITATION.cff")["version"] == project["version"]
     assert recipe["about"]["summary"] == project["description"]
     assert recipe["about"]["license"] == project["license"]
     wanted = [f"python {project['requires-python']}"]
