@@ -16,7 +16,7 @@ import zarr
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError, OutputError
 from occmap.grid.tiles import TILE, pack
-from occmap.store import open_store, read_all
+from occmap.store import as_blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, digest_evidence, split_evidence
 from occmap.store.publishing import RenderOptions, render_kept
 from occmap.store.writing import (
@@ -42,7 +42,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
 @pytest.fixture(scope="module")
 def kept(drive: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("kept") / "m.zarr"
-    ZarrWriter().write_evidence(path, drive)
+    ZarrWriter().write_blocks(path, as_blocks(drive))
     return path
 
 
@@ -69,7 +69,7 @@ def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     tmp_path: Path, update: Update, model: str
 ) -> None:
     evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=FINE))
-    ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
+    ZarrWriter().write_blocks(tmp_path / "m.zarr", as_blocks(evidence))
     store = open_store(tmp_path / "m.zarr")
     assert write_bytes(tmp_path, read_all(store)) == (tmp_path / "m.npz").read_bytes()
     assert store.digest == digest_evidence(evidence)
@@ -265,6 +265,6 @@ def test_evidence_of_nothing(tmp_path: Path) -> None:
     manifest = Manifest(0.05, "beam", "counts", "", 10.0, 0.0, "simple", ())
     nothing = np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int64)
     evidence = Evidence(manifest, *nothing)
-    ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
+    ZarrWriter().write_blocks(tmp_path / "m.zarr", as_blocks(evidence))
     store = open_store(tmp_path / "m.zarr")
     assert (store.blocks, len(read_all(store).tiles)) == ({}, 0)
