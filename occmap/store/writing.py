@@ -191,7 +191,7 @@ def finish_store(
         It cannot be written.
     """
     known = sorted(records)
-    table, below = layout.make_table(known), pack_ground(ground)
+    table, below = layout.make_table(known, manifest), pack_ground(ground)
     with edit_store(path) as root:
         head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
         row, col = head["offset"]
