@@ -41,7 +41,7 @@ from occmap.report.results import Report
 from occmap.scans.logs import find_inputs, keep_stdin
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
-from occmap.writers import FolderWriter, Shade, find_writer
+from occmap.writers import Shade, find_writer
 
 PATH = click.Path(path_type=Path, readable=False)
 """Where click would look whether it can be read, occmap's own error says more."""
@@ -335,7 +335,7 @@ def send_to_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[
     if others or console.as_json:
         raise UsageError("stdout takes one map and nothing else", fix="give another name to -o")
     file_name = name.with_suffix(name.suffix or ".pgm")
-    if isinstance(find_writer(file_name), FolderWriter):
+    if find_writer(file_name).is_folder:
         found = f"a {name.suffix} is a folder, which stdout cannot take"
         raise UsageError(found, where=name, fix=f"name the folder, such as -o map{name.suffix}")
     console.stdout_is_taken = True

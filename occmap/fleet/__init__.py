@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
-from itertools import accumulate, chain
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -143,7 +143,8 @@ class Fleet:
                 made = describe_build(paths, options, tally.to_json(), known)
                 manifest = plan_manifest(options, [made])
                 store = open_target(work, output, manifest)
-                records = write_blocks(work, store, [len(files) for files in hashed])
+                jobs = [replace(job, store=store) for job in work.list_reductions()]
+                records = work.cluster.run("reduce", tasks.store_block, jobs)
             with tally.time("render"):
                 facts = paint_blocks(work, store, records)
             remarks.notes += work.cluster.list_losses()
@@ -273,26 +274,15 @@ def open_target(work: Work, output: Path, manifest: Manifest) -> Path:
     return store
 
 
-def write_blocks(work: Work, store: Path, files: Sequence[int]) -> list[BlockRecord]:
-    """Write all blocks of a store; each log consists of so many files."""
-    ends = accumulate(files)
-    of_logs = [range(end - size, end) for end, size in zip(ends, files, strict=True)]
-    jobs = []
-    for job in work.list_reductions():
-        logs = tuple(chain.from_iterable(of_logs[log] for log in work.blocks[job.block]))
-        jobs.append(replace(job, logs=logs, store=store))
-    return work.cluster.run("reduce", tasks.store_block, jobs)
-
-
 def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
     """Paint the pictures of all blocks, and sum up what the report tells of them.
 
     Blocks beside those that are written are looked at, too: hits speak for the cells around them.
     """
-    written = {record.block: record.logs for record in records}
+    written = {record.block for record in records}
     around = {block for record in records for block in list_blocks(record.reach.grow(1))}
     jobs = [
-        replace(BlockJob.of(work.setting, block), logs=written.get(block, ()), store=store)
+        replace(BlockJob.of(work.setting, block), paints=block in written, store=store)
         for block in sorted(around)
     ]
     measured = work.cluster.run("paint", tasks.measure_block, jobs)

@@ -90,8 +90,8 @@ class BlockJob(Job):
     block: Block
     pieces: tuple[Piece, ...] = ()
     """All that was observed in it"""
-    logs: tuple[int, ...] = ()
-    """Which files of logs observed something in it; none in a block that lies beside others"""
+    paints: bool = True
+    """Whether its pictures are painted: not those of a block that lies beside others"""
     store: Path = Path()
     """Where it is written"""
 
@@ -278,7 +278,7 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[S
 def add_up_block(job: BlockJob) -> BlockContent:
     """Add up all that was observed in a block; raises MapError as `add_up`."""
     grid, slices = add_up(job.setting, job.pieces)
-    return BlockContent(*stack_tiles(grid.tiles), slices, job.logs)
+    return BlockContent(*stack_tiles(grid.tiles), slices)
 
 
 @once
@@ -318,7 +318,7 @@ def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]
         They cannot be written.
     """
     box = job.block.box
-    grid, made = paint_block(job.store, job.block, keep=bool(job.logs))
+    grid, made = paint_block(job.store, job.block, keep=job.paints)
     reach = CellBox.around(made.observed, box.row, box.col)
     cells = count_cells(made, job.setting.options.writing)
     return reach, cells, count_agreeing(grid, made.occupied, box)

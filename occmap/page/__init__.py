@@ -15,7 +15,7 @@ from occmap.plugins import need_extra
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring import Variant
 from occmap.scoring.compare import VariantComparison, compare
-from occmap.writers import OneFile, Product, WriteOptions, check_picture, refuse_input
+from occmap.writers import Product, WriteOptions, Writer, check_picture, refuse_input
 
 
 def compare_logs(
@@ -79,11 +79,11 @@ def compare_files(
     return difference
 
 
-class HtmlWriter(OneFile):
+class HtmlWriter(Writer):
     """One page with everything in it: the map, its layers, the way, and how it came about."""
 
     description = "page for any browser: the map in layers, the way, what was found"
-    needs_evidence = True
+    needs_evidence = shows_journey = True
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the file.

@@ -11,32 +11,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError
 from occmap.grid import CellBox
-from occmap.grid.tiles import INT32_LIMIT, TILE, take
-from occmap.store.layout import (
-    LAYERS,
-    SIDE,
-    TABLE,
-    Block,
-    BlockContent,
-    BlockRecord,
-    find_place,
-    gather_tiles,
-    hash_content,
-    hash_table,
-    import_zarr,
-    join_contents,
-    list_blocks,
-    read_table,
-    refuse_unfinished,
-    split_evidence,
-    unpack_layers,
-)
-from occmap.types import Int64
+from occmap.grid.tiles import TILE, take
+from occmap.store import layout
+from occmap.store.layout import Block, BlockContent
 from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
 
 
@@ -66,8 +46,6 @@ class Store(Blocks):
     """The group of Zarr"""
     digest: str
     """SHA-256 of all that was observed"""
-    records: Mapping[Block, BlockRecord]
-    """What the table says of each block"""
 
 
 Saved: TypeAlias = Evidence | Blocks
@@ -103,66 +81,49 @@ def open_store(path: Path) -> Store:
     if not (path / "zarr.json").is_file():
         fix = "build one with `outputs=map.zarr`"
         raise MapError("is not a store of evidence", where=path, fix=fix)
-    zarr = import_zarr()
+    zarr = layout.import_zarr()
     with refuse_damage(path):
         root = zarr.open_group(path, mode="r", zarr_format=3)
         head = root.attrs.get("occmap", {})
-        refuse_unfinished(path, head)
+        layout.refuse_unfinished(path, head)
         manifest = Manifest.from_json(head)
-        table = {name: root[f"blocks/{name}"][...] for name in TABLE}
+        table = {name: root[f"blocks/{name}"][...] for name in layout.TABLE}
         below = {name: root[f"ground/{name}"][...] for name in GROUND if "ground" in root}
-        if head["table"] != hash_table(table | below):
+        if head["table"] != layout.hash_table(table | below):
             found = "its table of blocks, or its ground, was altered"
             raise MapError(found, where=path, fix="build it again")
-        records = {record.block: record for record in read_table(table)}
+        blocks = [Block(*place) for place in table["place"].tolist()]
+        reach = [CellBox(*edges) for edges in table["reach"].tolist()]
+        digests = [digest.tobytes().hex() for digest in table["sha256"]]
+        digest_of = dict(zip(blocks, digests, strict=True))
         row, col = head["offset"]
 
     def read_block(block: Block) -> BlockContent:
-        return read_stored(path, root, manifest, records[block])
+        with refuse_damage(path):
+            content = layout.read_content(root, block, manifest)
+        if layout.hash_content(content) != digest_of[block]:
+            found = f"its block {tuple(block)} was altered or a file of it is missing"
+            raise MapError(found, where=path, fix="build it again")
+        return content
 
     return Store(
         manifest=manifest,
         where=str(path),
-        blocks={block: record.reach for block, record in records.items()},
+        blocks=dict(zip(blocks, reach, strict=True)),
         read_block=read_block,
         read_ground=lambda: unpack_ground(below),
         path=path,
         offset=(row, col),
         root=root,
         digest=head["digest"],
-        records=records,
     )
-
-
-def read_stored(path: Path, root: Any, manifest: Manifest, record: BlockRecord) -> BlockContent:
-    """Read what was observed in a block of a store.
-
-    Raises
-    ------
-    MapError
-        It is not as it was written, or not what occmap writes.
-    """
-    row, col = record.block
-    with refuse_damage(path):
-        place = find_place(record.block, root.attrs["occmap"]["offset"])
-        whole = np.stack([root[name][place] for name in LAYERS[manifest.kind]])
-        tiles, numbers = gather_tiles(whole, row * SIDE, col * SIDE)
-        array = root[f"slices/{row}.{col}"]
-        slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
-        fits = numbers.min(initial=0) >= -INT32_LIMIT and numbers.max(initial=0) <= INT32_LIMIT
-        cells: Int64 = numbers.astype(np.int32) if fits else numbers
-        content = BlockContent(tiles, cells, slices, record.logs)
-    if hash_content(content) != record.sha256:
-        found = f"its block ({row}, {col}) was altered or a file of it is missing"
-        raise MapError(found, where=path, fix="build it again")
-    return content
 
 
 def as_blocks(saved: Saved) -> Blocks:
     """Cut evidence into blocks, where it is not yet."""
     if not isinstance(saved, Evidence):
         return saved
-    contents = dict(split_evidence(saved))
+    contents = dict(layout.split_evidence(saved))
     reach = {block: block.box for block in contents}
     of_block, ground = contents.__getitem__, saved.ground
     return Blocks(saved.manifest, saved.where, reach, of_block, lambda: ground)
@@ -172,7 +133,7 @@ def read_all(saved: Saved) -> Evidence:
     """Read all blocks at once."""
     if isinstance(saved, Evidence):
         return saved
-    whole = join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
+    whole = layout.join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
     return replace(whole, ground=saved.read_ground())
 
 
@@ -181,13 +142,13 @@ def read_part(saved: Saved, box: CellBox) -> Evidence:
     if isinstance(saved, Evidence):
         return saved
     near = box.align(TILE).grow(TILE)
-    contents = (saved.read_block(each) for each in list_blocks(near) if each in saved.blocks)
-    cut = (cut_content(content, near.shrink(TILE)) for content in contents)
-    return join_contents(cut, saved.manifest, saved.where)
+    blocks = (block for block in layout.list_blocks(near) if block in saved.blocks)
+    cut = (cut_content(saved.read_block(block), near.shrink(TILE)) for block in blocks)
+    return layout.join_contents(cut, saved.manifest, saved.where)
 
 
 def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
     """Keep the tiles in a box, which counts tiles."""
     which = box.find(content.tiles)
     slices = tuple(take(layer, box.find(layer.tiles)) for layer in content.slices)
-    return BlockContent(content.tiles[which], content.cells[which], slices, content.logs)
+    return BlockContent(content.tiles[which], content.cells[which], slices)

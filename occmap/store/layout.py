@@ -8,8 +8,8 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import accumulate, product
+from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid import CellBox
-from occmap.grid.tiles import TILE, Key, Tile, stack_tiles, take, unite, view_tiles
+from occmap.grid.tiles import INT32_LIMIT, TILE, Key, Tile, stack_tiles, take, unite, view_tiles
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8
 from occmap.writers.npz import compute_checksum, pack_slices, refuse_other_version, unpack_slices
@@ -48,18 +48,15 @@ def list_blocks(box: CellBox) -> Iterator[Block]:
     return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockContent:
-    """What was observed in a block."""
+class BlockContent(NamedTuple):
+    """What was observed in a block, in the order of `Evidence`."""
 
     tiles: Int64
-    """(T, 2) row and column of each tile, as in `Evidence`"""
+    """(T, 2) row and column of each tile"""
     cells: Int64
     """(T, 2, 64, 64) the two numbers of every cell"""
-    slices: tuple[Slices, ...] = ()
+    slices: tuple[Slices, ...]
     """When cells were observed, for each build"""
-    logs: tuple[int, ...] = ()
-    """Which logs observed something: places among the logs of all builds, one after the other"""
 
 
 class BlockRecord(NamedTuple):
@@ -72,18 +69,13 @@ class BlockRecord(NamedTuple):
     """The smallest box around them"""
     sha256: str
     """Digest of what was observed, however it is compressed"""
-    logs: tuple[int, ...]
-    """As in `BlockContent`"""
-
-
-NO_CONTENT = BlockContent(np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int32))
+    builds: tuple[int, ...]
+    """Which builds observed something"""
 
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
-    """Cut evidence into blocks; all logs of a build are said to have observed its blocks."""
-    tiles = view_tiles(evidence.tiles, evidence.cells)
-    for block, content in split_blocks(tiles, evidence.slices):
-        yield block, replace(content, logs=list_observing_logs(evidence.manifest, content.slices))
+    """Cut evidence into blocks."""
+    return split_blocks(view_tiles(evidence.tiles, evidence.cells), evidence.slices)
 
 
 def split_blocks(
@@ -113,21 +105,9 @@ def group_by_block(tiles: Int64) -> dict[Block, Int64]:
     return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
 
 
-def list_observing_logs(manifest: Manifest, slices: Sequence[Slices]) -> tuple[int, ...]:
-    """All logs of the builds that observed something here: a build does not say which did."""
-    counts = [len(list_inputs(build)) for build in manifest.builds]
-    starts = accumulate(counts, initial=0)
-    return tuple(
-        log
-        for start, count, layer in zip(starts, counts, slices, strict=False)  # one more start
-        if len(layer.numbers)
-        for log in range(start, start + count)
-    )
-
-
 def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: str) -> Evidence:
     """Make evidence of some blocks."""
-    known = [NO_CONTENT, *contents]
+    known = [BlockContent(*stack_tiles({}), ()), *contents]
     tiles = np.concatenate([each.tiles for each in known])
     cells = np.concatenate([each.cells for each in known])
     order = np.lexsort(tiles.T[::-1])
@@ -203,6 +183,18 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
 
 
+def read_content(root: Any, block: Block, manifest: Manifest) -> BlockContent:
+    """Read what was observed in a block of the group of a store, as it is there."""
+    place = find_place(block, root.attrs["occmap"]["offset"])
+    whole = np.stack([root[name][place] for name in LAYERS[manifest.kind]])
+    tiles, cells = gather_tiles(whole, block.row * SIDE, block.col * SIDE)
+    if np.abs(cells).max(initial=0) <= INT32_LIMIT:
+        cells = cells.astype(np.int32)
+    array = root[f"slices/{block.row}.{block.col}"]
+    slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
+    return BlockContent(tiles, cells, slices)
+
+
 def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
     """Refuse a folder of which the attributes are not those of a whole store; raises MapError."""
     if not head:
@@ -217,10 +209,9 @@ def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
 
 def pack_layers(content: BlockContent) -> tuple[UInt8, list[dict[str, Any]]]:
     """Lay the slices of a block end to end as bytes, and say how to take them apart."""
-    layers = dict(list_layers(content))
-    return pack_arrays(
-        {"builds": np.array(list(layers), "<i8"), **pack_slices(list(layers.values()))}
-    )
+    builds = list_builds(content)
+    packed = pack_slices([content.slices[build] for build in builds])
+    return pack_arrays({"builds": np.array(builds, "<i8"), **packed})
 
 
 def unpack_layers(
@@ -250,9 +241,9 @@ def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]
     return np.frombuffer(data, np.uint8), layout
 
 
-def list_layers(content: BlockContent) -> list[tuple[int, Slices]]:
+def list_builds(content: BlockContent) -> tuple[int, ...]:
     """List the builds that observed something: the others do not change what a block is."""
-    return [(build, each) for build, each in enumerate(content.slices) if len(each.numbers)]
+    return tuple(build for build, each in enumerate(content.slices) if len(each.numbers))
 
 
 def describe_block(block: Block, content: BlockContent) -> BlockRecord:
@@ -262,15 +253,16 @@ def describe_block(block: Block, content: BlockContent) -> BlockRecord:
     # Of a block where nothing was observed, an empty box at its corner.
     reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
     count = int(np.count_nonzero(seen))
-    return BlockRecord(block, count, reach, hash_content(content), content.logs)
+    return BlockRecord(block, count, reach, hash_content(content), list_builds(content))
 
 
-def make_table(records: Sequence[BlockRecord]) -> dict[str, Any]:
-    """Arrays of what is known of each block, N in all."""
-    count = max((log + 1 for record in records for log in record.logs), default=0)
-    logs = np.zeros((len(records), count), np.bool_)
+def make_table(records: Sequence[BlockRecord], manifest: Manifest) -> dict[str, Any]:
+    """Arrays of what is known of each block, N in all, and of which logs may have observed it."""
+    counts = [len(list_inputs(build)) for build in manifest.builds]
+    build_of_log = np.repeat(np.arange(len(counts)), counts)
+    logs = np.zeros((len(records), len(build_of_log)), np.bool_)
     for row, record in zip(logs, records, strict=True):
-        row[list(record.logs)] = True
+        row[:] = np.isin(build_of_log, record.builds)
     digests = b"".join(bytes.fromhex(record.sha256) for record in records)
     columns = (
         np.array([record.block for record in records], np.int64).reshape(-1, 2),
@@ -280,20 +272,6 @@ def make_table(records: Sequence[BlockRecord]) -> dict[str, Any]:
         np.packbits(logs, axis=1),
     )
     return dict(zip(TABLE, columns, strict=True))
-
-
-def read_table(table: Mapping[str, Any]) -> list[BlockRecord]:
-    """Make records of the arrays of a table."""
-    return [
-        BlockRecord(
-            Block(*place.tolist()),
-            int(cells),
-            CellBox(*reach.tolist()),
-            digest.tobytes().hex(),
-            tuple(np.flatnonzero(np.unpackbits(logs)).tolist()),
-        )
-        for place, cells, reach, digest, logs in zip(*(table[name] for name in TABLE), strict=True)
-    ]
 
 
 def hash_table(table: Mapping[str, Any]) -> str:
@@ -310,7 +288,8 @@ def hash_content(content: BlockContent) -> str:
         np.packbits(seen, axis=-1),
         *(content.cells[:, part][seen].astype("<i8") for part in (0, 1)),
     ]
-    for build, slices in list_layers(content):
+    for build in list_builds(content):
+        slices = content.slices[build]
         arrays += [np.array([build], "<i8"), slices.tiles.astype("<i8")]
         arrays += [slices.numbers.astype("<i8")]
         arrays += [slices.rows, slices.parts, slices.changes]

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError
 from occmap.evidence import Described, list_misfit, read_model, to_grid
-from occmap.evidence.manifest import MEANING, list_inputs
+from occmap.evidence.manifest import MEANING
 from occmap.grid.tiles import (
     EvidenceKind,
     TileGrid,
@@ -23,7 +22,7 @@ from occmap.grid.tiles import (
 )
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, open_saved
-from occmap.store.layout import NO_CONTENT, Block, BlockContent, join_contents, list_observing_logs
+from occmap.store.layout import Block, BlockContent, join_contents
 from occmap.types import Bool, Int64
 
 UNEVEN_MM = 50
@@ -112,33 +111,16 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
         for each in parts
     ]
     whole = add_up(nothing, added)  # what differs is refused at once
-    manifest = whole.manifest
-    counts = [count_logs(each.manifest) for each in parts]
 
     def read_block(block: Block) -> BlockContent:
-        contents = [
-            each.read_block(block) if block in each.blocks else NO_CONTENT for each in parts
-        ]
-        evidences = [
-            join_contents([content], part.manifest, part.where)
-            for content, part in zip(contents, parts, strict=True)
-        ]
-        made = add_up(evidences, added)
-        if count_logs(manifest) < sum(counts):  # some builds were taken away, and their logs
-            logs = list_observing_logs(manifest, made.slices)
-        else:
-            starts = zip(accumulate(counts, initial=0), contents, strict=False)
-            logs = tuple(start + log for start, content in starts for log in content.logs)
-        return BlockContent(made.tiles, made.cells, made.slices, logs)
+        contents = [[each.read_block(block)] if block in each.blocks else [] for each in parts]
+        found = zip(contents, parts, strict=True)
+        made = add_up([join_contents(has, of.manifest, of.where) for has, of in found], added)
+        return BlockContent(made.tiles, made.cells, made.slices)
 
     blocks = sorted({block for part in parts for block in part.blocks})
     reach = {block: block.box for block in blocks}
-    return Blocks(manifest, "", reach, read_block, lambda: whole.ground)
-
-
-def count_logs(manifest: Manifest) -> int:
-    """How many logs all builds have."""
-    return sum(len(list_inputs(build)) for build in manifest.builds)
+    return Blocks(whole.manifest, "", reach, read_block, lambda: whole.ground)
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,14 +44,11 @@ from occmap.report.results import (
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
-from occmap.store import Blocks, Saved, Store, as_blocks, read_all, read_part
+from occmap.store import Blocks, Saved, Store, read_all, read_part
 from occmap.store.layout import Block, list_blocks
-from occmap.store.writing import ZarrWriter
 from occmap.types import Int64, UInt8
 from occmap.writers import (
     Product,
-    ProductWriter,
-    WindowWriter,
     WriteOptions,
     check_outputs,
     find_writer,
@@ -311,46 +309,28 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     check_outputs(outputs)
-    writers = [(path, find_writer(path)) for path in outputs]
-    for path, writer in writers:
-        if isinstance(writer, ProductWriter):
-            refuse_unknown(path, writer, options)
+    writers = {path: find_writer(path) for path in outputs}
+    for path, writer in writers.items():
+        if writer.needs_journey:
+            found = "evidence does not say where the robot went, only the logs do"
+            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
+        is_page = writer.needs_evidence and writer.shows_journey
+        if is_page and options.overview is not None:
+            found = "shows single cells, and `overview` has none"
+            raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
     model, manifest = choose_model(saved, options)
-    grid: OccupancyMap | BlockMap
-    in_parts = all(isinstance(writer, ZarrWriter | WindowWriter) for _, writer in writers)
-    if isinstance(saved, Blocks) and in_parts and options.overview is None:
-        grid = open_map(saved, model, options.framing, options.min_passes)
+    blocks = None if isinstance(saved, Evidence) else replace(saved, manifest=manifest)
+    in_parts = all(writer.in_parts for writer in writers.values()) and options.overview is None
+    if blocks and in_parts:
+        grid: Any = open_map(blocks, model, options.framing, options.min_passes)
         facts = survey_blocks(grid, options.writing)
     else:
         grid, facts = paint_saved(saved, model, options)
     report = summarise(manifest, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
-    files: list[Path] = []
-    for path, writer in writers:
-        if isinstance(writer, ZarrWriter):
-            files += writer.write_blocks(path, as_blocks(saved), manifest)
-        elif isinstance(writer, WindowWriter):
-            files += writer.write(path, grid, options.writing)
-        elif isinstance(grid, OccupancyMap):
-            product = Product(grid, keep, report=report)
-            files += map(Path, write_outputs([path], product, options.writing))
-    return replace(report, files=tuple(map(str, files)))
-
-
-def refuse_unknown(path: Path, writer: ProductWriter, options: RenderOptions) -> None:
-    """Refuse an output of what saved evidence, or an overview of it, does not say.
-
-    Raises
-    ------
-    UsageError
-        It shows where the robot went, or it shows single cells and an overview is asked for.
-    """
-    if writer.needs_journey:
-        found = "evidence does not say where the robot went, only the logs do"
-        raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
-    if writer.needs_evidence and options.overview is not None:
-        found = "shows single cells, and `overview` has none"
-        raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
+    product = Product(grid, keep, report=report, blocks=blocks)
+    files = write_outputs(outputs, product, options.writing)
+    return replace(report, files=tuple(files))
 
 
 def render_kept(saved: Saved, options: RenderOptions) -> Build:

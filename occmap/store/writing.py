@@ -16,6 +16,7 @@ from occmap.sensor.models import parse_model
 from occmap.store import Blocks, as_blocks, layout
 from occmap.store.layout import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
 from occmap.types import Int64
+from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
 from occmap.writers.npz import compute_checksum, pack_ground
 
@@ -190,7 +191,7 @@ def finish_store(
         It cannot be written.
     """
     known = sorted(records)
-    table, below = layout.make_table(known), pack_ground(ground)
+    table, below = layout.make_table(known, manifest), pack_ground(ground)
     with edit_store(path) as root:
         head = layout.make_head(manifest, root.attrs["occmap"]["offset"])
         row, col = head["offset"]
@@ -229,10 +230,11 @@ def add_coarse_levels(root: Any, boxes: Sequence[CellBox]) -> None:
             level[shard.slices] = keep_largest(finer[shard.scale(4).slices], 4)
 
 
-class ZarrWriter:
+class ZarrWriter(Writer):
     """What was observed, as a Zarr folder that is read part by part."""
 
     description = "evidence as a Zarr folder, for maps of a city; it does all that an .npz does"
+    needs_evidence = in_parts = is_folder = True
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the folder."""
@@ -243,30 +245,24 @@ class ZarrWriter:
         """Whether a folder is one that this writer made."""
         return (path / "zarr.json").is_file() and (path / "slices").is_dir()
 
-    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
-        """Write evidence; return its path.
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
+        """Write the evidence block by block; return the folder."""
+        return self.write_blocks(path, product.blocks or as_blocks(product.evidence()))
 
-        Raises
-        ------
-        OutputError
-            It cannot be written; then nothing is left behind.
-        """
-        return self.write_blocks(path, as_blocks(evidence), evidence.manifest)
-
-    def write_blocks(self, path: Path, source: Blocks, manifest: Manifest) -> tuple[Path, ...]:
-        """Write evidence block by block; the manifest may name another model.
+    def write_blocks(self, path: Path, source: Blocks) -> tuple[Path, ...]:
+        """Write evidence block by block; return the folder.
 
         Raises
         ------
         OccmapError
-            As `write_evidence`, or a block cannot be read.
+            A block cannot be read, or the store cannot be written; then nothing is left behind.
         """
         with make_folder(path) as folder:
-            create_store(folder, manifest, source.blocks)
+            create_store(folder, source.manifest, source.blocks)
             records = [
                 write_block(folder, block, source.read_block(block)) for block in source.blocks
             ]
             for block in source.blocks:
                 paint_block(folder, block)
-            finish_store(folder, manifest, records, source.read_ground())
+            finish_store(folder, source.manifest, records, source.read_ground())
         return (path,)

@@ -1,24 +1,23 @@
 """What a writer is: one file per map format, found through entry points and chosen by suffix.
 
 A writer is registered under its suffix without the dot and is a class with a `description`, a
-`targets(path)` and one of three methods: `write(path, grid, options)`, for a map;
-`write_evidence(path, evidence)`, for what maps are made of; or `write_product(path, product,
-options)`, for all that there is to show, the way of the robot among it. Nothing here imports PIL: a
-writer is loaded on use. The outputs that a user names are found to be writable before the work
-starts, and written after it.
+`targets(path)` and one of two methods: `write(path, grid, options)`, for a map, or
+`write_product(path, product, options)`, for all that there is to show: what maps are made of, and
+the way of the robot. Nothing here imports PIL: a writer is loaded on use. The outputs that a user
+names are found to be writable before the work starts, and written after it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias, cast, runtime_checkable
+from typing import Any, cast
 
 from occmap.cells import Decision, Evidence, OccupancyMap
 from occmap.choices import option
 from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
-from occmap.types import Int64, Journey
+from occmap.types import Journey
 from occmap.writers.atomic import check_parent, check_target, follow_links
 
 BAND_CELLS = 1 << 18
@@ -107,27 +106,47 @@ class WriteOptions:
 DEFAULT_THRESHOLDS = Decision(free_below=0.196, occupied_above=0.65)
 
 
-class OneFile:
-    """What most formats have in common: all that they write is one file."""
+@dataclass(frozen=True)
+class Product:
+    """What there is to write."""
 
-    needs_evidence = needs_journey = False
+    grid: OccupancyMap
+    """Maybe painted only where it is looked at, if all formats that are written are `in_parts`"""
+    evidence: Callable[[], Evidence]
+    """Called where a format wants it: it takes memory, and time to hash the logs"""
+    journey: Journey | None = None
+    """None: nobody asked for it while the map was built, or the map is of saved evidence"""
+    report: Any = None
+    """What there is to say of the map so far, as a `Report`; None: nothing is known"""
+    inspect: Callable[[], Any] | None = None
+    """Finds what `occmap check` does, as an `Inspection`; it reads the logs once more"""
+    blocks: Any = None
+    """The evidence as `Blocks` of `occmap.store`, where it is not in memory"""
 
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the file."""
-        return (path,)
 
+class Writer:
+    """A format. A plugin need not be a subclass: what it does not say itself is taken from here."""
 
-class Format(Protocol):
-    """What all writers have."""
-
-    description: str
+    description = ""
+    needs_evidence = False
+    """Whether it calls `Product.evidence`, so that a build keeps when cells were seen"""
+    needs_journey = False
+    """Whether it writes nothing else than where the robot went"""
+    shows_journey = False
+    """Whether it looks at `Product.journey`"""
+    in_parts = False
+    """Whether it writes part by part, so that there need not be a whole map: of the map it asks
+    only `place`, `shape`, `resolution`, `decision` and `take`"""
+    is_folder = False
+    """Whether it writes a folder with many files"""
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Every file that is written, so that all can be checked before the work starts."""
+        return (path,)
 
-
-class Writer(Format, Protocol):
-    """A map format."""
+    def owns(self, path: Path) -> bool:  # noqa: ARG002  for a format that is a folder
+        """Whether an existing folder is one that this writer made, which it may replace."""
+        return False
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write a map; return the files written.
@@ -137,11 +156,26 @@ class Writer(Format, Protocol):
         OutputError
             A file cannot be written; then none is left behind.
         """
+        raise NotImplementedError
+
+    def write_product(
+        self, path: Path, product: Product, options: WriteOptions
+    ) -> tuple[Path, ...]:
+        """Write whatever the format holds of all that there is; return the files written.
+
+        Raises
+        ------
+        UsageError, OutputError
+            It is to hold where the robot went, which is not known, or a file cannot be written;
+            then none is left behind.
+        """
+        return self.write(path, product.grid, options)
 
 
-@runtime_checkable
-class EvidenceWriter(Format, Protocol):
+class EvidenceWriter(Writer):
     """A format for what was observed."""
+
+    needs_evidence = True
 
     def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
         """Write evidence; return the files written.
@@ -151,88 +185,11 @@ class EvidenceWriter(Format, Protocol):
         OutputError
             A file cannot be written; then none is left behind.
         """
+        raise NotImplementedError
 
-
-@dataclass(frozen=True)
-class Product:
-    """What there is to write."""
-
-    grid: OccupancyMap
-    evidence: Callable[[], Evidence]
-    """Called where a format wants it: it takes memory, and time to hash the logs"""
-    journey: Journey | None = None
-    """None: nobody asked for it while the map was built, or the map is of saved evidence"""
-    report: Any = None
-    """What there is to say of the map so far, as a `Report`; None: nothing is known"""
-    inspect: Callable[[], Any] | None = None
-    """Finds what `occmap check` does, as an `Inspection`; it reads the logs once more"""
-
-
-@runtime_checkable
-class ProductWriter(Format, Protocol):
-    """A format for more than a map."""
-
-    needs_evidence: bool
-    """Whether it calls `Product.evidence`, so that a build keeps when cells were seen"""
-    needs_journey: bool
-    """Whether it writes nothing else than where the robot went"""
-
-    def write_product(
-        self, path: Path, product: Product, options: WriteOptions
-    ) -> tuple[Path, ...]:
-        """Write what the format holds; return the files written.
-
-        Raises
-        ------
-        UsageError, OutputError
-            It is to hold where the robot went, which is not known, or a file cannot be written;
-            then none is left behind.
-        """
-
-
-AnyWriter: TypeAlias = Writer | EvidenceWriter | ProductWriter
-
-
-@runtime_checkable
-class FolderWriter(Protocol):
-    """A format of which the path is a folder with many files."""
-
-    def owns(self, path: Path) -> bool:
-        """Whether an existing folder is one that this writer made, which it may replace."""
-
-
-class Windows(Protocol):
-    """A map that is looked at part by part."""
-
-    @property
-    def place(self) -> Int64:
-        """(2,) row and column of its first cell."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-
-    @property
-    def resolution(self) -> float:
-        """Side of a cell (m)."""
-
-    @property
-    def decision(self) -> Decision:
-        """How its cells are decided."""
-
-    def take(self, rows: slice, cols: slice) -> OccupancyMap:
-        """A part of it."""
-
-
-@runtime_checkable
-class WindowWriter(Protocol):
-    """A format that is written part by part, so that there need not be a whole map."""
-
-    in_windows: bool
-    """True; it tells such a format from others"""
-
-    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
-        """As `Writer.write`."""
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
+        """Write the evidence; return the files written."""
+        return self.write_evidence(path, product.evidence())
 
 
 def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
@@ -243,7 +200,7 @@ def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
         yield grid.take(slice(max(0, stop - height), stop), slice(None))
 
 
-def find_writer(path: Path) -> AnyWriter:
+def find_writer(path: Path) -> Writer:
     """Find the writer for a file name by its suffix, upper or lower case, `.ground.tif` as one.
 
     Raises
@@ -258,10 +215,13 @@ def find_writer(path: Path) -> AnyWriter:
     if name not in known:
         found = f"unknown suffix {path.suffix!r}" if name else "the file name has no suffix"
         raise UsageError(found, where=path, fix=listing)
-    writer_class = load_plugin("occmap.writers", name)
-    if writer_class is None:
+    kind = load_plugin("occmap.writers", name)
+    if kind is None:
         raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
-    return cast(AnyWriter, writer_class())
+    if not issubclass(kind, Writer):
+        shows = {"shows_journey": hasattr(kind, "write_product")}
+        kind = type(kind.__name__, (kind, Writer), shows)
+    return cast(Writer, kind())
 
 
 def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
@@ -277,7 +237,7 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
     targets = [(target, writer) for path, writer in writers for target in writer.targets(path)]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):
-        if not isinstance(writer, FolderWriter):
+        if not writer.is_folder:
             check_target(target)
         elif file.exists() and not (file.is_dir() and writer.owns(file)):
             found = "is there already, and not as occmap writes it"
@@ -324,16 +284,12 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
 
 def want_evidence(outputs: Sequence[Path]) -> bool:
     """Whether any output is of what was observed, or shows when it was."""
-    return any(
-        isinstance(writer, EvidenceWriter)
-        or (isinstance(writer, ProductWriter) and writer.needs_evidence)
-        for writer in map(find_writer, outputs)
-    )
+    return any(find_writer(path).needs_evidence for path in outputs)
 
 
 def want_journey(outputs: Sequence[Path]) -> bool:
     """Whether any output shows where the robot went."""
-    return any(isinstance(find_writer(path), ProductWriter) for path in outputs)
+    return any(find_writer(path).shows_journey for path in outputs)
 
 
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
@@ -355,13 +311,8 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
     OutputError
         A file cannot be written; the one at fault is not left behind.
     """
-    files: list[Path] = []
-    for path in outputs:
-        writer = find_writer(path)
-        if isinstance(writer, EvidenceWriter):
-            files += writer.write_evidence(path, product.evidence())
-        elif isinstance(writer, ProductWriter):
-            files += writer.write_product(path, product, options)
-        else:
-            files += writer.write(path, product.grid, options)
-    return [str(file) for file in files]
+    return [
+        str(file)
+        for path in outputs
+        for file in find_writer(path).write_product(path, product, options)
+    ]

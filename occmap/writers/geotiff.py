@@ -13,8 +13,8 @@ import numpy as np
 from occmap.cells import Evidence, OccupancyMap
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
-from occmap.types import BLOCK_BITS, COLUMN_MM
-from occmap.writers import OneFile, Windows, WriteOptions
+from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
+from occmap.writers import EvidenceWriter, WriteOptions, Writer
 from occmap.writers.atomic import check_target, follow_links, open_atomic
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
@@ -22,18 +22,18 @@ WINDOW = 1024
 """Cells along the side of what is painted at once, from a multiple of as many cells on"""
 
 
-class GeoTiffWriter:
+class GeoTiffWriter(Writer):
     """8 bit, 0 to 100 per cent of being occupied, with overviews; 255 is no data."""
 
     description = "cloud-optimised GeoTIFF of the probability in per cent, for GIS"
-    in_windows = True
+    in_parts = True
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the image."""
         import_rasterio()
         return (path,)
 
-    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:  # noqa: ARG002  it has no options
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:  # noqa: ARG002  it has no options
         """Write the image part by part; return its path.
 
         Raises
@@ -42,20 +42,16 @@ class GeoTiffWriter:
             It cannot be written; then nothing is left behind.
         """
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
-        (row, col), kind = grid.place.tolist(), {"dtype": "uint8", "nodata": RAW_UNKNOWN}
-        write_image(path, describe(grid.shape, row, col, grid.resolution) | kind, parts)
+        kind = {"dtype": "uint8", "nodata": RAW_UNKNOWN}
+        write_image(path, describe(grid.shape, grid.place, grid.resolution) | kind, parts)
         return (path,)
 
 
-class GroundWriter(OneFile):
+class GroundWriter(EvidenceWriter):
     """Heights of the ground in the map (m, float32) where it was measured; NaN is no data."""
 
     description = "GeoTIFF of the height of the ground that clouds show (m)"
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the image."""
-        import_rasterio()
-        return (path,)
+    targets = GeoTiffWriter.targets
 
     def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
         """Write the ground that the evidence was traced over; return its path.
@@ -69,19 +65,15 @@ class GroundWriter(OneFile):
         if ground is None:
             found = "shows the ground below clouds, and this map was made of none"
             raise OutputError(found, where=path, fix="leave it out")
-        low = ground.blocks.min(axis=0)
-        blocks = ground.blocks - low
-        heights = np.full((blocks.max(axis=0) + 1) << BLOCK_BITS, np.nan, np.float32)
-        side = 1 << BLOCK_BITS
-        for (up, right), height, measured in zip(
-            blocks << BLOCK_BITS, ground.height_mm, ground.measured, strict=True
-        ):
-            block = np.where(measured, height / 1000, np.nan).reshape(side, side)
-            heights[up : up + side, right : right + side] = block
-        row, col = (low << BLOCK_BITS).tolist()
+        side, low = 1 << BLOCK_BITS, ground.blocks.min(axis=0)
+        rows, cols = (ground.blocks - low).T
+        squares = np.full((rows.max() + 1, cols.max() + 1, side, side), np.nan, np.float32)
+        known = np.where(ground.measured, ground.height_mm / 1000, np.nan)
+        squares[rows, cols] = known.reshape(-1, side, side)
+        heights = np.block([list(row) for row in squares])
+        layout = describe(heights.shape, low * side, COLUMN_MM / 1000)
         kind = {"dtype": "float32", "nodata": math.nan}
-        layout = describe(heights.shape, row, col, COLUMN_MM / 1000) | kind
-        write_image(path, layout, [(None, heights[::-1])])
+        write_image(path, layout | kind, [(None, heights[::-1])])
         return (path,)
 
 
@@ -125,9 +117,9 @@ def import_rasterio() -> Any:
     return rasterio
 
 
-def describe(shape: tuple[int, ...], row: int, col: int, size: float) -> dict[str, Any]:
+def describe(shape: tuple[int, ...], place: Int64, size: float) -> dict[str, Any]:
     """Say where an image of cells lies and how it is laid out; its frame is on no globe."""
-    rows, cols = shape
+    (rows, cols), (row, col) = shape, place.tolist()
     return {
         "driver": "GTiff",
         "count": 1,
@@ -141,7 +133,7 @@ def describe(shape: tuple[int, ...], row: int, col: int, size: float) -> dict[st
     }
 
 
-def paint_windows(grid: Windows) -> Iterator[tuple[tuple[slice, slice], OccupancyMap]]:
+def paint_windows(grid: OccupancyMap) -> Iterator[tuple[tuple[slice, slice], OccupancyMap]]:
     """Paint a map part by part, and say where in the image, top row first, each part lies."""
     (rows, cols), (row, col) = grid.shape, grid.place.tolist()
     corners = product(range(-(row % WINDOW), rows, WINDOW), range(-(col % WINDOW), cols, WINDOW))

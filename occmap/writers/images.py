@@ -19,10 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 
-from occmap.cells import CellClass, keep_largest
+from occmap.cells import CellClass, OccupancyMap, keep_largest
 from occmap.errors import MapError
 from occmap.types import Bool, UInt8
-from occmap.writers import OneFile, Windows, WriteOptions
+from occmap.writers import WriteOptions, Writer
 from occmap.writers.atomic import make_folder, open_atomic
 from occmap.writers.pgm import GREYS, describe_map, write_yaml
 
@@ -155,17 +155,17 @@ TRINARY = WriteOptions()
 """For the thresholds of the YAML: the greys are classes"""
 
 
-class TilesWriter(OneFile):
+class TilesWriter(Writer):
     """A folder of PNG tiles."""
 
     description = "folder of PNG tiles (z/x/y), those at full resolution with a YAML each"
-    in_windows = True
+    in_parts = is_folder = True
 
     def owns(self, path: Path) -> bool:
         """Whether a folder is one that this writer made."""
         return all(each.name.isdigit() for each in path.iterdir())
 
-    def write(self, path: Path, grid: Windows, options: WriteOptions) -> tuple[Path, ...]:
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write all tiles; return the folder.
 
         Raises
@@ -182,7 +182,7 @@ class TilesWriter(OneFile):
 class TileTree:
     """Tiles of a map, each made of the four below it."""
 
-    def __init__(self, folder: Path, grid: Windows, options: WriteOptions) -> None:
+    def __init__(self, folder: Path, grid: OccupancyMap, options: WriteOptions) -> None:
         self.folder, self.grid, self.options = folder, grid, options
         ends = grid.place + grid.shape
         self.low = grid.place // TILE_PIXELS

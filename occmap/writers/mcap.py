@@ -15,7 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from mcap.writer import Writer
+from mcap.writer import Writer as BagWriter
 from numpy.typing import NDArray
 from rosbags import interfaces
 from rosbags.rosbag2.metadata import dump_qos_v8
@@ -23,7 +23,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from occmap.cells import CellClass, OccupancyMap
 from occmap.types import Float64
-from occmap.writers import MapMode, OneFile, Product, WriteOptions
+from occmap.writers import MapMode, Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
 
 MAP_FRAME = "map"
@@ -50,10 +50,11 @@ ROS = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in STORE.t
 """Message classes by their short names"""
 
 
-class McapWriter(OneFile):
+class McapWriter(Writer):
     """An MCAP file of ROS 2 messages, with the map at the time of the first scan."""
 
     description = "MCAP for RViz and Foxglove: OccupancyGrid, Path and transforms"
+    shows_journey = True
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions
@@ -67,7 +68,7 @@ class McapWriter(OneFile):
         """
         latched = {"offered_qos_profiles": dump_qos_v8([LATCHED])}
         with open_atomic(path) as (file,):
-            bag = Writer(file)
+            bag = BagWriter(file)
             bag.start(profile="ros2", library="occmap")
             channels: dict[str, int] = {}
             for topic, message, stamp in list_messages(product, options):

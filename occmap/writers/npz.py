@@ -56,7 +56,7 @@ import numpy as np
 from occmap.cells import Evidence, Ground, Manifest, Slices
 from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
-from occmap.writers import OneFile
+from occmap.writers import EvidenceWriter
 from occmap.writers.atomic import open_atomic
 
 FORMAT, VERSION = "occmap evidence", 4
@@ -77,7 +77,7 @@ DAMAGE = (
 """What zipfile, zarr, its codecs, json and NumPy raise on damaged files"""
 
 
-class NpzWriter(OneFile):
+class NpzWriter(EvidenceWriter):
     """What was observed, to be rendered, merged and resumed."""
 
     description = "evidence, not yet a map: to render, merge and resume"

@@ -15,7 +15,7 @@ import numpy as np
 
 from occmap.cells import Decision, OccupancyMap
 from occmap.types import UInt8
-from occmap.writers import MapMode, WriteOptions, bands_from_top
+from occmap.writers import MapMode, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import open_atomic
 
 UNKNOWN, FREE, OCCUPIED = 205, 254, 0
@@ -30,7 +30,7 @@ THRESHOLD_MARGIN = 1e-3
 """In grey levels; loaders compare in single precision."""
 
 
-class PgmWriter:
+class PgmWriter(Writer):
     """8-bit binary PGM, first row = largest y, with the map_server YAML of the same stem."""
 
     description = "PGM image and YAML for ROS 1 map_server and nav2"

@@ -10,7 +10,7 @@ import numpy as np
 
 from occmap.cells import Decision, OccupancyMap
 from occmap.types import UInt8
-from occmap.writers import OneFile, Shade, WriteOptions, bands_from_top
+from occmap.writers import Shade, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import open_atomic
 
 HIDDEN_GREY = 127
@@ -21,7 +21,7 @@ ZLIB_LEVEL = 4
 """With 1, a large map is written in two thirds of the time, and files are up to a fourth larger"""
 
 
-class PngWriter(OneFile):
+class PngWriter(Writer):
     """8-bit grey with alpha, first row = largest y; dark or light is occupied."""
 
     description = "PNG image of the probability, unknown transparent"

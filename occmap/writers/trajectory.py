@@ -11,16 +11,16 @@ import numpy as np
 
 from occmap.errors import UsageError
 from occmap.types import Journey, Trajectory
-from occmap.writers import OneFile, Product, WriteOptions
+from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
 
 
-class TumWriter(OneFile):
+class TumWriter(Writer):
     """`stamp x y z qx qy qz qw`, the stamp in seconds: for `evo_traj tum`, and for `poses`."""
 
     description = "trajectory in the TUM format, for evo, and to build with"
     heading = "# stamp x y z qx qy qz qw (s, m)"
-    needs_journey = True
+    needs_journey = shows_journey = True
 
     def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
         """Write the poses; return the file's path.

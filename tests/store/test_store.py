@@ -16,7 +16,7 @@ import zarr
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError, OutputError
 from occmap.grid.tiles import TILE, pack
-from occmap.store import open_store, read_all
+from occmap.store import as_blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, digest_evidence, split_evidence
 from occmap.store.publishing import RenderOptions, render_kept
 from occmap.store.writing import (
@@ -42,7 +42,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
 @pytest.fixture(scope="module")
 def kept(drive: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("kept") / "m.zarr"
-    ZarrWriter().write_evidence(path, drive)
+    ZarrWriter().write_blocks(path, as_blocks(drive))
     return path
 
 
@@ -69,7 +69,7 @@ def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     tmp_path: Path, update: Update, model: str
 ) -> None:
     evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=FINE))
-    ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
+    ZarrWriter().write_blocks(tmp_path / "m.zarr", as_blocks(evidence))
     store = open_store(tmp_path / "m.zarr")
     assert write_bytes(tmp_path, read_all(store)) == (tmp_path / "m.npz").read_bytes()
     assert store.digest == digest_evidence(evidence)
@@ -141,24 +141,17 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     assert np.array_equal(read_all(store).tiles, tiles)
 
 
-def test_the_table_says_what_is_where_and_who_saw_it(tmp_path: Path, drive: Evidence) -> None:
-    contents = dict(split_evidence(drive))
-    path = tmp_path / "m.zarr"
-    create_store(path, drive.manifest, contents)
-    given = [
-        write_block(path, block, replace(content, logs=(place, 9)))
-        for place, (block, content) in enumerate(contents.items())
-    ]
-    finish_store(path, drive.manifest, given)
-    assert list(open_store(path).records.values()) == given
-    for record in given:
-        seen = (contents[record.block].cells != 0).any(axis=1)
-        assert record.cells == np.count_nonzero(seen)
-        places = np.argwhere(seen)
-        tiles = contents[record.block].tiles
-        rows = tiles[places[:, 0], 0] * TILE + places[:, 1]
-        cols = tiles[places[:, 0], 1] * TILE + places[:, 2]
-        assert record.reach == (rows.min(), cols.min(), rows.max() + 1, cols.max() + 1)
+def test_the_table_says_what_is_where_and_who_saw_it(kept: Path, drive: Evidence) -> None:
+    table, contents = open_group(kept / "blocks"), dict(split_evidence(drive))
+    assert [tuple(place) for place in table["place"][:]] == list(contents)
+    assert table["logs"][:].tolist() == [[0b10000000]] * len(contents)  # one log, which saw all
+    for content, count, reach in zip(
+        contents.values(), table["cells"][:], table["reach"][:].tolist(), strict=True
+    ):
+        seen = np.argwhere((content.cells != 0).any(axis=1))
+        cells = content.tiles[seen[:, 0]] * TILE + seen[:, 1:]
+        assert count == len(cells)
+        assert reach == [*cells.min(axis=0), *(cells.max(axis=0) + 1)]
 
 
 def test_processes_write_blocks_at_once_and_a_task_may_run_twice(
@@ -265,6 +258,6 @@ def test_evidence_of_nothing(tmp_path: Path) -> None:
     manifest = Manifest(0.05, "beam", "counts", "", 10.0, 0.0, "simple", ())
     nothing = np.zeros((0, 2), np.int64), np.zeros((0, 2, TILE, TILE), np.int64)
     evidence = Evidence(manifest, *nothing)
-    ZarrWriter().write_evidence(tmp_path / "m.zarr", evidence)
+    ZarrWriter().write_blocks(tmp_path / "m.zarr", as_blocks(evidence))
     store = open_store(tmp_path / "m.zarr")
     assert (store.blocks, len(read_all(store).tiles)) == ({}, 0)
