@@ -9,8 +9,7 @@ import click
 from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
-from occmap.cli.declaring import Answer, answering, fail_if, join
-from occmap.cli.options import gather_logs
+from occmap.cli.declaring import CONFIG, Answer, command, fail_if
 from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
 from occmap.options import BuildOptions
@@ -22,13 +21,18 @@ from occmap.writers import check_picture
 LABEL = 10
 """Width of the column of labels"""
 
-page = options.one_output("output", "FILE.html", "Write the findings as a page as well.")
 
-
-@answering("check", Inspection)
-@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
-@join(page, options.resolution, options.max_cells, options.reading)
-@join(fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
+@command(
+    "check",
+    Inspection,
+    options.LOGS,
+    options.one_output("output", "FILE.html", "Write the findings as a page as well."),
+    options.RESOLUTION,
+    options.MAX_CELLS,
+    *options.READING,
+    fail_if(CHECK, "dropped_scans > 5%"),
+    CONFIG,
+)
 def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say what is in logs, and what will go wrong with them.
 
@@ -41,7 +45,7 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
     """
     check_picture(values["output"], logs, [".html"])
     chosen = take(BuildOptions, values)
-    inspection = inspect(gather_logs(console, logs, chosen), chosen)
+    inspection = inspect(options.gather_logs(console, logs, chosen), chosen)
     if values["output"]:
         from occmap.page.document import write_inspection  # noqa: PLC0415  late: few want it
 

@@ -111,7 +111,7 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
         ("align = true", "align: 'True' is not a number"),
         ("footprint = 3", "footprint: 1 value where 4 belong"),
-        ("static-tf = [3]", "static-tf: 1 value where 8 belong"),
+        ("static-tf = [3]", "static-tf: 0 values where 6 belong"),
         ('resolution = "x"', "resolution: 'x' is not a valid float"),
         ("start = 2020-01-01", "'2020-01-01' is not a valid float"),
         ("[build.start]", "'{}' is not a valid float"),
