@@ -304,6 +304,23 @@ class Inspection(Printed):
     buildable: bool
     """Whether occmap build with the options given makes a map"""
 
+    @property
+    def topics(self) -> list[ScanFindings]:
+        """All topics of scans."""
+        return [topic for log in self.logs for topic in log.scans]
+
+    @property
+    def dropped_share(self) -> float:
+        """The share of the scans asked for that have no pose; 0 of nothing."""
+        wanted = sum(topic.wanted for topic in self.topics)
+        return (wanted - sum(topic.poses.posed for topic in self.topics)) / max(wanted, 1)
+
+    @property
+    def hit_share(self) -> float:
+        """The share of all ranges that are measured; 0 of nothing."""
+        ranges = [topic.ranges for topic in self.topics]
+        return sum(each.measured for each in ranges) / max(sum(each.total for each in ranges), 1)
+
 
 def list_scan_facts(topic: ScanFindings) -> Iterator[Row]:
     """Say how many scans a topic has, and what their beams are."""

@@ -107,7 +107,7 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("max_range = 5", "no option is called 'max_range'; did you mean 'max-range'?"),
         ("[buidl]\nstride = 2", "[buidl]: no command is called 'buidl'; did you mean 'build'?"),
         ("extent = [0, 0, 1]", "extent: 3 values where 4 belong"),
-        ("fail-if = 'unknown > 5'", "5 is not a share between 0 and 1; write 5% or 0.05"),
+        ("fail-if = 'unknown > 5'", "5 is not a share below 1; write 5% or 0.05"),
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
         ("align = true", "align: 'True' is not a number"),
         ("footprint = 3", "footprint: 1 value where 4 belong"),
