@@ -11,12 +11,13 @@ from click.core import ParameterSource
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Bar, Console, label_first, show_progress, write_rows
+from occmap.cli.console import Bar, Console, show_progress, write_rows
 from occmap.cli.declaring import CONFIG, PATH, RUN, Answer, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, Values
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
+from occmap.report import label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.sensor.models import describe_model

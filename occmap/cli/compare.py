@@ -12,12 +12,12 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, label_first, show_progress, write_command, write_rows
+from occmap.cli.console import Console, align, show_progress, write_command, write_rows
 from occmap.cli.declaring import CONFIG, LIMITS, PATH, Answer, Option, command, fail_if
 from occmap.difference import MapDifference
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
-from occmap.report import count, write_metres
+from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE, Limit, parse_bound
 from occmap.scoring import DEFAULT_MODELS, combine
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores

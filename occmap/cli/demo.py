@@ -6,11 +6,12 @@ from pathlib import Path
 
 import click
 
-from occmap.cli.console import Console, label_first, show_progress, write_rows
+from occmap.cli.console import Console, show_progress, write_rows
 from occmap.cli.declaring import PATH, Answer, command
 from occmap.errors import OccmapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.report import label_first
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.writers.atomic import refuse_unwritable
 

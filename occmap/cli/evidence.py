@@ -9,14 +9,14 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, label_first, show_progress, write_rows
+from occmap.cli.console import Console, align, show_progress, write_rows
 from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if
 from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.report import count, join_names, write_box, write_time
+from occmap.report import count, join_names, label_first, write_box, write_time
 from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.scans.logs import keep_stdin

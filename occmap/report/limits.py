@@ -210,7 +210,7 @@ PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occ
 
 def share_pair(pair: str, difference: Any) -> float:
     """Take the share of known cells that changed from one class to another."""
-    return int(difference.changed[pair]) / max(difference.known, 1)
+    return float(difference.changed[pair] / max(difference.known, 1))
 
 
 DIFF: Measures = (
