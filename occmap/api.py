@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from occmap import difference, inspection, page, tuning
 from occmap.cells import Evidence, OccupancyMap
-from occmap.choices import describe_options, read_each, read_options, read_value
+from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_exhaustion
 from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
@@ -154,7 +154,8 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         the map would be too large, or an output cannot be written.
     """
     chosen = read_options(BuildOptions, options, "build_map")
-    files = read_each("outputs", Path, [outputs] if isinstance(outputs, AnyPath) else outputs)
+    several = [outputs] if isinstance(outputs, AnyPath) else outputs
+    files = read_value("outputs", tuple[Path, ...], several)
     others = [*files, Path(chosen.posing.poses or "")]
     paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
     made = build(paths, chosen, files)
@@ -222,7 +223,8 @@ def compare(
     """
     paths, common = read_request(logs, options, "compare")
     variants = combine(
-        read_each("updates", Update, updates), read_each("models", SensorModel, models, MODEL)
+        read_value("updates", tuple[Update, ...], updates),
+        read_value("models", tuple[SensorModel, ...], models, MODEL),
     )
     drawn = None if picture is None else read_value("picture", Path, picture)
     return page.compare_logs(paths, variants, common, drawn)
@@ -272,7 +274,7 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
     """
     if not paths:
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
-    added, taken = list_paths(paths), read_each("subtract", Path, subtract)
+    added, taken = list_paths(paths), read_value("subtract", tuple[Path, ...], subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
     made = publishing.render_kept(read_all(merging.combine(added, taken)), chosen)
     return Map.of(made, chosen.writing, [*added, *taken])
@@ -353,4 +355,4 @@ def list_paths(paths: Sequence[AnyPath]) -> list[Path]:
         if not isinstance(path, AnyPath):
             fix = "give text or a Path; the paths of a list are given with a star: build_map(*logs)"
             raise UsageError(f"{path!r} is not a path", fix=fix)
-    return read_each("path", Path, paths)
+    return [read_value("path", Path, path) for path in paths]

@@ -12,8 +12,8 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from enum import EnumType, StrEnum
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from enum import EnumType
 from functools import reduce
 from numbers import Real
 from pathlib import Path
@@ -37,18 +37,9 @@ class Form(NamedTuple):
     """What the values of an option look like."""
 
     read: Callable[[Any], Any]
-    """Makes a value of what was given; raises TypeError, ValueError or UsageError"""
+    """Makes a value of what was given or typed; raises TypeError, ValueError or UsageError"""
     text: str
     """What to give; a tuple is typed without its parentheses"""
-
-
-def read_choice(name: str, kind: type[StrEnum], value: Any) -> StrEnum:
-    """Find the member of an enum whose value a caller gave; raises UsageError if there is none."""
-    known = [member.value for member in kind]
-    if not isinstance(value, str) or value not in known:
-        fix = suggest(str(value), known, "help(occmap.build_map)")
-        raise UsageError(f"{name} is {value!r}", fix=fix)
-    return kind(value)
 
 
 def read_value(name: str, kind: Any, value: Any, form: Form | None = None) -> Any:
@@ -64,49 +55,21 @@ def read_value(name: str, kind: Any, value: Any, form: Form | None = None) -> An
     UsageError
         The value is not of that type.
     """
-    if isinstance(kind, EnumType):
-        return read_choice(name, kind, value)  # type: ignore[arg-type]  # all enums are of text
-    (read, text), has_several = form or FORMS[kind], holds_several(kind)
+    takes_many = get_args(kind)[1:] == (Ellipsis,) and kind not in FORMS
+    form = form or find_form(get_args(kind)[0] if takes_many else kind)
+    text = f"a list, each item {form.text}" if takes_many else form.text
     try:
-        return tuple(map(read, value)) if has_several else read(value)
+        if takes_many and isinstance(value, str | bytes):
+            raise TypeError
+        return tuple(map(form.read, value)) if takes_many else form.read(value)
     except UsageError as error:
-        raise error.placed(f"{name} = {value!r}") from None
+        fix = error.fix or f"give {text}"
+        raise UsageError(error.found, where=f"{name} = {value!r}", fix=fix) from None
     except (TypeError, ValueError, OverflowError):
-        if has_several:
-            text = "a list of " + re.sub("such as (.*)", r"such as [\1]", text)
         raise UsageError(f"{name} is {value!r}", fix=f"give {text}") from None
 
 
-def holds_several(kind: Any) -> bool:
-    """Whether an option takes any number of values that each have a form."""
-    return get_args(kind)[1:] == (Ellipsis,) and kind not in FORMS
-
-
-def parse_numbers(flag: str, form: Form, text: str) -> Any:
-    """Read an option of several numbers, after names of frames if any, with commas between.
-
-    Raises
-    ------
-    UsageError
-        There are too many or too few numbers, one is not a number, or an angle is in degrees.
-    """
-    typed = TUPLE.sub(lambda found: found[1].replace(" ", ""), form.text)
-    where, fix = f"{flag} {text}", f"write {typed}"
-    values = [value.strip() for value in text.split(",")]
-    frames = 2 if form is TRANSFORM else 0
-    try:
-        numbers = [parse_number(value, where, fix) for value in values[frames:]]
-        return form.read([*values[:frames], *numbers])
-    except UsageError as error:
-        raise UsageError(error.found, where=where, fix=error.fix or fix) from None
-    except ValueError:
-        shapes = TUPLE.findall(form.text.partition(" in ")[0])
-        belong = " or ".join(str(each.count(",") + 1) for each in shapes)
-        found = f"{count(len(values), 'value')} where {belong} belong"
-        raise UsageError(found, where=where, fix=fix) from None
-
-
-def parse_number(word: str, where: str, fix: str) -> float:
+def parse_number(word: str, where: str = "", fix: str = "") -> float:
     """Read a finite decimal number; raises UsageError, with what to write."""
     with suppress(ValueError):
         if math.isfinite(number := float(word)):
@@ -173,10 +136,14 @@ def _read_number(value: Any) -> float:
 
 
 def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
-    numbers = tuple(map(_read_number, value))
-    if len(numbers) not in sizes:
-        raise ValueError
-    return numbers
+    """Make numbers of those that are given or typed; raises UsageError if there are not so many."""
+    if isinstance(value, str):
+        raise TypeError
+    words = tuple(value)
+    if len(words) not in sizes:
+        belong = " or ".join(map(str, sizes))
+        raise UsageError(f"{count(len(words), 'value')} where {belong} belong")
+    return tuple(parse_number(it) if isinstance(it, str) else _read_number(it) for it in words)
 
 
 def _read_text(value: Any) -> str:
@@ -187,31 +154,26 @@ def _read_text(value: Any) -> str:
     return text
 
 
-def _read_pose(value: Any) -> Pose:
-    """Make a pose of (x, y, yaw) or (x, y, yaw, roll, pitch), in metres and radians."""
+def _read_pose(value: Any, *sizes: int) -> Pose:
+    """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
         return value
-    x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, 3, 5), 0.0, 0.0)
+    x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, *sizes), 0.0, 0.0)
     _refuse_degrees((yaw, roll, pitch))
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
-
-
-def _read_planar(value: Any) -> Pose:
-    """Make a pose of (x, y, yaw), in metres and radians."""
-    return value if isinstance(value, Pose) else _read_pose(_read_numbers(value, 3))
 
 
 def _read_transform(value: Any) -> PoseSample:
     """Make a fixed transform of (parent, child, x, y, z, roll, pitch, yaw)."""
     if isinstance(value, PoseSample):
         return value
-    parent, child, *numbers = value
-    x, y, z, roll, pitch, yaw = _read_numbers(numbers, 6)
+    x, y, z, roll, pitch, yaw = _read_numbers(value[2:], 6)
+    parent, child = map(_read_text, value[:2])
     if not (parent and child):
         raise UsageError("a frame has no name")
     _refuse_degrees((roll, pitch, yaw))
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
-    return PoseSample(0, _read_text(parent), _read_text(child), pose, static=True)
+    return PoseSample(0, parent, child, pose, static=True)
 
 
 def _read_sector(value: Any) -> tuple[float, ...]:
@@ -223,12 +185,6 @@ def _read_sector(value: Any) -> tuple[float, ...]:
 
 def _read_topics(value: Any) -> tuple[str, ...]:
     return tuple(map(_read_text, [value] if isinstance(value, str) else value))
-
-
-def make_box_form(example: str) -> Form:
-    """Make the form of a box of four numbers."""
-    text = f"(x_min, y_min, x_max, y_max) in metres, such as {example}"
-    return Form(lambda value: _read_numbers(value, 4), text)
 
 
 def _read_switch(value: Any) -> bool:
@@ -245,16 +201,32 @@ FORMS: dict[Any, Form] = {
     Path: Form(lambda value: Path(_read_text(value)), "a path"),
     tuple[str, ...]: Form(_read_topics, "a topic or a list of topics"),
 }
-"""How values look by their type, where an option does not say it. Enums are not in it."""
+"""How values look by their type, where an option does not say it"""
 MOUNT = Form(
-    _read_pose,
+    lambda value: _read_pose(value, 3, 5),
     "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians, such as (0.1, 0, 3.14159)",
 )
-PLANAR = Form(_read_planar, "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)")
+PLANAR = Form(
+    lambda value: _read_pose(value, 3),
+    "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)",
+)
 TRANSFORM = Form(
     _read_transform, "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians"
 )
 SECTOR = Form(_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)")
+
+
+def make_box_form(example: str) -> Form:
+    """Make the form of a box of four numbers."""
+    text = f"(x_min, y_min, x_max, y_max) in metres, such as {example}"
+    return Form(lambda value: _read_numbers(value, 4), text)
+
+
+def find_form(kind: Any) -> Form:
+    """Find out how values of a type look: one of the words of an enum, or as `FORMS` says."""
+    if isinstance(kind, EnumType):
+        return Form(kind, " or ".join(f'"{member}"' for member in list[Any](kind)))
+    return FORMS[kind]
 
 
 Options = TypeVar("Options")
@@ -262,8 +234,9 @@ ABOVE_ZERO = math.ulp(0.0)
 """The least bound of what has to be more than zero"""
 
 
-class Declared(NamedTuple):
-    """What an option says of itself beside its name, its type and its default."""
+@dataclass(frozen=True)
+class Option:
+    """All that is known of an option."""
 
     help: str = ""
     """What it does; "" where a command declares it by itself"""
@@ -272,7 +245,7 @@ class Declared(NamedTuple):
     metavar: str = ""
     """Stands for the value on the command line; "": its unit"""
     flag: str = ""
-    """How it is typed, without dashes; "": like its name"""
+    """How it is typed; where it is declared, "" is like its name, without the unit"""
     form: Form | None = None
     """What a value looks like, or each of several; None: as usual for the type"""
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -280,61 +253,54 @@ class Declared(NamedTuple):
     none: tuple[str, str] = ("", "")
     """How None is typed and what it does, where it is a value of the option and not its default"""
 
-
-@dataclass(frozen=True)
-class Option:
-    """All that is known of an option."""
-
-    name: str
-    kind: Any
+    name: str = ""
+    """This and all below are those of the field that declares the option"""
+    kind: Any = None
     """Its type, without None"""
-    takes_none: bool
-    default: Any
+    takes_none: bool = False
+    default: Any = None
     """MISSING: it has to be given"""
-    declared: Declared
-
-    @property
-    def flag(self) -> str:
-        """How it is typed: like its name, without the unit."""
-        return "--" + (self.declared.flag or self.name.removesuffix("_s").replace("_", "-"))
-
-    @property
-    def metavar(self) -> str | None:
-        """What stands for the value on the command line; None: whatever it does by itself."""
-        return self.declared.metavar or self.declared.unit.upper() or None
 
     def read(self, value: Any) -> Any:
         """Convert what a caller gave; raises UsageError where it is not of the option's type."""
         if value is None and self.takes_none:
             return None
         try:
-            return read_value(self.name, self.kind, value, self.declared.form)
+            return read_value(self.name, self.kind, value, self.form)
         except UsageError as error:
-            none = f", or None, {self.declared.none[1]}" if self.declared.none[1] else ""
+            none = f", or None, {self.none[1]}" if self.none[1] else ""
             raise UsageError(error.found, where=error.where, fix=f"{error.fix}{none}") from None
 
     def parse(self, text: str) -> Any:
-        """Read several numbers as they are typed; raises UsageError, with what to write."""
-        return parse_numbers(self.flag, self.declared.form or FORMS[self.kind], text)
+        """Read several values as they are typed, with commas between.
+
+        Raises
+        ------
+        UsageError
+            There are too many or too few, one is not a number, or an angle is in degrees.
+        """
+        form = self.form or find_form(self.kind)
+        typed = TUPLE.sub(lambda found: found[1].replace(" ", ""), form.text)
+        try:
+            return form.read([word.strip() for word in text.split(",")])
+        except UsageError as error:
+            fix = error.fix or f"write {typed}"
+            raise UsageError(error.found, where=f"{self.flag} {text}", fix=fix) from None
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""
-        if isinstance(self.kind, EnumType):
-            members: list[StrEnum] = list(self.kind)
-            takes = " or ".join(f'"{member}"' for member in members)
-        else:
-            takes = self.declared.unit or (self.declared.form or FORMS[self.kind]).text
-        default = f'"{self.default}"' if isinstance(self.kind, EnumType) else self.default
-        none = f" None: {self.declared.none[1]}." if self.declared.none[1] else ""
-        return f"{self.name} = {default} ({takes}): {self.declared.help}{none}"
+        takes = self.unit or (self.form or find_form(self.kind)).text
+        default = f'"{self.default}"' if isinstance(self.default, str) else self.default
+        none = f" None: {self.none[1]}." if self.none[1] else ""
+        return f"{self.name} = {default} ({takes}): {self.help}{none}"
 
 
 def option(default: Any, text: str = "", **declared: Any) -> Any:
-    """Declare an option as a field of a dataclass; `declared` are fields of `Declared`.
+    """Declare an option as a field of a dataclass; `declared` are fields of `Option`.
 
     A default that is a function is called for each set of options.
     """
-    metadata = {"option": Declared(text, **declared)}
+    metadata = {"option": Option(text, **declared)}
     if callable(default):
         return field(default_factory=default, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -345,14 +311,20 @@ def list_options(kind: Any) -> dict[str, Option]:
     found: dict[str, Option] = {}
     hints = get_type_hints(kind)
     for each in fields(kind):
-        hint = hints[each.name]
+        name, hint = each.name, hints[each.name]
         if is_dataclass(hint):
             found |= list_options(hint)
             continue
-        default = each.default if each.default_factory is MISSING else each.default_factory()
-        takes_none = NoneType in get_args(hint)
-        declared = each.metadata.get("option", Declared())
-        found[each.name] = Option(each.name, drop_none(hint), takes_none, default, declared)
+        declared = each.metadata.get("option", Option())
+        found[name] = replace(
+            declared,
+            name=name,
+            kind=drop_none(hint),
+            takes_none=NoneType in get_args(hint),
+            default=each.default if each.default_factory is MISSING else each.default_factory(),
+            flag="--" + (declared.flag or name.removesuffix("_s").replace("_", "-")),
+            metavar=declared.metavar or declared.unit.upper(),
+        )
     return found
 
 
@@ -387,7 +359,7 @@ def check_bounds(options: Any) -> None:
     """Refuse a value out of the bounds of its option; raises UsageError with what to give."""
     for each in fields(options):
         value = getattr(options, each.name)
-        low, high = each.metadata.get("option", Declared()).bounds
+        low, high = each.metadata.get("option", Option()).bounds
         if isinstance(value, int | float) and not low <= value <= high:
             least = "more than 0" if low == ABOVE_ZERO else f"{low:g}"
             most = f" to {high:g}" if math.isfinite(high) else " or more" * (low != ABOVE_ZERO)
@@ -422,21 +394,6 @@ def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Op
         if value is not None or known[name].takes_none
     }
     return take(kind, values)
-
-
-def read_each(name: str, kind: Any, values: Any, form: Form | None = None) -> list[Any]:
-    """Convert each value of a list that a caller gave.
-
-    Raises
-    ------
-    UsageError
-        It is no list, or a value is not of that type.
-    """
-    try:
-        listed: Any = None if isinstance(values, str | bytes) else values
-        return [read_value(name, kind, value, form) for value in listed]
-    except TypeError:
-        raise UsageError(f"{name} is {values!r}", fix="give a list") from None
 
 
 def describe_options(kind: Any) -> Iterator[str]:

@@ -205,7 +205,7 @@ def compose_build(
         Values of options by name, which go before those of `options`.
     """
     given = {
-        name: [OPTIONS[name].declared.none[0]] if value is None else write_values(value)
+        name: [OPTIONS[name].none[0]] if value is None else write_values(value)
         for name, value in list_values(options).items()
         if value != OPTIONS[name].default and name not in NOT_WRITTEN
     }

@@ -187,7 +187,7 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"maxrange": 6}, "build_map has no option 'maxrange'; did you mean 'max_range'?"),
         ({"static_tf": ()}, "no option 'static_tf'; did you mean 'static_transforms'?"),
         ({"returns": ReturnOptions()}, "build_map has no option 'returns'"),
-        ({"no_return": "cler"}, "no_return is 'cler'; did you mean 'clear'?"),
+        ({"no_return": "cler"}, 'no_return is \'cler\'; give "clear" or "ignore"'),
         ({"max_range": "6"}, "max_range is '6'; give a number"),
         ({"max_range": True}, "max_range is True; give a number"),
         ({"align": True}, "give a number, or None, so that walls run along the axes"),
@@ -203,13 +203,19 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"sensor_pose": "0,0,1"}, "sensor_pose is '0,0,1'; give (x, y, yaw)"),
         (
             {"transform": (0, 0, 0, 3, 0)},
-            "transform is (0, 0, 0, 3, 0); give (x, y, yaw) in metres",
+            "transform = (0, 0, 0, 3, 0): 5 values where 3 belong; give (x, y, yaw) in metres",
         ),
         ({"sensor_pose": (0, 0, 90)}, "90 degrees are 1.5708"),
         ({"sensor_pose": (math.nan, 0, 0)}, "the sensor's pose cannot be (nan, 0.0, 0.0)"),
-        ({"ignore_sectors": (2.5, -2.5)}, "counter-clockwise, such as [(2.5, -2.5)]"),
+        (
+            {"ignore_sectors": (2.5, -2.5)},
+            "give a list, each item (from, to) in radians, counter-clockwise, such as (2.5",
+        ),
         ({"ignore_sectors": [(0, 90)]}, "an angle of 90 rad is more than a turn"),
-        ({"static_transforms": [("a", "b", 1, 2, 3)]}, "give a list of (parent, child, x"),
+        (
+            {"static_transforms": [("a", "b", 1, 2, 3)]},
+            "3 values where 6 belong; give a list, each item (parent, child, x",
+        ),
         ({"static_transforms": [("a", "b", 0, 0, 0, 0, 0, 90)]}, "90 degrees are 1.5708"),
     ],
 )
@@ -507,9 +513,9 @@ def test_compare_gives_what_the_command_prints(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"updates": ["beem"]}, "updates is 'beem'; did you mean 'beam'?"),
-        ({"updates": [None]}, "updates is None; there are beam, polygon, surface"),
-        ({"models": [None]}, "models is None; give text such as"),
+        ({"updates": ["beem"]}, "updates is ['beem']; give a list, each item \"beam\" or"),
+        ({"updates": [None]}, "updates is [None]; give a list, each item"),
+        ({"models": [None]}, "models is [None]; give a list, each item text such as"),
         ({"models": ["smiple"]}, "no model is called 'smiple'"),
         ({"strid": 2}, "compare has no option 'strid'; did you mean 'stride'?"),
     ],

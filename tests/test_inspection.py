@@ -18,13 +18,7 @@ from occmap.errors import MapError, PoseError, UsageError
 from occmap.inspection import Inspection, inspect
 from occmap.inspection.findings import ScanFindings
 from occmap.inspection.poses import prepare
-from occmap.inspection.survey import (
-    BLOCK_RANGES,
-    RangeCensus,
-    StampLog,
-    find_crossing,
-    find_repeated,
-)
+from occmap.inspection.survey import RangeCensus, StampLog, find_crossing, list_repeated
 from occmap.options import BuildOptions, Selection, compose_build
 from occmap.pipeline import build
 from occmap.posing import PosingOptions, Stamps
@@ -32,7 +26,7 @@ from occmap.readers import Note, Stream
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, correct_mount
 from occmap.sensor import NoReturn, ReturnOptions
-from occmap.types import Float32, Float64, Pose, PoseSample, Scan, ScanBatch
+from occmap.types import Float32, Float64, Pose, PosedScans, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
@@ -135,25 +129,14 @@ def test_walls_are_not_suspicious_and_markers_are() -> None:
     values = np.concatenate([noisy, spread, np.full(300, 5.6)]).astype(np.float32)
 
     def find(ranges: Float32) -> list[float]:
-        return list(map(float, find_repeated(*np.unique(ranges, return_counts=True))))
+        batch = make_batch([ranges])
+        part = PosedScans(batch, np.zeros((1, 3)), np.eye(3)[None])
+        return [number for it in list_repeated([part], 8.0) for number in (it.value, it.share)]
 
     assert find(values[:-300]) == []
-    assert find(values) == [float(np.float32(5.6))]
+    markers = np.count_nonzero(values == np.float32(5.6))
+    assert find(values) == pytest.approx([5.6, markers / 10300])
     assert find(np.full(1000, 5.0, np.float32)) == []  # drawn by hand
-
-
-def test_the_share_of_a_repeated_value_is_of_all_ranges() -> None:
-    census = RangeCensus()
-    walls = np.random.default_rng(1).uniform(1, 5, BLOCK_RANGES).astype(np.float32)
-    for markers in (0.1, 0.3):
-        census.add(
-            make_batch([np.where(np.arange(BLOCK_RANGES) < markers * BLOCK_RANGES, 7, walls)])
-        )
-
-    (repeated,) = census.sum_up(None).repeated
-
-    assert repeated.value == 7
-    assert repeated.share == pytest.approx(0.2, abs=1e-4)
 
 
 def test_a_band_below_the_limit_is_no_return_without_a_flag(tmp_path: Path) -> None:
@@ -172,15 +155,6 @@ def test_a_band_below_the_limit_is_no_return_without_a_flag(tmp_path: Path) -> N
     assert told.map is not None
     assert found.map.extent == told.map.extent
     assert topic(found).ranges.measured == SCANS * (BEAMS - 10)
-
-
-def test_a_census_is_bounded_however_much_it_sees() -> None:
-    census = RangeCensus()
-    batch = make_batch(np.tile(np.linspace(1, 7, BLOCK_RANGES // 4, dtype=np.float32), (1, 1)))
-    for _ in range(9):
-        census.add(batch)
-        assert census._block_size < BLOCK_RANGES
-    assert census.total == 9 * (BLOCK_RANGES // 4)
 
 
 @pytest.mark.parametrize(

@@ -11,42 +11,35 @@ from click.core import ParameterSource
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Bar, Console, label_first, show_progress, write_rows
-from occmap.cli.declaring import Answer, answering, fail_if, join, option
-from occmap.cli.options import PATH, Values, collect_model, gather_logs, hide_sent, place_outputs
+from occmap.cli.console import Bar, Console, show_progress, write_rows
+from occmap.cli.declaring import CONFIG, PATH, RUN, Answer, Option, command, fail_if, flag
+from occmap.cli.options import FILES, MAP, Values
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
+from occmap.report import label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
+from occmap.sensor.models import describe_model
 from occmap.types import Update
 
-strict = option(
-    options.RUN,
-    "--strict",
-    is_flag=True,
-    help="Write the map, then exit with 1 if a log is damaged.",
+DASK = Option(
+    RUN,
+    "--dask",
+    metavar="local|ADDRESS",
+    help="Build by processes on this machine, as many as --jobs, or by the workers of a Dask "
+    "scheduler, such as tcp://HOST:8786.",
 )
-
-fleet = join(
-    option(
-        options.RUN,
-        "--dask",
-        metavar="local|ADDRESS",
-        help="Build by processes on this machine, as many as --jobs, or by the workers of a Dask "
-        "scheduler, such as tcp://HOST:8786.",
-    ),
-    option(
-        options.RUN,
-        "--scratch",
-        type=PATH,
-        metavar="DIR",
-        show_default="beside the first output",
-        help="With --dask: a folder for intermediate files, shared by all workers. A build that is "
-        "killed and run again goes on where it was.",
-    ),
+SCRATCH = Option(
+    RUN,
+    "--scratch",
+    type=PATH,
+    metavar="DIR",
+    show_default="beside the first output",
+    help="With --dask: a folder for intermediate files, shared by all workers. A build that is "
+    "killed and run again goes on where it was.",
 )
-
+STRICT = flag(RUN, "--strict", text="Write the map, then exit with 1 if a log is damaged.")
 
 USUAL = (
     *("outputs", "resume", "resolution", "extent", "min_passes", "range_max", "max_range"),
@@ -57,13 +50,22 @@ USUAL = (
 """The options that people ask for first"""
 
 
-@answering("build", Report, usual=USUAL)
-@click.argument("words", nargs=-1, metavar="[beam|polygon|surface] LOG...")
-@join(options.writing, options.resume, options.lattice, options.align)
-@join(options.framing, options.min_passes, options.pass_gap)
-@join(options.ranges, options.model, options.selection, options.posing)
-@join(fail_if(BUILD, "agreement < 70%"), options.jobs, fleet, strict, options.config)
-@options.printing
+@command(
+    "build",
+    Report,
+    click.Argument(["words"], nargs=-1, metavar="[beam|polygon|surface] LOG..."),
+    *options.WRITING,
+    *options.fields(FILES, "resume", "resume_if_there", "fit"),
+    *options.LATTICE,
+    options.ALIGN,
+    *options.FRAMING,
+    *options.fields(MAP, "min_passes", "pass_gap_s"),
+    *options.RANGES_READ,
+    *options.list_model(describe_model(choose_model(DEFAULT_UPDATE))),
+    *options.SCANS_READ,
+    *(fail_if(BUILD, "agreement < 70%"), options.JOBS, DASK, SCRATCH, STRICT, CONFIG),
+    usual=USUAL,
+)
 def build_command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
     """Build one map from one or more logs.
 
@@ -78,11 +80,11 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     """
     given, chosen = read_request(words, values)
     console.announce(*list_idle(values))
-    logs = gather_logs(console, given, chosen, values["outputs"])
-    values["outputs"] = place_outputs(console, values["outputs"], logs[0])
+    logs = options.gather_logs(console, given, chosen, values["outputs"])
+    values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     with show_progress(console) as progress:
-        report = hide_sent(run_build(logs, chosen, values, progress))
+        report = options.hide_sent(run_build(logs, chosen, values, progress))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -113,7 +115,7 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
     update, logs = split_words(words)
     if not values["outputs"]:
         raise UsageError("where to write the map is not given", fix="add -o map.pgm")
-    model = collect_model(values, choose_model(update))
+    model = options.collect_model(values, choose_model(update))
     return logs, take(BuildOptions, {**values, "update": update, "model": model})
 
 

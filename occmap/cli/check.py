@@ -8,27 +8,31 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, Verbosity, label_first, write_command, write_rows
-from occmap.cli.declaring import Answer, answering, fail_if, join
-from occmap.cli.options import gather_logs
+from occmap.cli.console import Console, Verbosity, write_command, write_rows
+from occmap.cli.declaring import CONFIG, Answer, command, fail_if
 from occmap.inspection import findings, inspect
-from occmap.inspection.findings import Inspection, LogFindings, RangeFindings
+from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
-from occmap.report import Row
+from occmap.report import Row, label_first
 from occmap.report.limits import CHECK
 from occmap.writers import check_picture
 
 LABEL = 10
 """Width of the column of labels"""
 
-page = options.one_output("output", "FILE.html", "Write the findings as a page as well.")
 
-
-@answering("check", Inspection)
-@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
-@join(page, options.resolution, options.max_cells, options.reading)
-@join(fail_if(CHECK, "dropped_scans > 5%"), options.config, options.printing)
+@command(
+    "check",
+    Inspection,
+    options.LOGS,
+    options.one_output("output", "FILE.html", "Write the findings as a page as well."),
+    options.RESOLUTION,
+    options.MAX_CELLS,
+    *options.READING,
+    fail_if(CHECK, "dropped_scans > 5%"),
+    CONFIG,
+)
 def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say what is in logs, and what will go wrong with them.
 
@@ -41,7 +45,7 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
     """
     check_picture(values["output"], logs, [".html"])
     chosen = take(BuildOptions, values)
-    inspection = inspect(gather_logs(console, logs, chosen), chosen)
+    inspection = inspect(options.gather_logs(console, logs, chosen), chosen)
     if values["output"]:
         from occmap.page.document import write_inspection  # noqa: PLC0415  late: few want it
 
@@ -72,13 +76,10 @@ def list_log(log: LogFindings) -> Iterator[Row]:
     yield from label_first("topics", list_streams(log.streams))
     for topic in log.scans:
         yield "", ""
-        yield from findings.list_scan_facts(topic)
-        if not topic.is_of_clouds:
-            yield from label_first("ranges", list_ranges(topic.ranges))
-        yield from findings.list_pose_facts(topic)
+        yield from findings.list_facts(topic)
     if log.coverage:
         yield "", ""
-    yield from label_first("sources", findings.tell_sources(log.coverage))
+    yield from label_first("sources", findings.list_sources(log.coverage))
     yield from label_first("note", log.other_notes)
 
 
@@ -89,14 +90,3 @@ def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
     for stream in streams:
         role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
         yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
-
-
-def list_ranges(ranges: RangeFindings) -> Iterator[str]:
-    """Write a histogram of the range values that are special, and what each suggests."""
-    yield findings.tell_ranges(ranges)
-    for name, number, share, meaning in findings.list_kinds(ranges):
-        yield f"{name:<12} {number:>10} {share:>6}  {meaning}"
-    for value, share, meaning in findings.list_repeated(ranges):
-        yield f"{value:<12} repeated: {share}; {meaning}"
-    if crossed := findings.tell_crossed(ranges):
-        yield crossed

@@ -12,13 +12,12 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, label_first, show_progress, write_command, write_rows
-from occmap.cli.declaring import LIMITS, Answer, answering, fail_if, join, option
-from occmap.cli.options import gather_logs
+from occmap.cli.console import Console, align, show_progress, write_command, write_rows
+from occmap.cli.declaring import CONFIG, LIMITS, PATH, Answer, Option, command, fail_if
 from occmap.difference import MapDifference
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
-from occmap.report import count, write_metres
+from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE, Limit, parse_bound
 from occmap.scoring import DEFAULT_MODELS, combine
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
@@ -30,8 +29,12 @@ from occmap.writers import WriteOptions
 
 VARIANTS = "What to compare"
 
-variants = join(
-    option(
+
+@command(
+    "compare",
+    VariantComparison,
+    options.LOGS,
+    Option(
         VARIANTS,
         "--update",
         "updates",
@@ -40,27 +43,23 @@ variants = join(
         show_default="all",
         help="How a scan becomes observations. May repeat.",
     ),
-    option(
+    options.field(
         VARIANTS,
-        "--model",
-        "model_texts",
+        "model",
+        type=parse_model,
         multiple=True,
-        metavar=OPTIONS["model"].metavar,
         show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
-        help=f"{OPTIONS['model'].declared.help} May repeat.",
+        help=f"{OPTIONS['model'].help} May repeat.",
     ),
+    options.one_output(
+        "picture",
+        "FILE",
+        "Write all maps here: .png is a picture with where they disagree, .html a page.",
+    ),
+    *options.LATTICE,
+    *options.READING,
+    *(fail_if(COMPARE, "share < 70%"), options.JOBS, CONFIG),
 )
-picture = options.one_output(
-    "picture",
-    "FILE",
-    "Write all maps here: .png is a picture with where they disagree, .html a page.",
-)
-
-
-@answering("compare", VariantComparison)
-@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
-@join(variants, picture, options.lattice, options.reading)
-@join(fail_if(COMPARE, "share < 70%"), options.jobs, options.config, options.printing)
 def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say which update and sensor model suits logs best.
 
@@ -78,10 +77,9 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
       occmap compare intel.log.gz -o compare.png --resolution 0.1
       occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
     """
-    models = [parse_model(text) for text in values["model_texts"]]
-    chosen = combine([Update(text) for text in values["updates"]], models)
+    chosen = combine([Update(text) for text in values["updates"]], values.pop("model"))
     common = take(BuildOptions, values)
-    found = gather_logs(console, logs, common)
+    found = options.gather_logs(console, logs, common)
     with show_progress(console) as progress:
         comparison = compare_logs(found, chosen, common, values["picture"], progress)
     return Answer(comparison, format_comparison(comparison))
@@ -115,10 +113,12 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     return lines
 
 
-@answering("tune", Tuning)
-@click.argument("logs", nargs=-1, required=True, type=options.PATH, metavar="LOG...")
-@join(options.resolution, options.max_cells, options.reading)
-@join(fail_if(TUNE, "gain > 2%"), options.jobs, options.config, options.printing)
+@command(
+    "tune",
+    Tuning,
+    *(options.LOGS, options.RESOLUTION, options.MAX_CELLS, *options.READING),
+    *(fail_if(TUNE, "gain > 2%"), options.JOBS, CONFIG),
+)
 def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Find the time offset and the mount that suit logs best.
 
@@ -136,7 +136,7 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
       occmap tune drive.bag --fail-if "gain > 2%"
     """
     common = take(BuildOptions, values)
-    found = gather_logs(console, logs, common)
+    found = options.gather_logs(console, logs, common)
     with show_progress(console) as progress:
         tuning = tune(found, common, progress)
     return Answer(tuning, format_tuning(tuning))
@@ -204,23 +204,24 @@ def limit_change(text: str) -> Limit:
     return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
 
 
-drawn = options.one_output(
-    "output", "FILE", "Write the changes here: .png is a picture, .html a page."
+@command(
+    "diff",
+    MapDifference,
+    click.Argument(["before"], type=PATH, metavar="A"),
+    click.Argument(["after"], type=PATH, metavar="B"),
+    options.one_output(
+        "output", "FILE", "Write the changes here: .png is a picture, .html a page."
+    ),
+    *options.THRESHOLDS,
+    Option(
+        LIMITS,
+        "--fail-above",
+        type=limit_change,
+        metavar="SHARE",
+        help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
+    ),
+    fail_if(DIFF, "changed > 1%"),
 )
-fail_above = option(
-    LIMITS,
-    "--fail-above",
-    type=limit_change,
-    metavar="SHARE",
-    help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
-)
-
-
-@answering("diff", MapDifference)
-@click.argument("before", type=options.PATH, metavar="A")
-@click.argument("after", type=options.PATH, metavar="B")
-@join(drawn, options.thresholds, fail_above, fail_if(DIFF, "changed > 1%"))
-@options.printing
 def diff_command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
     """Say what changed between two maps, and fail above a limit.
 

@@ -142,11 +142,6 @@ def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]
         yield f"{label:<{width}}{text}".rstrip()
 
 
-def label_first(label: str, texts: Iterable[str]) -> list[tuple[str, str]]:
-    """Label the first of several rows."""
-    return [("" if index else label, text) for index, text in enumerate(texts)]
-
-
 def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
     """Write rows with their columns under each other; the first `labels` are flush left."""
     sides = "<" * labels + ">" * len(table[0])

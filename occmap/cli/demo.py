@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from occmap.cli import options
-from occmap.cli.console import Console, label_first, show_progress, write_rows
-from occmap.cli.declaring import Answer, answering
+from occmap.cli.console import Console, show_progress, write_rows
+from occmap.cli.declaring import PATH, Answer, command
 from occmap.errors import OccmapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.report import label_first
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.writers.atomic import refuse_unwritable
 
@@ -19,9 +19,9 @@ SAMPLES = "drive.mcap", "floor_plan.pgm", "floor_plan.yaml"
 """A simulated drive through an office, and the plan of it"""
 
 
-@answering("demo", Report)
-@click.argument("folder", type=options.PATH, default="occmap-demo", metavar="[FOLDER]")
-@options.printing
+@command(
+    "demo", Report, click.Argument(["folder"], type=PATH, default="occmap-demo", metavar="[FOLDER]")
+)
 def demo_command(console: Console, /, folder: Path) -> Answer:
     """Map a simulated drive, to see what occmap does.
 

@@ -9,14 +9,14 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, label_first, show_progress, write_rows
-from occmap.cli.declaring import Answer, SectionCommand, answering, fail_if, join, option
-from occmap.cli.options import choose_saved_model, hide_sent, place_outputs
+from occmap.cli.console import Console, align, show_progress, write_rows
+from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if
+from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.report import count, join_names, write_box, write_time
+from occmap.report import count, join_names, label_first, write_box, write_time
 from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.scans.logs import keep_stdin
@@ -25,15 +25,18 @@ from occmap.store.merging import combine
 from occmap.store.publishing import RenderOptions, publish
 from occmap.writers import WriteOptions, check_outputs
 
-subtracted = options.paths(
-    options.FILES, "--subtract", metavar="NPZ", text="Take the evidence in this file away."
+EVIDENCE = click.Argument(["path"], type=PATH, metavar="NPZ|ZARR")
+LIMIT = fail_if(SAVED, "unknown > 60%")
+
+
+@command(
+    "merge",
+    Report,
+    click.Argument(["paths"], nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR..."),
+    *options.WRITING,
+    options.paths(FILES, "NPZ", "Take the evidence in this file away.", "--subtract"),
+    *(options.MIN_PASSES, options.MAX_CELLS, LIMIT),
 )
-
-
-@answering("merge", Report)
-@click.argument("paths", nargs=-1, required=True, type=options.PATH, metavar="NPZ|ZARR...")
-@join(options.writing, subtracted, options.min_passes, options.max_cells)
-@join(fail_if(SAVED, "unknown > 60%"), options.printing)
 def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:
     """Add saved evidence, or take some of it away, exactly.
 
@@ -48,20 +51,19 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
     return put_out(console, [*paths, *taken], lambda: combine(paths, taken), values)
 
 
-overview = option(
-    options.MAP,
-    "--overview",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
+@command(
+    "render",
+    Report,
+    *(EVIDENCE, *options.WRITING, *options.FRAMING),
+    Option(
+        MAP,
+        "--overview",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
+    ),
+    *(options.MIN_PASSES, options.MAX_CELLS, *options.SAVED_MODEL, LIMIT),
 )
-
-
-@answering("render", Report)
-@click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
-@join(options.writing, options.framing, overview, options.min_passes, options.max_cells)
-@join(options.saved_model)
-@join(fail_if(SAVED, "unknown > 60%"), options.printing)
 def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Make a map of saved evidence, without reading the log.
 
@@ -92,11 +94,11 @@ def put_out(
         command = click.get_current_context().info_name
         example = "merged.npz" if command == "merge" else "map.pgm"
         raise UsageError("where to write is not given", fix=f"add -o {example}")
-    outputs = place_outputs(console, values["outputs"], inputs[0])
+    outputs = options.place_outputs(console, values["outputs"], inputs[0])
     check_outputs(outputs, inputs)
     evidence = read()
-    options = take(RenderOptions, {**values, "model": choose_saved_model(evidence, values)})
-    report = hide_sent(publish(evidence, options, outputs))
+    chosen = take(RenderOptions, {**values, "model": choose_saved_model(evidence, values)})
+    report = options.hide_sent(publish(evidence, chosen, outputs))
     rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
     return Answer(report, write_rows(rows))
 
@@ -110,7 +112,7 @@ NEGATIVE = re.compile(f"-{NUMBER}")
 POINT = re.compile(f"-?{NUMBER},-?{NUMBER}")
 
 
-class PointCommand(SectionCommand):
+class PointCommand(Command):
     """A command whose arguments may be negative numbers, which look like options."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -121,24 +123,19 @@ class PointCommand(SectionCommand):
         return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
 
 
-logs = options.paths(
-    options.SCANS,
-    "--log",
-    "logs",
-    metavar="LOG",
-    text="List the scans of this log that observed the cell.",
+@command(
+    "explain",
+    Explanation,
+    EVIDENCE,
+    click.Argument(["x"], type=float),
+    click.Argument(["y"], type=float),
+    options.paths(
+        SCANS, "LOG", "List the scans of this log that observed the cell.", "--log", "logs"
+    ),
+    options.paths(POSES, "FILE", "The trajectory that the log was built with.", "--poses"),
+    *(options.MIN_PASSES, *options.SAVED_MODEL, *options.THRESHOLDS),
+    cls=PointCommand,
 )
-poses = options.paths(
-    options.POSES, "--poses", metavar="FILE", text="The trajectory that the log was built with."
-)
-
-
-@answering("explain", Explanation, PointCommand)
-@click.argument("path", type=options.PATH, metavar="NPZ|ZARR")
-@click.argument("x", type=float)
-@click.argument("y", type=float)
-@join(logs, poses, options.min_passes, options.saved_model, options.thresholds)
-@options.printing
 def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say what was seen at a point of saved evidence, and by which scans.
 

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import click
 
-from occmap.cli import COMMANDS, cli, options
+from occmap.cli import COMMANDS, cli
 from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_line, spell
-from occmap.cli.declaring import Answer, Limited, SectionCommand, answering, as_command
+from occmap.cli.declaring import QUIET, VERBOSE, Answer, Command, Limited, command, describe
 from occmap.plugins import Broken, Group, load_plugins
 from occmap.report import Printed, list_printed, read_texts
 
@@ -72,9 +72,8 @@ def make_command(kind: str) -> click.Command:
     """Make the command that lists the plugins of a kind."""
     group, printed = KINDS[kind]
 
-    @answering(kind, printed)
-    @options.printing
-    def command(_console: Console, /) -> Answer:
+    @command(kind, printed)
+    def list_plugins(_console: Console, /) -> Answer:
         loaded, broken = load_plugins(group)
         working = []
         for name, plugin in loaded.items():
@@ -83,7 +82,7 @@ def make_command(kind: str) -> click.Command:
             working.append(Listed(name, plugin.description, defaults))
         return Answer(printed(working, broken), format_plugins(working, broken))
 
-    return command
+    return list_plugins
 
 
 models_command, readers_command, writers_command = map(make_command, KINDS)
@@ -116,10 +115,7 @@ NAMES = [*(name for name in COMMANDS if name != "schema"), "error"]
 """Commands that print JSON; `error` is what any of them prints where it fails."""
 
 
-@as_command("schema", click.Command)
-@click.argument("name", type=click.Choice(NAMES), metavar="COMMAND")
-@options.verbosity
-def schema_command(name: str) -> None:
+def print_schema(name: str) -> None:
     """Print the JSON Schema of what a command prints with --json.
 
     It is of JSON Schema draft 2020-12; every field has a description with its unit. The field
@@ -132,12 +128,18 @@ def schema_command(name: str) -> None:
     put_line(spell(json.dumps(make_schema(name, *list_printed_types(name)), indent=2)))
 
 
+NAME = click.Argument(["name"], type=click.Choice(NAMES), metavar="COMMAND")
+schema_command = Command(
+    "schema", params=[NAME, QUIET, VERBOSE], callback=print_schema, help=describe(print_schema)
+)
+
+
 def list_printed_types(name: str) -> list[Any]:
     """List the types whose fields a command prints, one after the other."""
     if name == "error":
         return [PrintedError]
     made = cli.get_command(click.get_current_context(), name)
-    assert isinstance(made, SectionCommand)
+    assert isinstance(made, Command)
     has_limits = any(param.name == "limits" for param in made.params)
     return [made.printed, *([Limited] if has_limits else [])]
 

@@ -13,25 +13,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields as list_fields
 from dataclasses import replace
-from enum import StrEnum
+from enum import EnumType
 from pathlib import Path
 from typing import Any
 
 import click
 
-from occmap.choices import Option, list_options, parse_number
-from occmap.cli.console import Console, Verbosity, spell
-from occmap.cli.declaring import BareOption, ConfigOption, join, option
+from occmap.choices import list_options, parse_number
+from occmap.cli.console import Console, spell
+from occmap.cli.declaring import PATH, RUN, Option
 from occmap.clouds import CloudOptions
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
 from occmap.options import (
-    DEFAULT_UPDATE,
     OPTIONS,
     BuildOptions,
     Selection,
-    choose_model,
     name_map,
     spell_flag,
 )
@@ -43,9 +41,6 @@ from occmap.sensor import ReturnOptions
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
 from occmap.writers import Shade, find_writer
 
-PATH = click.Path(path_type=Path, readable=False)
-"""Where click would look whether it can be read, occmap's own error says more."""
-FROM_SCANS = OPTIONS["align"].declared.none[0]
 BY_THEMSELVES = ("align", "shade")
 """Options that are typed in ways of their own"""
 Values = Mapping[str, Any]
@@ -53,161 +48,131 @@ Values = Mapping[str, Any]
 
 TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
 """How click reads the values of a type; those of any other are several numbers, or an enum's"""
-MAP, MODEL, RANGES = "Map", "Sensor model", "What a range means"
-SCANS, POSES, FILES, RUN = "Which scans", "Where the scans were taken", "Files", "Run"
+MAP, MODEL = "Map", "Sensor model"
+SCANS, POSES, FILES = "Which scans", "Where the scans were taken", "Files"
 
 
-def field(section: str, name: str, *short: str, **more: Any) -> Any:
-    """Declare an option of a build as it is declared there.
+def field(section: str, name: str, *short: str, **more: Any) -> Option:
+    """Make an option of a build as it is declared there.
 
     It may have a `short` flag as well, and `more` settings, which replace these.
     """
     known = OPTIONS[name]
-    is_many = known.default == ()
-    text = spell(known.declared.help) + " May repeat." * is_many
-    settings = {"metavar": known.metavar, "multiple": is_many, "help": text}
-    return option(section, *short, known.flag, name, **settings | describe_values(known) | more)
+    kind, default, is_many = known.kind, known.default, known.default == ()
+    settings: dict[str, Any] = {
+        "metavar": known.metavar or None,
+        "multiple": is_many,
+        "help": spell(known.help) + " May repeat." * is_many,
+    }
+    if isinstance(kind, EnumType):
+        settings["type"] = click.Choice(list(map(str, kind)))
+        settings["callback"] = lambda _ctx, _param, value: kind(value)
+        settings |= {"default": default.value, "show_default": True}
+    elif kind is bool:
+        settings["is_flag"] = True
+    elif known.form:
+        settings["type"] = known.parse
+    else:
+        settings["type"] = TYPES[kind]
+        if isinstance(default, int | float):
+            settings |= {"default": default, "show_default": math.isfinite(default)}
+    return Option(section, *short, known.flag, name, **settings | more)
 
 
-def describe_values(known: Option) -> dict[str, Any]:
-    """Say how click reads the values of an option, and which default --help shows."""
-    kind, default = known.kind, known.default
-    if isinstance(default, StrEnum):
-        return {
-            "type": click.Choice([member.value for member in kind]),
-            "callback": lambda _ctx, _param, value: kind(value),
-            "default": default.value,
-            "show_default": True,
-        }
-    if known.declared.form:
-        return {"type": known.parse}
-    if isinstance(default, int | float):
-        shown = math.isfinite(default)
-        return {"type": TYPES[kind], "default": default, "show_default": shown}
-    return {"type": TYPES[kind]}
+def fields(section: str, *names: str) -> list[Option]:
+    """Make some options of a build."""
+    return [field(section, name) for name in names]
 
 
-def group(section: str, *kinds: Any) -> Any:
-    """Declare all options of groups of them, in the order in which they stand there."""
+def group(section: str, *kinds: Any) -> list[Option]:
+    """Make all options of groups of them, in the order in which they stand there."""
     names = [name for kind in kinds for name in list_options(kind) if name not in BY_THEMSELVES]
-    return join(*(field(section, name) for name in names))
+    return fields(section, *names)
 
 
-def fields(section: str, names: str) -> Any:
-    """Declare options for fields of BuildOptions, in the order of --help; blanks part `names`."""
-    return join(*(field(section, name) for name in names.split()))
-
-
-def paths(section: str, *names: str, metavar: str, text: str) -> Any:
-    """Declare an option that names files, and may repeat."""
+def paths(section: str, metavar: str, text: str, *names: str) -> Option:
+    """Make an option that names files, and may repeat."""
     text = f"{text} May repeat."
-    return option(section, *names, type=PATH, multiple=True, metavar=metavar, help=text)
-
-
-output = paths(
-    FILES,
-    "-o",
-    "--output",
-    "outputs",
-    metavar="FILE",
-    text="Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
-    "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the trajectory, .npz "
-    "for evidence to render, merge and resume, or .zarr for the same in blocks.",
-)
+    return Option(section, *names, type=PATH, multiple=True, metavar=metavar, help=text)
 
 
 def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
     """Take the only value of an option, None if there is none; raises UsageError for several."""
     if len(values) > 1:
         given = ", ".join(map(str, values))
-        raise UsageError(
-            f"{param.opts[-1]} takes one file, and is given {len(values)}: {given}",
-            fix="run the command once for each",
-        )
+        found = f"{param.opts[-1]} takes one file, and is given {len(values)}: {given}"
+        raise UsageError(found, fix="run the command once for each")
     return next(iter(values), None)
 
 
-def one_output(name: str, metavar: str, text: str) -> Any:
-    """Declare the option that names the one file that a command writes."""
+def one_output(name: str, metavar: str, text: str) -> Option:
+    """Make the option that names the one file that a command writes."""
     names = FILES, "-o", "--output", name
-    return option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
-
-
-thresholds = fields(FILES, "occupied_thresh free_thresh")
-writing = join(
-    output,
-    field(FILES, "mode"),
-    thresholds,
-    option(
-        FILES,
-        spell_flag("shade"),
-        "shade",
-        flag_value=Shade.LIGHT_OCCUPIED.value,
-        callback=lambda _ctx, _param, value: Shade(value or Shade.DARK_OCCUPIED),
-        help=OPTIONS["shade"].declared.help,
-    ),
-)
-resume = join(
-    fields(FILES, "resume resume_if_there"),
-    option(FILES, spell_flag("fit"), is_flag=True, help=OPTIONS["fit"].declared.help),
-)
-
-resolution = field(MAP, "resolution", "-r")
-max_cells = field(MAP, "max_cells", type=click.IntRange(min=1))
-lattice = join(resolution, fields(MAP, "jump hit_offset border_gap"), max_cells)
+    return Option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
 def parse_align(text: str) -> float | None:
-    """Read an angle in degrees, or the word that leaves it to the scans.
-
-    Raises
-    ------
-    UsageError
-        It is neither.
-    """
-    form = f"write degrees such as 12.5, or {FROM_SCANS}"
-    return None if text == FROM_SCANS else parse_number(text, f"--align {text}", form)
+    """Read an angle in degrees, or the word that leaves it to the scans; raises UsageError."""
+    word = OPTIONS["align"].none[0]
+    form = f"write degrees such as 12.5, or {word}"
+    return None if text == word else parse_number(text, f"--align {text}", form)
 
 
-align = option(
+LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
+RESOLUTION = field(MAP, "resolution", "-r")
+MAX_CELLS = field(MAP, "max_cells", type=click.IntRange(min=1))
+MIN_PASSES = field(MAP, "min_passes")
+ALIGN = field(
     MAP,
-    "--align",
-    cls=BareOption,
-    bare=FROM_SCANS,
+    "align",
+    bare=OPTIONS["align"].none[0],
     type=parse_align,
     default="0",
     metavar="[DEG]",
     show_default="not turned",
-    help=OPTIONS["align"].declared.help,
 )
-framing = group(MAP, Framing)
-min_passes, pass_gap = field(MAP, "min_passes"), field(MAP, "pass_gap_s")
+LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
+FRAMING = group(MAP, Framing)
+RANGES_READ = group("What a range means", ReturnOptions)
+SCANS_READ = [
+    *group(SCANS, Selection, ReaderOptions, CloudOptions),
+    *group(POSES, PosingOptions),
+]
+READING = [*RANGES_READ, *SCANS_READ]
+THRESHOLDS = fields(FILES, "occupied_thresh", "free_thresh")
+WRITING = [
+    paths(
+        FILES,
+        "FILE",
+        "Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
+        "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the trajectory, "
+        ".npz for evidence to render, merge and resume, or .zarr for the same in blocks.",
+        *("-o", "--output", "outputs"),
+    ),
+    field(FILES, "mode"),
+    *THRESHOLDS,
+    Option(
+        FILES,
+        spell_flag("shade"),
+        "shade",
+        is_flag=True,
+        callback=lambda _ctx, _param, is_light: Shade("light" if is_light else "dark"),
+        help=OPTIONS["shade"].help,
+    ),
+]
+JOBS = field(RUN, "jobs", show_default="one for each core")
 
-ranges = group(RANGES, ReturnOptions)
-selection = group(SCANS, Selection, ReaderOptions, CloudOptions)
-posing = group(POSES, PosingOptions)
-reading = join(ranges, selection, posing)
 
-
-def model_option(usual: str) -> Any:
-    """Declare the option that names a sensor model."""
-    return option(
-        MODEL,
-        "--model",
-        metavar=OPTIONS["model"].metavar,
-        help=OPTIONS["model"].declared.help,
-        show_default=usual,
-    )
-
-
-model_parameters = join(
-    *(
-        option(MODEL, spell_flag(name), type=float, metavar=metavar, help=text)
+def list_model(usual: str) -> list[Option]:
+    """Make the options of a sensor model; `usual` is what --help shows for the default."""
+    parameters = [
+        Option(MODEL, spell_flag(name), type=float, metavar=metavar, help=text)
         for name, (metavar, text) in PARAMETERS.items()
-    )
-)
-model = join(model_option(describe_model(choose_model(DEFAULT_UPDATE))), model_parameters)
-saved_model = join(model_option("what it was built with"), model_parameters)
+    ]
+    return [field(MODEL, "model", type=None, show_default=usual), *parameters]
+
+
+SAVED_MODEL = list_model("what it was built with")
 
 
 def collect_model(values: Values, usual: SensorModel) -> SensorModel:
@@ -244,38 +209,6 @@ def choose_saved_model(evidence: Described, values: Values) -> SensorModel | Non
     if all(values.get(name) is None for name in ("model", *PARAMETERS)):
         return None
     return collect_model(values, read_model(evidence))
-
-
-jobs = field(RUN, "jobs", show_default="one for each core")
-config = option(
-    RUN,
-    "--config",
-    cls=ConfigOption,
-    is_eager=True,  # before the options that it sets
-    type=PATH,
-    metavar="FILE",
-    expose_value=False,
-    help="Read options from this TOML file, by their long names; typed ones win. Without it: "
-    "occmap.toml beside the logs.",
-)
-as_json = option(RUN, "--json", "as_json", is_flag=True, help="Print the result as JSON.")
-
-
-def loudness(short: str, long: str, level: Verbosity, text: str) -> Any:
-    """Declare a flag that says how much a command tells."""
-
-    def choose(ctx: click.Context, _param: click.Parameter, given: bool) -> None:
-        if given:
-            ctx.ensure_object(Console).verbosity = level
-
-    return option(RUN, short, long, is_flag=True, expose_value=False, callback=choose, help=text)
-
-
-verbosity = join(
-    loudness("-q", "--quiet", Verbosity.QUIET, "Print errors only, and what --json asks for."),
-    loudness("-v", "--verbose", Verbosity.VERBOSE, "Print the traceback of a fault in occmap."),
-)
-printing = join(as_json, verbosity)
 
 
 STDOUT = "-"

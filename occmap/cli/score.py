@@ -13,8 +13,7 @@ from occmap.cells import CellClass
 from occmap.choices import parse_number, take
 from occmap.cli import options
 from occmap.cli.console import Console, show_progress, write_rows
-from occmap.cli.declaring import Answer, answering, fail_if, join, option
-from occmap.cli.options import gather_logs
+from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
 from occmap.difference import load_map
 from occmap.errors import require
 from occmap.options import BuildOptions
@@ -36,16 +35,19 @@ def read_within(text: str) -> float:
     return metres
 
 
-against = join(
-    options.paths(AGAINST, "--log", "logs", metavar="LOG", text="A recording of the place."),
-    option(
+@command(
+    "score",
+    MapScore,
+    click.Argument(["path"], type=PATH, metavar="MAP"),
+    options.paths(AGAINST, "LOG", "A recording of the place.", "--log", "logs"),
+    Option(
         AGAINST,
         "--truth",
-        type=options.PATH,
+        type=PATH,
         metavar="MAP",
         help="The map that is true: a plan, a simulator's, or another tool's.",
     ),
-    option(
+    Option(
         AGAINST,
         "--within",
         type=read_within,
@@ -54,24 +56,18 @@ against = join(
         metavar="M",
         help="A wall is found, and not invented, if it is off by at most so much.",
     ),
-    option(
+    flag(
         AGAINST,
         "--fit",
         "is_fitted",
-        is_flag=True,
-        help="First move the recordings onto the map, or the map onto the truth, by the shift of "
+        text="First move the recordings onto the map, or the map onto the truth, by the shift of "
         "up to 2 m and the turn of up to 20 degrees by which they fit best.",
     ),
+    options.one_output("picture", "FILE", "Write a .png here: where the map and the truth differ."),
+    *options.THRESHOLDS,
+    *options.READING,
+    *(fail_if(SCORE, "edges_found < 95%"), options.JOBS, CONFIG),
 )
-picture = options.one_output(
-    "picture", "FILE", "Write a .png here: where the map and the truth differ."
-)
-
-
-@answering("score", MapScore)
-@click.argument("path", type=options.PATH, metavar="MAP")
-@join(against, picture, options.thresholds, options.reading)
-@join(fail_if(SCORE, "edges_found < 95%"), options.jobs, options.config, options.printing)
 def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say how good a map is, by recordings or by the truth.
 
@@ -108,7 +104,7 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
     )
     if logs:
         common = take(BuildOptions, values)
-        found = gather_logs(console, logs, common)
+        found = options.gather_logs(console, logs, common)
         with show_progress(console) as progress:
             by_logs, notes = score_by_logs(written, found, common, values["is_fitted"], progress)
         score = replace(score, by_logs=by_logs, notes=tuple(notes))

@@ -33,16 +33,16 @@ from occmap.inspection.poses import (
     sum_up_poses,
     tell_slope,
 )
-from occmap.inspection.survey import Extent, Survey, TopicSurvey, measure_crossing
+from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Log, Role, Stream, open_log, read_recorded
+from occmap.readers import Log, Role, Stream, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.logs import choose_topics, count_messages
+from occmap.scans.logs import choose_topics
 from occmap.scans.mounts import estimate_agreement, find_better, warn_of_misfit
-from occmap.scans.stream import find_oddity
+from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tracing import find_ground
 from occmap.sensor import RangeLimits
 from occmap.sensor.models import Spreading
@@ -300,14 +300,14 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
-    posing = replace(posing, poser=survey.poser)
+    posing = replace(posing, poser=survey.drive.poser)
     streams = {stream.topic: stream for stream in reversed(log.streams)}
     topics = choose_topics(log, options.selection.topics)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
     scans = tuple(
         sum_up(log, streams[topic.topic], topic, posing, options) for topic in seen if topic.shapes
     )
-    spoilers = list(posing.poser.list_concerns(survey.first_ns, options.returns.max_range))
+    spoilers = list(posing.poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
@@ -323,7 +323,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         against = list(list_floor_concerns(log, posing.poser, posed, below))
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
-    notes = *ground, *posing.poser.notes, *survey.limits.list_notes(), *survey.list_notes()
+    notes = *ground, *posing.poser.notes, *survey.drive.limits.list_notes(), *survey.list_notes()
     findings = replace(
         known,
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
@@ -345,14 +345,15 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
         With a poser of its own; and why the log cannot be read to its end, "" where it can.
     """
     topics = choose_topics(log, options.selection.topics)
-    expected, limits, problem = count_messages(log, topics), RangeLimits(options.returns), ""
+    limits, problem = RangeLimits(options.returns), ""
     model, lattice = options.model, Lattice(options.resolution)
     spreads = isinstance(model, Spreading) and model.spread > 0
     aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
     for _ in range(2):
-        survey = Survey(poser.start_over(), options, expected, limits, Extent(lattice, *aside))
+        drive = Drive(log, topics, poser.start_over(), options, limits)
+        survey = Survey(drive, options, Extent(lattice, *aside))
         try:
-            survey.read(read_recorded(log, topics))
+            survey.survey()
         except LogError as error:
             problem = str(error.placed(log.path))
         if limits.settle():
@@ -374,7 +375,6 @@ def sum_up(
 ) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
-    crossed = measure_crossing(topic.sample.parts, options.returns)
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     mount, stance = None, posing.poser.courses[topic.topic].stance
@@ -390,7 +390,7 @@ def sum_up(
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
-        ranges=topic.census.sum_up(crossed),
+        ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=topic.stamps.sum_up(suggest_stamps(log, posing, topic), moving_ns),
         poses=sum_up_poses(topic, posing),
         mount=mount,

@@ -18,6 +18,7 @@ from occmap.report import (
     Row,
     Share,
     count,
+    label_first,
     write_box,
     write_counts,
     write_duration,
@@ -68,12 +69,12 @@ class Special:
 
 @dataclass(frozen=True)
 class Repeated:
-    """One finite range that occurs far more often than any near it."""
+    """One finite range that occurs far more often than any near it, in a sample of the scans."""
 
     value: float
     """The range (m)"""
     share: Share
-    """Share of the finite ranges, in the part of the log where it stood out"""
+    """Share of the finite ranges of the sample"""
     is_no_return: bool
     """It is at or beyond the limit that the scans state, so that it is read as no return"""
 
@@ -304,28 +305,37 @@ class Inspection(Printed):
     buildable: bool
     """Whether occmap build with the options given makes a map"""
 
+    @property
+    def topics(self) -> list[ScanFindings]:
+        """All topics of scans."""
+        return [topic for log in self.logs for topic in log.scans]
 
-def list_scan_facts(topic: ScanFindings) -> Iterator[Row]:
-    """Say how many scans a topic has, and what their beams are."""
-    duration = f"{topic.times.duration_s:.6g} s, {topic.times.rate_hz:.3g} a second"
+    @property
+    def dropped_share(self) -> float:
+        """The share of the scans asked for that have no pose; 0 of nothing."""
+        wanted = sum(topic.wanted for topic in self.topics)
+        return (wanted - sum(topic.poses.posed for topic in self.topics)) / max(wanted, 1)
+
+    @property
+    def hit_share(self) -> float:
+        """The share of all ranges that are measured; 0 of nothing."""
+        ranges = [topic.ranges for topic in self.topics]
+        return sum(each.measured for each in ranges) / max(sum(each.total for each in ranges), 1)
+
+
+def list_facts(topic: ScanFindings) -> Iterator[Row]:
+    """Say all about one topic of scans."""
+    times, title = topic.times, "clouds" if topic.is_of_clouds else "scans"
     left = f"{topic.kept:,} of " if topic.left_out else ""
-    scans = f"{topic.topic}: {left}{topic.scans:,} in {duration}"
-    yield "clouds" if topic.is_of_clouds else "scans", f"{scans}, frame {', '.join(topic.frames)}"
+    scans = f"{topic.topic}: {left}{topic.scans:,} in {times.duration_s:.6g} s"
+    yield title, f"{scans}, {times.rate_hz:.3g} a second, frame {', '.join(topic.frames)}"
     if topic.left_out:
         yield "dropped", write_counts(topic.left_out)
-    if topic.is_of_clouds:
-        return
-    for index, shape in enumerate(topic.shapes):
-        scans = "" if topic.shape_count == 1 else f"{count(shape.scans, 'scan')}: "
-        yield "" if index else "shape", scans + describe_shape(shape)
-    if topic.shape_count > len(topic.shapes):
-        yield "", f"and {topic.shape_count - len(topic.shapes)} more"
-
-
-def list_pose_facts(topic: ScanFindings) -> Iterator[Row]:
-    """Say when and where the scans of a topic were taken, and how well they fit each other."""
-    yield "stamps", write_span(topic.times.start_ns, topic.times.end_ns)
-    yield "", describe_times(topic.times)
+    if not topic.is_of_clouds:
+        yield from label_first("shape", list_shapes(topic))
+        yield from label_first("ranges", list_ranges(topic.ranges))
+    yield "stamps", write_span(times.start_ns, times.end_ns)
+    yield "", describe_times(times)
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
         share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
@@ -334,45 +344,36 @@ def list_pose_facts(topic: ScanFindings) -> Iterator[Row]:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 
 
-def describe_shape(shape: Shape) -> str:
-    """Say where the beams point and how far they reach."""
-    start, step = math.degrees(shape.angle_min), math.degrees(shape.angle_increment)
-    limit = "without limit" if math.isinf(shape.range_max) else f"to {shape.range_max:.6g} m"
-    return (
-        f"{count(shape.beams, 'beam')} over {math.degrees(shape.field_of_view):.4g} deg, from "
-        f"{start:.4g} deg every {step:.3g} deg, ranges from {shape.range_min:.3g} {limit}"
-    )
+def list_shapes(topic: ScanFindings) -> Iterator[str]:
+    """Say where the beams of scans point and how far they reach, for the most frequent shapes."""
+    for shape in topic.shapes:
+        scans = "" if topic.shape_count == 1 else f"{count(shape.scans, 'scan')}: "
+        start, step = math.degrees(shape.angle_min), math.degrees(shape.angle_increment)
+        limit = "without limit" if math.isinf(shape.range_max) else f"to {shape.range_max:.6g} m"
+        yield (
+            f"{scans}{count(shape.beams, 'beam')} over "
+            f"{math.degrees(shape.field_of_view):.4g} deg, from {start:.4g} deg every "
+            f"{step:.3g} deg, ranges from {shape.range_min:.3g} {limit}"
+        )
+    if topic.shape_count > len(topic.shapes):
+        yield f"and {topic.shape_count - len(topic.shapes)} more"
 
 
-def list_kinds(ranges: RangeFindings) -> Iterator[tuple[str, str, str, str]]:
-    """List the kinds of values that are not plain measurements: name, number, share, meaning."""
+def list_ranges(ranges: RangeFindings) -> Iterator[str]:
+    """Say how many ranges are measured, which values are special, and what each suggests."""
+    span = f", {ranges.smallest:.3g} to {ranges.largest:.4g} m" if ranges.measured else ""
+    yield f"{ranges.total:,}: {ranges.measured / max(ranges.total, 1):.1%} measured{span}"
     for each in ranges.specials:
         advice = f"`no_return={each.no_return}`" if each.no_return else "skipped"
-        yield each.name, f"{each.count:,}", f"{each.share:.1%}", f"{each.meaning}: {advice}"
-
-
-def list_repeated(ranges: RangeFindings) -> Iterator[tuple[str, str, str]]:
-    """List the ranges that repeat suspiciously often: the range (m), its share, and its meaning."""
-    for each in ranges.repeated:
-        meaning = "no return, by the limit" if each.is_no_return else "may mean no return"
-        yield f"{each.value:.6g}", f"{each.share:.1%} of the ranges", meaning
-
-
-def tell_ranges(ranges: RangeFindings) -> str:
-    """Say how many of the ranges are measured, and between what they lie."""
-    text = f"{ranges.total:,}: {ranges.measured / max(ranges.total, 1):.1%} measured"
-    span = f", {ranges.smallest:.3g} to {ranges.largest:.4g} m" if ranges.measured else ""
-    return text + span
-
-
-def tell_crossed(ranges: RangeFindings) -> str:
-    """Say whether beams without return lead through open space; "" where that is not known."""
-    if ranges.crossed is None:
-        return ""
-    where = "lead through walls or out of everything that was hit"
-    text = f"{ranges.crossed:.0%} of beams without return {where}"
-    advised = any(special.no_return == "clear" for special in ranges.specials)
-    return text if advised else f"{text}: leave `no_return` as it is"
+        yield f"{each.name:<12} {each.count:>10,} {each.share:>6.1%}  {each.meaning}: {advice}"
+    for it in ranges.repeated:
+        meaning = "no return, by the limit" if it.is_no_return else "may mean no return"
+        yield f"{it.value:<12.6g} repeated: {it.share:.1%} of the ranges; {meaning}"
+    if ranges.crossed is not None:
+        where = "lead through walls or out of everything that was hit"
+        advised = any(special.no_return == "clear" for special in ranges.specials)
+        keep = "" if advised else ": leave `no_return` as it is"
+        yield f"{ranges.crossed:.0%} of beams without return {where}{keep}"
 
 
 def describe_times(times: TimeFindings) -> str:
@@ -421,23 +422,18 @@ def describe_mount(mount: MountFindings, poses: PoseFindings) -> str:
     return ", ".join(parts)
 
 
-def describe_source(source: Coverage) -> str:
-    """Say what a pose source knows."""
-    name = f"{source.parent} > {source.child or 'a body'}"
-    step = f"{source.largest_step_m:.3g} m, {math.degrees(source.largest_step_rad):.3g} deg"
-    return (
-        f"{name} on {source.topic}: {count(source.samples, 'sample')}, "
-        f"{source.start_ns / 1e9:.1f} to {source.end_ns / 1e9:.1f} s, "
-        f"largest gap {source.largest_gap_s:.3g} s, largest step {step}"
-    )
-
-
-def tell_sources(sources: tuple[Coverage, ...]) -> list[str]:
+def list_sources(sources: tuple[Coverage, ...]) -> Iterator[str]:
     """Say what the pose sources that move know, and how many others there are."""
-    moving = [describe_source(source) for source in sources if source.moves]
-    fixed = len(sources) - len(moving)
-    changes = "changes" if fixed == 1 else "change"
-    return moving + ([f"{count(fixed, 'transform')} that never {changes}"] if fixed else [])
+    moving = [source for source in sources if source.moves]
+    for it in moving:
+        yield (
+            f"{it.parent} > {it.child or 'a body'} on {it.topic}: {count(it.samples, 'sample')}, "
+            f"{it.start_ns / 1e9:.1f} to {it.end_ns / 1e9:.1f} s, largest gap "
+            f"{it.largest_gap_s:.3g} s, largest step {it.largest_step_m:.3g} m, "
+            f"{math.degrees(it.largest_step_rad):.3g} deg"
+        )
+    if fixed := len(sources) - len(moving):
+        yield f"{count(fixed, 'transform')} that never {'changes' if fixed == 1 else 'change'}"
 
 
 def describe_map(grid: MapFindings) -> str:

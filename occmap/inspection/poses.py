@@ -22,10 +22,9 @@ from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status, Transforms
 from occmap.posing.sources import Sources
-from occmap.posing.tracks import to_quaternions
 from occmap.readers import Log, get_moments, read_poses
 from occmap.scans.logs import count_scans, refuse_shared_mount, take_first
-from occmap.scans.mounts import guess_place, mount_scans, open_drive, sample_scans
+from occmap.scans.mounts import guess_place, mount_scans, open_drive, sample_scans, turn_mount
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans
 
@@ -178,7 +177,7 @@ def list_floor_concerns(
         if tilts.is_mount and mount:
             half_x, half_y, half_z = (tilts.sensor / 2).tolist()
             small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
-            mended = mount.write(compose(mount.pose, small))
+            mended = mount.write(turn_mount(mount.pose, small))
             found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever"
             yield topic, Concern(f"{found} it goes: its mount is wrong by that", mended)
             continue
@@ -247,9 +246,3 @@ def find_mount(poser: Poser, frame: str, options: BuildOptions) -> Mount | None:
     pose = Pose(*step.track.position[0].tolist(), *step.track.quaternion[0].tolist())
     frames = step.parent, step.child
     return Mount(pose, lambda pose: {"static_transforms": format_static(*frames, pose)})
-
-
-def compose(outer: Pose, inner: Pose) -> Pose:
-    """The pose `inner`, which is given in the frame `outer`, in the frame of `outer`."""
-    found = Transforms.fixed(outer).then(Transforms.fixed(inner))
-    return Pose(*found.position[0].tolist(), *to_quaternions(found.rotation)[0].tolist())

@@ -13,43 +13,34 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
 from occmap.options import BuildOptions
 from occmap.posing import Stamps
-from occmap.posing.attach import Poser
 from occmap.posing.tracks import MAX_STAMP_NS
+from occmap.scans.logs import count_messages
 from occmap.scans.mounts import Sample, encode_cells, expect_scans
-from occmap.scans.stream import Selector, stack
-from occmap.scans.tally import NOT_ASKED_FOR
+from occmap.scans.stream import Drive, Selector
+from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import (
     DOMINANCE,
     MIN_READINGS,
     MIN_VALUES,
     SICK_CODES,
     NoReturn,
-    RangeLimits,
     ReturnOptions,
     interpret,
     read_limits,
 )
-from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
+from occmap.types import Bool, Cloud, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
-
-BLOCK_RANGES = 1 << 17
-"""How many ranges are sorted together to find repeated ones: this bounds the memory."""
 
 REPEATED_SHARE = 0.01
 NEIGHBOURHOOD_M = 0.1
 """A value is suspicious if one finite range in a hundred has it, and ten times as many (DOMINANCE)
 as have any other value within this distance. Ranges to a wall spread by their noise, even if
 nothing moves."""
-COMMON_SHARE = REPEATED_SHARE / 10
-"""A value with a smaller share of the ranges that are sorted together is not counted there."""
-MAX_REPEATED = 8
-"""How many such values of a topic are told: the most frequent ones"""
 
 MEANINGS = {
     "+inf": "did not come back (REP 117)",
@@ -91,7 +82,7 @@ SIDES = np.arange(8) * math.pi / 4
 
 
 class RangeCensus:
-    """Counts the range values of one topic, batch by batch, in bounded memory."""
+    """Counts the range values of one topic by kind, batch by batch."""
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
@@ -100,11 +91,6 @@ class RangeCensus:
         """The largest range_max that the scans state (m)"""
         self.smallest = math.inf
         self.largest = -math.inf
-        self._repeated: set[float] = set()
-        self._common: Counter[float] = Counter()
-        self._positive = 0
-        self._block: list[Float32] = []
-        self._block_size = 0
 
     def add(self, batch: ScanBatch) -> None:
         """Count the values of a batch."""
@@ -128,74 +114,61 @@ class RangeCensus:
         measured = ranges[positive & (ranges >= low) & (ranges < high)]
         self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
-        self._block.append(ranges[positive])
-        self._block_size += self._block[-1].size
-        if self._block_size >= BLOCK_RANGES:
-            self._fold()
 
-    def _fold(self) -> None:
-        """Look for repeated values in the block of ranges that is full, and begin another block."""
-        if not self._block:
-            return
-        values, counts = np.unique(np.concatenate(self._block), return_counts=True)
-        self._repeated.update(find_repeated(values, counts).tolist())
-        common = counts >= COMMON_SHARE * self._block_size
-        self._common.update(
-            dict(zip(values[common].tolist(), counts[common].tolist(), strict=True))
-        )
-        self._positive += self._block_size
-        self._block.clear()
-        self._block_size = 0
+    def sum_up(self, sample: Sequence[PosedScans], options: ReturnOptions) -> RangeFindings:
+        """Sum up; a sample of the scans shows which values repeat, and what no return means.
 
-    def sum_up(self, crossed: float | None) -> RangeFindings:
-        """Sum up; `crossed` is what is known about beams without return."""
-        self._fold()
-        ranked = sorted(self._repeated, key=lambda value: (-self._common[value], value))
-        repeated = tuple(
-            Repeated(value, self._common[value] / self._positive, value >= self.limit)
-            for value in ranked[:MAX_REPEATED]
-        )
+        Beams without return are to clear space if the log states the limit up to which, if their
+        value is not an error code of the SICK LMS, of which not all mean that space is open, and if
+        hardly one of them leads through a wall or, as through glass, out of all that was hit.
+        """
+        repeated = tuple(list_repeated(sample, self.limit))
+        crossed = measure_crossing(sample, options)
+        low, high = SICK_CODES
+        is_code = any(low <= item.value <= high for item in repeated)
+        is_open = crossed is not None and crossed < MOSTLY_OPEN
+        suggested = "clear" if is_open and not is_code and math.isfinite(self.limit) else "ignore"
         measured = self.total - self.counts.total()
-        suggested = self._suggest_no_return(repeated, crossed)
-        advice = {name: suggested if name in NO_RETURNS else "" for name in MEANINGS}
         return RangeFindings(
             total=self.total,
             measured=measured,
             smallest=self.smallest if measured else math.nan,
             largest=self.largest if measured else math.nan,
             specials=tuple(
-                Special(name, count, count / self.total, meaning, advice[name])
+                Special(name, n, n / self.total, meaning, suggested if name in NO_RETURNS else "")
                 for name, meaning in MEANINGS.items()
-                if (count := self.counts[name])
+                if (n := self.counts[name])
             ),
             repeated=repeated,
             crossed=crossed,
         )
 
-    def _suggest_no_return(self, repeated: Sequence[Repeated], crossed: float | None) -> str:
-        """Suggest whether beams without return are to clear space.
 
-        They are if the log states the limit up to which, if their value is not an error code of the
-        SICK LMS, of which not all mean that space is open, and if hardly one of them leads through
-        a wall or, as through glass, out of all that was hit.
-        """
-        low, high = SICK_CODES
-        is_code = any(low <= item.value <= high for item in repeated)
-        open_space = crossed is not None and crossed < MOSTLY_OPEN
-        return "clear" if open_space and not is_code and math.isfinite(self.limit) else "ignore"
+def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeated]:
+    """List the ranges of scans that occur suspiciously often, the most frequent ones first.
 
-
-def find_repeated(values: Float32, counts: NDArray[np.intp]) -> Float32:
-    """Find the values (N,), which are in ascending order, that occur suspiciously often."""
-    total = counts.sum()
+    Parameters
+    ----------
+    limit
+        From here on a range is no return in any case (m).
+    """
+    ranges = np.concatenate([np.zeros(0, np.float32), *(it.batch.ranges.ravel() for it in parts)])
+    values, counts = np.unique(ranges[np.isfinite(ranges) & (ranges > 0)], return_counts=True)
     if len(values) < MIN_VALUES:
-        return values[:0]
+        return
+    total = int(counts.sum())
     frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, MIN_READINGS))
-    low = np.searchsorted(values, values[frequent] - np.float32(NEIGHBOURHOOD_M))
-    high = np.searchsorted(values, values[frequent] + np.float32(NEIGHBOURHOOD_M), side="right")
-    places = zip(frequent, low, high, strict=True)  # each value, and those around it
-    beside = [np.delete(counts[a:b], at - a).max(initial=0) for at, a, b in places]
-    return values[frequent[counts[frequent] >= DOMINANCE * np.array(beside, np.int64)]]
+    ranked = frequent[np.argsort(-counts[frequent], kind="stable")]
+    low = np.searchsorted(values, values[ranked] - np.float32(NEIGHBOURHOOD_M))
+    high = np.searchsorted(values, values[ranked] + np.float32(NEIGHBOURHOOD_M), side="right")
+    places = zip(ranked, low, high, strict=True)  # of each value, and of those around it
+    found = [
+        k
+        for k, a, b in places
+        if counts[k] >= DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
+    ]
+    for value, number in zip(values[found].tolist(), counts[found].tolist(), strict=True):
+        yield Repeated(value, number / total, value >= limit)
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:
@@ -387,24 +360,22 @@ class TopicSurvey:
             self.shapes[shape] += some.scans
 
 
-@dataclass(eq=False)
-class Survey:
-    """Reads the scans of a log once; `extent` and `topics` grow meanwhile."""
+class Survey(Selector):
+    """Takes note of all scans of a log while it says which of them a build would use."""
 
-    poser: Poser
-    options: BuildOptions
-    expected: int
-    """Scans in the log, as its reader counts them"""
-    limits: RangeLimits
-    extent: Extent
-    topics: dict[str, TopicSurvey] = field(default_factory=dict)
-    first_ns: int = 0
-    """The stamp of the log's first scan"""
+    def __init__(self, drive: Drive, options: BuildOptions, extent: Extent) -> None:
+        super().__init__(options.selection, options.posing.stamps)
+        drive.selector = self
+        self.drive = drive
+        self.options = options
+        self.extent = extent
+        self.topics: dict[str, TopicSurvey] = {}
 
-    def read(self, scans: Iterable[Recorded]) -> None:
-        """Read all scans, holding no more than a batch of each topic."""
-        for batch, posed, dropped in self.poser.attach(self._stack(scans)):
+    def survey(self) -> None:
+        """Read all scans once, holding no more than a batch of each topic."""
+        for batch, posed, dropped in self.drive.read(Tally()):
             survey = self.topics[batch.topic]
+            survey.census.add(batch)
             survey.dropped.update(dropped)
             if posed is not None:
                 survey.posed += len(posed.batch.stamp_ns)
@@ -413,30 +384,21 @@ class Survey:
                 rays, _ = interpret(posed, self.options.returns)
                 self.extent.add(rays)
 
-    def _stack(self, scans: Iterable[Recorded]) -> Iterator[ScanBatch]:
-        """Stack the scans that a build would use, and count their ranges."""
-        batches = stack(self._select(scans), self.poser.options.stamps)
-        for batch in map(self.limits.apply, batches):
-            self.topics[batch.topic].census.add(batch)
-            yield batch
-
-    def _select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
-        """Give the scans that a build would use; scans that nobody asked for are only counted."""
-        selector = Selector(self.options.selection, self.poser.options.stamps)
-        for some, reason in selector.judge(self.limits.watch(scans)):
+    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
+        """As any selector; scans that nobody asked for are only counted."""
+        for some, reason in super().judge(scans):
             survey = self._find(some.first.topic)
             survey.read += some.scans
             if reason not in NOT_ASKED_FOR:
                 survey.see(some)
-            if reason is None:
-                yield some
-            else:
+            if reason is not None:
                 survey.left_out[reason] += 1
-        self.first_ns = selector.first_ns or 0
+            yield some, reason
 
     def _find(self, topic: str) -> TopicSurvey:
         if topic not in self.topics:
-            sample = Sample(expect_scans(self.expected, self.options.selection))
+            expected = count_messages(self.drive.log, self.drive.topics)
+            sample = Sample(expect_scans(expected, self.options.selection))
             self.topics[topic] = TopicSurvey(topic, sample, len(self.topics) < SAMPLED_TOPICS)
         return self.topics[topic]
 

@@ -194,19 +194,8 @@ def list_log(log: LogFindings) -> Iterator[Block]:
     ]
     yield Block("table", streams, ("topic", "type", "#messages", "used as"), title="Topics")
     for topic in log.scans:
-        facts = list(findings.list_scan_facts(topic))
-        if not topic.is_of_clouds:
-            facts.append(("ranges", findings.tell_ranges(topic.ranges)))
-        if crossed := findings.tell_crossed(topic.ranges):
-            facts.append(("", crossed))
-        facts += findings.list_pose_facts(topic)
-        yield Block("facts", facts, title=f"Scans on {topic.topic}")
-        kinds = list(findings.list_kinds(topic.ranges))
-        for metres, share, meaning in findings.list_repeated(topic.ranges):
-            kinds.append((f"{metres} m, repeated", "", share, meaning))
-        kinds = [] if topic.is_of_clouds else kinds
-        yield Block("table", kinds, ("range", "#values", "#share", "what it means"))
-    yield Block("list", title="Pose sources", texts=findings.tell_sources(log.coverage))
+        yield Block("facts", list(findings.list_facts(topic)), title=f"Scans on {topic.topic}")
+    yield Block("list", title="Pose sources", texts=list(findings.list_sources(log.coverage)))
 
 
 def tell_notes(result: Noted) -> Section:

@@ -101,6 +101,11 @@ Row: TypeAlias = tuple[str, str]
 """A label, "" where it is that of the row before, and a text"""
 
 
+def label_first(label: str, texts: Iterable[str]) -> list[Row]:
+    """Label the first of several rows."""
+    return [("" if index else label, text) for index, text in enumerate(texts)]
+
+
 def count(number: float, noun: str) -> str:
     """Write how many there are: 1 beam, 2,000 beams, 2.875 misses."""
     ending = "" if number == 1 else "es" if noun.endswith("s") else "s"
@@ -192,15 +197,6 @@ class Note(str):
     def placed(self, log: str | Path) -> "Note":
         """Name the log that it is about."""
         return Note(f"{log}: {self}", self.damage)
-
-    def __eq__(self, other: object) -> bool:
-        is_other = isinstance(other, Note) and other.damage != self.damage
-        return str.__eq__(self, other) and not is_other
-
-    def __ne__(self, other: object) -> bool:
-        return not self == other
-
-    __hash__ = str.__hash__
 
 
 class NoteList(list[Note]):

@@ -12,20 +12,10 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import partial
 from itertools import permutations
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import Any, NamedTuple
 
 from occmap.errors import UsageError, require
 from occmap.report import HIDDEN
-
-if TYPE_CHECKING:  # each command makes one kind of result, and need not load what makes the others
-    from occmap.difference import MapDifference
-    from occmap.inspection.findings import Inspection, ScanFindings
-    from occmap.report.results import Report
-    from occmap.scoring.compare import Scored, VariantComparison
-    from occmap.scoring.maps import LogScore, MapScore, TruthScore
-    from occmap.tuning import Tuning
-
-Result_contra = TypeVar("Result_contra", contravariant=True)
 
 SIGNS: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
@@ -41,52 +31,20 @@ COUNT = ""
 """The unit of what is counted."""
 
 FORM = 'write NAME, one of < <= > >= == != and a number, such as "{} > {}"'
-EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*([<>=!]+)\s*([^\s%]+)\s*(%?)\s*")
+EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*([<>=!]+)\s*([^\s%]+\s*%?)\s*")
 
 
-@dataclass(frozen=True)
-class Measure(Generic[Result_contra]):
+class Measure(NamedTuple):
     """Something about the result of a command that a limit can be set on."""
 
     name: str
     unit: str
     """Such as s, or m2; SHARE or COUNT"""
-    take: Callable[[Result_contra], float]
+    take: Callable[[Any], float]
+    """Takes it from the result"""
 
 
-@dataclass(frozen=True)
-class Limit:
-    """A condition on a measure under which a command fails."""
-
-    measure: Measure[Any]
-    sign: str
-    bound: float
-    """In the unit of the measure, a share from 0 to 1"""
-    in_percent: bool = False
-    """The bound was written as 5% rather than 0.05"""
-    option: str = "`limits`"
-    """Where the user set it"""
-
-    def is_broken_by(self, value: float) -> bool:
-        """Whether the condition holds for a value."""
-        return SIGNS[self.sign](value, self.bound)
-
-    @property
-    def condition(self) -> str:
-        """The sign and the number as they can be typed."""
-        return f"{self.sign} {self._write(self.bound, 15)}"
-
-    def format_value(self, value: float) -> str:
-        """Write a value in few digits, but enough that it stays on its side of the limit."""
-        if isinstance(value, int):
-            return f"{value}"
-        for digits in (3, 6, 9):
-            if self.is_broken_by(float(f"{value:.{digits}g}")) == self.is_broken_by(value):
-                return self._write(value, digits)
-        return self._write(value, 17)
-
-    def _write(self, value: float, digits: int) -> str:
-        return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
+Measures = tuple[Measure, ...]
 
 
 @dataclass(frozen=True)
@@ -103,7 +61,42 @@ class Failed:
     """What was measured, and what the user says of it"""
 
 
-def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
+class Limit(NamedTuple):
+    """A condition on a measure under which a command fails."""
+
+    measure: Measure
+    sign: str
+    bound: float
+    """In the unit of the measure, a share from 0 to 1"""
+    in_percent: bool = False
+    """The bound was written as 5% rather than 0.05"""
+    option: str = "`limits`"
+    """Where the user set it"""
+
+    @property
+    def condition(self) -> str:
+        """The sign and the number as they can be typed."""
+        return f"{self.sign} {self._write(self.bound, 15)}"
+
+    def judge(self, result: object) -> Failed | None:
+        """Hold a result against the limit; None where the result keeps to it."""
+        name, value = self.measure.name, self.measure.take(result)
+        if not self._is_broken_by(value):
+            return None
+        # In few digits, but enough that it stays on its side of the limit.
+        digits = next(n for n in (3, 6, 9, 17) if self._is_broken_by(float(f"{value:.{n}g}")))
+        told = f"{value}" if isinstance(value, int) else self._write(value, digits)
+        sentence = f"{name} is {told}, and {self.option} says {self.condition}"
+        return Failed(name, value, f"{name} {self.condition}", sentence)
+
+    def _is_broken_by(self, value: float) -> bool:
+        return SIGNS[self.sign](value, self.bound)
+
+    def _write(self, value: float, digits: int) -> str:
+        return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
+
+
+def parse_limit(text: str, measures: Sequence[Measure]) -> Limit:
     """Read a limit such as `dropped_scans > 5%`.
 
     Raises
@@ -123,11 +116,11 @@ def parse_limit(text: str, measures: Sequence[Measure[Any]]) -> Limit:
         fix = f"did you mean {close[0]!r}? " if close else ""
         fix += f"there are {', '.join(by_name)}"
         raise UsageError(f"no measure is called {name!r}", where=where, fix=fix)
-    bound = parse_bound(found[3] + found[4], by_name[name], where)
-    return Limit(by_name[name], found[2], bound, in_percent=bool(found[4]))
+    bound = parse_bound(found[3], by_name[name], where)
+    return Limit(by_name[name], found[2], bound, in_percent=found[3].endswith("%"))
 
 
-def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
+def parse_bound(text: str, measure: Measure, where: str) -> float:
     """Read the number of a limit, with % where it is one on a share.
 
     Raises
@@ -135,51 +128,39 @@ def parse_bound(text: str, measure: Measure[Any], where: str) -> float:
     UsageError
         It is not a number, or not one that the measure can reach.
     """
-    in_percent = text.endswith("%")
+    number, is_share, in_percent = text.removesuffix("%"), measure.unit == SHARE, text[-1:] == "%"
     try:
-        bound = float(text.removesuffix("%"))
+        bound = float(number) / (100 if in_percent else 1)
     except ValueError:
         bound = math.nan
     if not math.isfinite(bound):
-        fix = "write a share such as 5% or 0.05" if measure.unit == SHARE else ""
+        fix = "write a share such as 5% or 0.05" if is_share else ""
         raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
-    if measure.unit != SHARE and in_percent:
+    if in_percent and not is_share:
         raise UsageError(f"{measure.name} is not a share", where=where, fix="leave out the %")
-    if measure.unit == SHARE and not in_percent and bound == 1:  # most who write 1 mean 1%
-        found = "1 is the whole, not 1%"
-        raise UsageError(found, where=where, fix="write 1% or 0.01, or else 100%")
-    if in_percent:
-        bound /= 100
-    if measure.unit == SHARE and not 0 <= bound <= 1:
-        fix = "write 0% to 100%"
-        if not in_percent and 1 < bound <= 100:
-            fix = f"write {bound:g}% or {bound / 100:g}"
-        raise UsageError(f"{text} is not a share between 0 and 1", where=where, fix=fix)
+    if is_share and not in_percent and 1 <= bound <= 100:  # most who write 1 mean 1%
+        fix = f"write {bound:g}% or {bound / 100:g}; the whole is 100%"
+        raise UsageError(f"{text} is not a share below 1", where=where, fix=fix)
+    if is_share and not 0 <= bound <= 1:
+        raise UsageError(f"{text} is not a share", where=where, fix="write 0% to 100%")
     return bound
 
 
 def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
     """Hold a result against every limit; list those that it does not keep to."""
-    failed = []
-    for limit in limits:
-        name, value = limit.measure.name, limit.measure.take(result)
-        if limit.is_broken_by(value):
-            told = f"{name} is {limit.format_value(value)}, and {limit.option} says"
-            condition = limit.condition
-            failed.append(Failed(name, value, f"{name} {condition}", f"{told} {condition}"))
-    return failed
+    return [failed for limit in limits if (failed := limit.judge(result))]
 
 
-Measures = tuple[Measure[Any], ...]
-
-SCANS: "tuple[Measure[Report | Scored], ...]" = (
+SCANS: Measures = (
     Measure("scans_read", COUNT, lambda it: it.scans.read),
     Measure("scans_used", COUNT, lambda it: it.scans.used),
     Measure("dropped_scans", SHARE, lambda it: it.scans.dropped_share),
 )
 """What became of the scans, in any report"""
+DAMAGE = Measure("damage", COUNT, lambda it: len(it.damage))
+"""Of any report on logs"""
 
-SAVED: "tuple[Measure[Report], ...]" = (
+SAVED: Measures = (
     *SCANS,
     Measure("hits", SHARE, lambda it: it.hit_share),
     Measure("no_return", SHARE, lambda it: it.no_return_share),
@@ -194,114 +175,75 @@ SAVED: "tuple[Measure[Report], ...]" = (
 )
 """What can be limited of what `occmap render` and `occmap merge` make"""
 
-BUILD: "tuple[Measure[Report], ...]" = (
-    *SAVED,
-    Measure("damage", COUNT, lambda it: len(it.damage)),
-)
+BUILD: Measures = (*SAVED, DAMAGE)
 
-
-largest = partial(max, default=0.0)
-"""The largest of some numbers; 0 where there are none."""
-
-
-def over_topics(
-    combine: Callable[[list[Any]], float], take: "Callable[[ScanFindings], Any]"
-) -> "Callable[[Inspection], float]":
-    """Measure something of each topic of scans of all logs, and combine that."""
-    return lambda it: combine([take(topic) for log in it.logs for topic in log.scans])
-
-
-def divide_sums(pairs: Sequence[tuple[int, int]]) -> float:
-    """Divide the sum of the first numbers of pairs by that of the second ones; 0 of nothing."""
-    whole = sum(whole for _, whole in pairs)
-    return sum(part for part, _ in pairs) / whole if whole else 0.0
-
-
-CHECK: "tuple[Measure[Inspection], ...]" = (
-    Measure("scans_read", COUNT, over_topics(sum, lambda it: it.scans)),
-    Measure("topics", COUNT, over_topics(len, lambda it: it.topic)),
-    Measure(
-        "dropped_scans",
-        SHARE,
-        over_topics(divide_sums, lambda it: (it.wanted - it.poses.posed, it.wanted)),
-    ),
-    Measure(
-        "hits", SHARE, over_topics(divide_sums, lambda it: (it.ranges.measured, it.ranges.total))
-    ),
-    Measure("largest_gap", "s", over_topics(largest, lambda it: it.times.largest_gap_s)),
-    Measure("drift", "s", over_topics(largest, lambda it: abs(it.times.drift_s))),
-    Measure("jumps_back", COUNT, over_topics(sum, lambda it: it.times.jumps_back)),
+CHECK: Measures = (
+    Measure("scans_read", COUNT, lambda it: sum(each.scans for each in it.topics)),
+    Measure("topics", COUNT, lambda it: len(it.topics)),
+    Measure("dropped_scans", SHARE, lambda it: it.dropped_share),
+    Measure("hits", SHARE, lambda it: it.hit_share),
+    Measure("largest_gap", "s", lambda it: max([0.0, *(t.times.largest_gap_s for t in it.topics)])),
+    Measure("drift", "s", lambda it: max([0.0, *(abs(t.times.drift_s) for t in it.topics)])),
+    Measure("jumps_back", COUNT, lambda it: sum(each.times.jumps_back for each in it.topics)),
     Measure("cells", COUNT, lambda it: it.map.columns * it.map.rows if it.map else 0),
     Measure("warnings", COUNT, lambda it: len(it.warnings)),
     Measure("damage", COUNT, lambda it: sum(len(log.damage) for log in it.logs)),
 )
 
-SCORED: "tuple[Measure[Scored], ...]" = (
-    *SCANS,
-    Measure("damage", COUNT, lambda it: len(it.damage)),
-)
-"""What can be limited of anything that is scored on held-out scans"""
-
-COMPARE: "tuple[Measure[VariantComparison], ...]" = (
+COMPARE: Measures = (
     Measure("share", SHARE, lambda it: it.recommended.score.share),
     Measure("log_likelihood", "nat", lambda it: it.recommended.score.log_likelihood),
     Measure("cross_entropy", "nat", lambda it: it.recommended.score.cross_entropy),
     Measure("seconds", "s", lambda it: it.recommended.seconds),
-    *SCORED,
+    *(*SCANS, DAMAGE),
 )
 
-TUNE: "tuple[Measure[Tuning], ...]" = (
+TUNE: Measures = (
     Measure("gain", SHARE, lambda it: it.gain),
     Measure("share", SHARE, lambda it: it.share),
-    *SCORED,
+    *(*SCANS, DAMAGE),
 )
 
 PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occupied"), 2)]
+"""From which class to which a cell may change"""
 
 
-def share_pair(pair: str) -> "Callable[[MapDifference], float]":
-    """Measure the share of known cells that changed from one class to another."""
-    return lambda it: it.changed[pair] / max(it.known, 1)
+def share_pair(pair: str, difference: Any) -> float:
+    """Take the share of known cells that changed from one class to another."""
+    return float(difference.changed[pair] / max(difference.known, 1))
 
 
-DIFF: "tuple[Measure[MapDifference], ...]" = (
+DIFF: Measures = (
     Measure("changed", SHARE, lambda it: it.share),
-    *(Measure(pair.replace(" ", "_"), SHARE, share_pair(pair)) for pair in PAIRS),
+    *(Measure(pair.replace(" ", "_"), SHARE, partial(share_pair, pair)) for pair in PAIRS),
     Measure("changed_cells", COUNT, lambda it: it.changed_cells),
     Measure("largest_blob", COUNT, lambda it: it.largest.cells if it.largest else 0),
     Measure("known", COUNT, lambda it: it.known),
 )
 
 
-def by_logs(take: "Callable[[LogScore], float]") -> "Callable[[MapScore], float]":
-    """Measure what recordings say of a map; raises UsageError where none is given."""
-
-    def measure(score: "MapScore") -> float:
-        require(score.by_logs is not None, "this limit is on what logs say", "add `logs=LOG`")
-        return take(cast("LogScore", score.by_logs))
-
-    return measure
+LACKS = {
+    "by_logs": ("this limit is on what logs say", "add `logs=LOG`"),
+    "by_truth": ("this limit is on the truth", "give the truth as well"),
+}
+"""What is said where a map is scored without it"""
 
 
-def by_truth(take: "Callable[[TruthScore], float]") -> "Callable[[MapScore], float]":
-    """Measure what the truth says of a map; raises UsageError where it is not given."""
-
-    def measure(score: "MapScore") -> float:
-        require(score.by_truth is not None, "this limit is on the truth", "give the truth as well")
-        return take(cast("TruthScore", score.by_truth))
-
-    return measure
+def take_score(judge: str, name: str, score: Any) -> float:
+    """Take what recordings or the truth say of a map; raises UsageError where none is given."""
+    judgement = getattr(score, judge)
+    require(judgement is not None, *LACKS[judge])
+    return float(getattr(judgement, name))
 
 
-SCORE: "tuple[Measure[MapScore], ...]" = (
-    Measure("share", SHARE, by_logs(lambda it: it.share)),
-    Measure("log_likelihood", "nat", by_logs(lambda it: it.log_likelihood)),
-    Measure("agreement", SHARE, by_logs(lambda it: it.agreement)),
-    Measure("edges_found", SHARE, by_truth(lambda it: it.edges_found)),
-    Measure("edges_invented", SHARE, by_truth(lambda it: it.edges_invented)),
-    Measure("occupied_called_free", SHARE, by_truth(lambda it: it.occupied_called_free)),
-    Measure("free_called_occupied", SHARE, by_truth(lambda it: it.free_called_occupied)),
-    Measure("free_found", SHARE, by_truth(lambda it: it.free_found)),
-    Measure("wall_distance", "m", by_truth(lambda it: it.wall_distance_m)),
-    Measure("wall_distance_95", "m", by_truth(lambda it: it.wall_distance_95_m)),
+LOGS_SAY = {"share": SHARE, "log_likelihood": "nat", "agreement": SHARE}
+TRUTH_SAYS = (
+    *("edges_found", "edges_invented"),
+    *("occupied_called_free", "free_called_occupied", "free_found"),
+)
+SCORE: Measures = (
+    *(Measure(name, unit, partial(take_score, "by_logs", name)) for name, unit in LOGS_SAY.items()),
+    *(Measure(name, SHARE, partial(take_score, "by_truth", name)) for name in TRUTH_SAYS),
+    Measure("wall_distance", "m", partial(take_score, "by_truth", "wall_distance_m")),
+    Measure("wall_distance_95", "m", partial(take_score, "by_truth", "wall_distance_95_m")),
 )

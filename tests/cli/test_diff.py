@@ -93,10 +93,8 @@ def test_shares(text: str, share: float) -> None:
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
-        ("5", "5 is not a share between 0 and 1; write 5% or 0.05"),
-        ("-1%", "-1% is not a share between 0 and 1; write 0% to 100%"),
-        ("101%", "101% is not a share between 0 and 1; write 0% to 100%"),
+        ("5", "5 is not a share below 1; write 5% or 0.05; the whole is 100%"),
+        ("101%", "101% is not a share; write 0% to 100%"),
         ("nan", "'nan' is not a number; write a share such as 5% or 0.05"),
         ("%", "'%' is not a number; write a share such as 5% or 0.05"),
     ],

@@ -24,12 +24,12 @@ def test_a_sensor_pose_upside_down() -> None:
     [
         ("0,0", "2 values where 3 or 5 belong"),
         ("0,0,0,0", "4 values where 3 or 5 belong"),
-        ("", "'' is not a number"),
+        ("", "1 value where 3 or 5 belong"),
         ("0,0,pi", "'pi' is not a number"),
         ("0,,0", "'' is not a number"),
         ("0,nan,0", "'nan' is not a number"),
         ("inf,0,0", "'inf' is not a number"),
-        ("0;0;0", "'0;0;0' is not a number"),
+        ("0,0;0,0", "'0;0' is not a number"),
     ],
 )
 def test_a_wrong_sensor_pose_says_what_to_write(text: str, found: str) -> None:

@@ -73,7 +73,8 @@ def test_what_check_and_build_say_is_there(
     texts = read(path).texts
     assert found["notes"]
     assert set(found["notes"]) <= set(texts)
-    assert {"What check finds", "No problems, no warnings.", "+inf"} <= set(texts)
+    assert {"What check finds", "No problems, no warnings."} <= set(texts)
+    assert any(text.startswith("+inf ") for text in texts)
 
 
 def test_evidence_has_no_way_and_the_page_says_so(
@@ -97,20 +98,9 @@ def test_a_check_says_what_the_json_says(
     assert any(text.startswith(size) and text.endswith("at most") for text in texts)
     (log,) = found["logs"]
     special = log["scans"][0]["ranges"]["specials"][0]
-    assert f"{special['count']:,}" in texts
-    assert f"{special['share']:.1%}" in texts
+    told = f"{special['name']:<12} {special['count']:>10,} {special['share']:>6.1%}  "
+    assert any(text.startswith(told) for text in texts)
     assert " ".join(found["command"]) in texts
-
-
-def test_a_page_has_no_table_of_special_ranges_where_there_are_none(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / "all.csv"
-    rows = "".join(f"{n},{n},0,0,1,2,1.5\n" for n in range(9))
-    head = "# angle_min: -1\n# angle_increment: 1\n# range_max: 10\nstamp,x,y,yaw,r0,r1,r2\n"
-    log.write_text(head + rows)
-    run_json(capsys, "check", log, "-o", tmp_path / "c.html")
-    assert "what it means" not in read(tmp_path / "c.html").texts
 
 
 def test_options_are_spelled_as_flags_in_facts_lists_and_tables() -> None:

@@ -9,9 +9,9 @@ from occmap.report import to_plain
 from occmap.report.limits import COUNT, SHARE, Measure, judge, parse_limit
 
 MEASURES = (
-    Measure[dict[str, float]]("lost", SHARE, lambda result: result["lost"]),
-    Measure[dict[str, float]]("scans", COUNT, lambda result: result["scans"]),
-    Measure[dict[str, float]]("gap", "s", lambda result: result["gap"]),
+    Measure("lost", SHARE, lambda result: result["lost"]),
+    Measure("scans", COUNT, lambda result: result["scans"]),
+    Measure("gap", "s", lambda result: result["gap"]),
 )
 
 
@@ -99,11 +99,11 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
         ),
         ("zzz > 5", "no measure is called 'zzz'; there are lost, scans, gap"),
         ("scans > 5%", "scans is not a share; leave out the %"),
-        ("lost > 1", "1 is the whole, not 1%; write 1% or 0.01, or else 100%"),
-        ("lost < 1", "1 is the whole, not 1%"),
-        ("lost > 5", "5 is not a share between 0 and 1; write 5% or 0.05"),
-        ("lost > 500", "500 is not a share between 0 and 1; write 0% to 100%"),
-        ("lost > -1%", "-1% is not a share between 0 and 1"),
+        ("lost > 1", "1 is not a share below 1; write 1% or 0.01; the whole is 100%"),
+        ("lost < 1", "1 is not a share below 1"),
+        ("lost > 5", "5 is not a share below 1; write 5% or 0.05"),
+        ("lost > 500", "500 is not a share; write 0% to 100%"),
+        ("lost > -1%", "-1% is not a share"),
     ],
 )
 def test_what_is_no_limit_is_refused(text: str, found: str) -> None:
