@@ -441,7 +441,9 @@ def find_sightings(
 
 def pose_again(log: Log, options: BuildOptions, tally: Tally) -> Iterator[PosedScans]:
     """Read and pose the scans of a log as a build does, by the limits that all of it shows."""
-    for attached in open_drive(log, options).settle().read(tally):
+    drive = open_drive(log, options)
+    drive.foresee()
+    for attached in drive.read(tally):
         if attached.posed is not None:
             yield attached.posed
 

@@ -37,6 +37,7 @@ from occmap.inspection.survey import Extent, Survey, TopicSurvey, measure_crossi
 from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
+from occmap.posing.course import Stance
 from occmap.readers import Log, Role, Stream, open_log, read_recorded
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
@@ -300,7 +301,6 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
-    posing = replace(posing, poser=survey.poser)
     streams = {stream.topic: stream for stream in reversed(log.streams)}
     topics = choose_topics(log, options.selection.topics)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
@@ -337,12 +337,12 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
-    """Read the scans of a log, once more if the first ones hid what stands for "no return".
+    """Read the scans of a log, once more if the first ones hid "no return", or some leap away.
 
     Returns
     -------
     survey, problem
-        With a poser of its own; and why the log cannot be read to its end, "" where it can.
+        And why the log cannot be read to its end, "" where it can.
     """
     topics = choose_topics(log, options.selection.topics)
     expected, limits, problem = count_messages(log, topics), RangeLimits(options.returns), ""
@@ -350,12 +350,13 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     spreads = isinstance(model, Spreading) and model.spread > 0
     aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
     for _ in range(2):
-        survey = Survey(poser.start_over(), options, expected, limits, Extent(lattice, *aside))
+        poser.start_over()
+        survey = Survey(poser, options, expected, limits, Extent(lattice, *aside))
         try:
             survey.read(read_recorded(log, topics))
         except LogError as error:
             problem = str(error.placed(log.path))
-        if limits.settle():
+        if all([limits.settle(), poser.settle()]):
             break
     return survey, problem
 
@@ -377,8 +378,10 @@ def sum_up(
     crossed = measure_crossing(topic.sample.parts, options.returns)
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    mount, stance = None, posing.poser.courses[topic.topic].stance
-    if stance is not None:  # of no scan where none has a pose
+    courses = (each for (name, _), each in posing.poser.courses.items() if name == topic.topic)
+    track, mount = next((course.build() for course in courses), None), None
+    if track is not None:  # it is of no scan where none has a pose
+        stance = Stance.measure(track)
         better = find_better(posing.poser, topic.sample.parts, options.returns)
         mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(

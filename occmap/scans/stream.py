@@ -1,20 +1,20 @@
 """From single scans to batches: the scans that are used, stacked by geometry."""
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Self, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Echo, Log, ReaderOptions, read_recorded, read_scans
+from occmap.readers import Echo, Log, ReaderOptions, read_recorded
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import RangeLimits, read_limits
-from occmap.types import Attached, Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
+from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun
 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
@@ -101,10 +101,10 @@ def find_geometry(scan: Scan) -> Geometry:
 
 def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
-    held: dict[Geometry, dict[int, Scan]] = {}
+    held: defaultdict[Geometry, list[Scan]] = defaultdict(list)
     clouds: list[Cloud] = []
     beams = 0
-    for number, some in enumerate(scans):
+    for some in scans:
         if isinstance(some, Cloud):
             if clouds and not can_join(clouds, some):
                 yield make_cloud_batch(clouds, stamps)
@@ -112,11 +112,11 @@ def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
             clouds.append(some)
             continue
         if isinstance(some, Scan):
-            held.setdefault(find_geometry(some), {})[number] = some
+            held[find_geometry(some)].append(some)
             beams += len(some.ranges)
         if isinstance(some, ScanRun) or beams >= BATCH_BEAMS:
             yield from release(held, stamps)
-            held, beams = {}, 0
+            beams = 0
         if isinstance(some, ScanRun):
             yield make_batch(some, stamps)
     if clouds:
@@ -134,11 +134,9 @@ def can_join(clouds: Sequence[Cloud], other: Cloud) -> bool:
     return len(kinds) == 1 and points <= BATCH_POINTS
 
 
-def release(held: Mapping[Geometry, Mapping[int, Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
-    """Make a batch of the scans of each geometry; these are held by their places in the stream."""
-    lasers = Counter(laser for laser, _ in held)
-    for (laser, _), numbered in held.items():
-        scans = list(numbered.values())
+def release(held: dict[Geometry, list[Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
+    """Make a batch of the scans of each geometry, and hold them no more."""
+    for scans in held.values():
         run = ScanRun(
             scans[0],
             np.array([scan.stamp_ns for scan in scans], np.int64),
@@ -147,17 +145,16 @@ def release(held: Mapping[Geometry, Mapping[int, Scan]], stamps: Stamps) -> Iter
             np.array([scan.time_increment for scan in scans], np.float64),
             np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
         )
-        number = np.array([*numbered], np.int64) if lasers[laser] > 1 else None
-        yield make_batch(run, stamps, number)
+        yield make_batch(run, stamps)
+    held.clear()
 
 
-def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> ScanBatch:
+def make_batch(run: ScanRun, stamps: Stamps) -> ScanBatch:
     """Make a batch of scans that are alike."""
     first = run.first
     shape = first.frame, first.angle_min, first.angle_increment, *read_limits(first)
     stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
-    differing = stamp_ns, run.ranges, run.time_increment, run.pose
-    return ScanBatch(*shape, *differing, first.topic, number)
+    return ScanBatch(*shape, stamp_ns, run.ranges, run.time_increment, run.pose, first.topic)
 
 
 def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
@@ -214,31 +211,33 @@ class Drive:
     ----------
     topics
         The topics whose scans are used.
-    limits
-        From which range on nothing came back; they learn from all scans, since those that are not
-        used tell of the laser, too.
     """
 
     def __init__(
-        self,
-        log: Log,
-        topics: Sequence[str],
-        poser: Poser,
-        options: BuildOptions,
-        limits: RangeLimits | None = None,
+        self, log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
     ) -> None:
         self.log, self.topics, self.poser = log, topics, poser
-        self.limits = limits or RangeLimits(options.returns)
-        self.selector = Selector(options.selection, options.posing.stamps)
+        self.limits = RangeLimits(options.returns)
+        self.is_settled = False
+        """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._options = options
+        self._first_ns = 0
         self._odd: dict[str, None] = {}
 
-    def settle(self) -> Self:
-        """Read all scans for their limits alone, which then hold from the first scan on."""
-        for some in read_scans(self.log, self.topics):
-            self.limits.see(some)
-        self.limits.settle()
-        return self
+    def settle(self) -> bool:
+        """Say, once all scans were read, whether limits and leaps were known from the first on.
+
+        Else they are from now on, and the scans are to be read once more.
+        """
+        self.is_settled = True
+        return all([self.limits.settle(), self.poser.settle()])
+
+    def foresee(self) -> bool:
+        """Read all scans for limits and leaps alone, and settle them."""
+        self.limits = RangeLimits(self._options.returns)
+        for _ in self.read(Tally()):
+            pass
+        return self.settle()
 
     def read(
         self, tally: Tally, wants: Callable[[int, int], bool] | None = None
@@ -251,8 +250,10 @@ class Drive:
             Says of each cloud, by its stamp and its number of points, whether it is posed; None:
             all are.
         """
-        scans = self.limits.watch(read_recorded(self.log, self.topics))
-        chosen, stamps = self.selector.select(scans), self.selector.stamps
+        self.poser.start_over()
+        stamps = self._options.posing.stamps
+        selector = Selector(self._options.selection, stamps)
+        chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         if wants is not None:
             chosen = (
                 some
@@ -269,13 +270,13 @@ class Drive:
             tally.advance(len(attached.batch.stamp_ns))
         tally.frames[str(self.log.path)] = self.poser.fixed
         tally.lasers = max(tally.lasers, len(self.topics))
-        tally.scans_read += self.selector.read
-        tally.drop(dict(self.selector.left_out))
+        tally.scans_read += selector.read
+        tally.drop(dict(selector.left_out))
+        self._first_ns = selector.first_ns or 0
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
-        first_ns, reach = self.selector.first_ns or 0, self._options.returns.max_range
-        concerns = self.poser.list_concerns(first_ns, reach)
+        concerns = self.poser.list_concerns(self._first_ns, self._options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
         idle = list_idle(self.log, self.topics, self._options.reading)
