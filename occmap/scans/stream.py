@@ -4,7 +4,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,7 @@ class Selector:
     """Says which scans of one log are used; it is shown all of them, in order."""
 
     def __init__(self, selection: Selection, stamps: Stamps) -> None:
-        self.selection = selection
-        self.stamps = stamps
-        """Which of a scan's two times counts"""
+        self._selection, self._stamps = selection, stamps
         self._wants_all = replace(selection, topics=()) == Selection()
         self.first_ns: int | None = None
         """The stamp of the log's first scan; None before it is seen"""
@@ -57,28 +55,25 @@ class Selector:
         """Give each scan and why it is not used, or None; a run stays whole if all is used."""
         for some in scans:
             # A run is taken whole where the user wants every scan, and these can be used.
-            if isinstance(some, ScanRun) and not (self._wants_all and not find_flaw(some.first)):
+            if isinstance(some, ScanRun) and (find_flaw(some.first) or not self._wants_all):
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
             else:
                 yield some, self._judge_next(some.first)
 
     def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
-        stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
+        stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
             return flaw
-        if not self.selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self.selection.end_s:
+        if not self._selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self._selection.end_s:
             return LeftOut.TIME
         self._wanted += 1
-        return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
+        return LeftOut.STRIDE if (self._wanted - 1) % self._selection.stride else None
 
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
-seldom wait for Python's lock."""
-
-BATCH_POINTS = 1 << 19
-"""Points of clouds that are gathered, unless one has more"""
+seldom wait for Python's lock. Two points of a cloud take as much as a beam."""
 CLOUD_MOMENTS = 33
 """Poses looked up for one cloud whose points have times of their own"""
 
@@ -88,65 +83,50 @@ ECHOES = "MultiEchoLaserScan"
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
 
-Geometry: TypeAlias = tuple[tuple[str, str], tuple[float, ...]]
-"""What all scans of a batch share: topic and frame, then angles, beams, limits and posed or not."""
-
-
-def find_geometry(scan: Scan) -> Geometry:
-    """Take from a scan what all scans of a batch share."""
-    limits, has_pose = read_limits(scan), scan.pose is not None
-    angles = scan.angle_min, scan.angle_increment
-    return (scan.topic, scan.frame), (*angles, len(scan.ranges), *limits, has_pose)
-
 
 def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
-    held: defaultdict[Geometry, list[Scan]] = defaultdict(list)
-    clouds: list[Cloud] = []
+    held: defaultdict[object, list[Any]] = defaultdict(list)
     beams = 0
     for some in scans:
-        if isinstance(some, Cloud):
-            if clouds and not can_join(clouds, some):
-                yield make_cloud_batch(clouds, stamps)
-                clouds = []
-            clouds.append(some)
-            continue
-        if isinstance(some, Scan):
-            held[find_geometry(some)].append(some)
-            beams += len(some.ranges)
-        if isinstance(some, ScanRun) or beams >= BATCH_BEAMS:
-            yield from release(held, stamps)
-            beams = 0
+        if not isinstance(some, ScanRun):
+            held[find_shape(some)].append(some)
+            beams += len(some.points) // 2 if isinstance(some, Cloud) else len(some.ranges)
+            if beams < BATCH_BEAMS:
+                continue
+        yield from (pack(alike, stamps) for alike in held.values())
+        held.clear()
+        beams = 0
         if isinstance(some, ScanRun):
             yield make_batch(some, stamps)
-    if clouds:
-        yield make_cloud_batch(clouds, stamps)
-    yield from release(held, stamps)
+    yield from (pack(alike, stamps) for alike in held.values())
 
 
-def can_join(clouds: Sequence[Cloud], other: Cloud) -> bool:
-    """Whether a cloud goes into one batch with those before it."""
-    kinds = {
-        (cloud.topic, cloud.frame, cloud.pose is None, cloud.offset_ns is None)
-        for cloud in (clouds[-1], other)
-    }
-    points = sum(len(cloud.points) for cloud in (*clouds, other))
-    return len(kinds) == 1 and points <= BATCH_POINTS
+def find_shape(some: Scan | Cloud) -> tuple[object, ...]:
+    """Take from a scan, or a cloud, what all of a batch share."""
+    of_all = some.topic, some.frame, some.pose is not None
+    if isinstance(some, Cloud):
+        return *of_all, some.offset_ns is not None
+    return *of_all, some.angle_min, some.angle_increment, len(some.ranges), *read_limits(some)
 
 
-def release(held: dict[Geometry, list[Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
-    """Make a batch of the scans of each geometry, and hold them no more."""
-    for scans in held.values():
-        run = ScanRun(
-            scans[0],
-            np.array([scan.stamp_ns for scan in scans], np.int64),
-            np.array([scan.record_ns for scan in scans], np.int64),
-            np.stack([scan.ranges for scan in scans]),
-            np.array([scan.time_increment for scan in scans], np.float64),
-            np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
-        )
-        yield make_batch(run, stamps)
-    held.clear()
+def pack(alike: list[Any], stamps: Stamps) -> ScanBatch:
+    """Make a batch of scans, or of clouds, of one shape."""
+    if isinstance(alike[0], Cloud):
+        return make_cloud_batch(alike, stamps)
+    return make_batch(join_scans(alike), stamps)
+
+
+def join_scans(scans: Sequence[Scan]) -> ScanRun:
+    """Make a run of scans of one geometry."""
+    return ScanRun(
+        scans[0],
+        np.array([scan.stamp_ns for scan in scans], np.int64),
+        np.array([scan.record_ns for scan in scans], np.int64),
+        np.stack([scan.ranges for scan in scans]),
+        np.array([scan.time_increment for scan in scans], np.float64),
+        np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
+    )
 
 
 def make_batch(run: ScanRun, stamps: Stamps) -> ScanBatch:
@@ -179,12 +159,6 @@ def find_span(cloud: Cloud) -> tuple[int, int]:
     if cloud.offset_ns is None:
         return 0, 0
     return int(cloud.offset_ns.min()), int(cloud.offset_ns.max())
-
-
-def list_oddities(batch: ScanBatch) -> Iterator[str]:
-    """Say what is odd about the beams of scans, and on which topic."""
-    if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
-        yield f"{batch.topic}: {oddity}"
 
 
 def find_oddity(angle_increment: float, beams: int) -> str:
@@ -264,10 +238,12 @@ class Drive:
         batches = stack(chosen, stamps)
         limited = tally.time_each("read", map(self.limits.apply, batches))
         for attached in tally.time_each("pose", self.poser.attach(limited)):
-            self._odd |= dict.fromkeys(list_oddities(attached.batch))
+            batch = attached.batch
+            if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
+                self._odd[f"{batch.topic}: {oddity}"] = None
             tally.drop(attached.dropped)
             yield attached
-            tally.advance(len(attached.batch.stamp_ns))
+            tally.advance(len(batch.stamp_ns))
         tally.frames[str(self.log.path)] = self.poser.fixed
         tally.lasers = max(tally.lasers, len(self.topics))
         tally.scans_read += selector.read
