@@ -302,9 +302,6 @@ class ScanBatch:
     """(S, 7) x y z qx qy qz qw of the sensor, where the log states it beside the scans."""
     topic: str = ""
     """The stream in its log that the scans came from."""
-    number: Int64 | None = None
-    """(S,) numbers that put the scans in the order of their log; None unless scans from between
-    these, of the same topic and frame but another geometry, are in another batch"""
     clouds: tuple[Cloud, ...] | None = None
     """S clouds of points; then a beam stands for a moment of a cloud, and its range is 0"""
 
@@ -318,7 +315,6 @@ class ScanBatch:
             ranges=self.ranges[scans],
             time_increment=self.time_increment[scans],
             pose=None if self.pose is None else self.pose[scans],
-            number=None if self.number is None else self.number[scans],
             clouds=self.clouds and tuple(map(self.clouds.__getitem__, list_chosen(scans))),
         )
 

@@ -22,23 +22,20 @@ from occmap.evidence import (
 from occmap.evidence.manifest import list_doubts
 from occmap.explanation.history import (
     Cell,
-    CellHistory,
     Numbers,
     Seen,
     Sighting,
     Use,
     Visits,
     add_up,
-    find_cell,
     find_sightings,
     find_uses,
     list_logs,
     list_missing,
-    look_at,
 )
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.grid.rendering import measure_bounds
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, find_unit, unite
 from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import SensorModel, describe_model
@@ -142,39 +139,42 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     if question.logs and saved.manifest.update == Update.CLOUD:
         found = "evidence of clouds does not say which of them observed a cell"
         raise UsageError(found, where=saved.where, fix="leave out `logs`")
+    cell = Cell.find(Lattice(saved.manifest.resolution), question.x, question.y)
     # All that is in memory, or the tile that holds the point and those beside it.
-    cell = find_cell(Lattice(saved.manifest.resolution), question.x, question.y)
-    evidence = read_part(saved, CellBox.at(*cell))
-    history = look_at(evidence, question.x, question.y)
+    evidence = read_part(saved, cell.box)
+    manifest, around, layers = (
+        evidence.manifest,
+        cell.read_around(evidence),
+        cell.read_slices(evidence),
+    )
     uses = find_uses(evidence, question.logs, question.poses)
-    sightings, scans_used = find_sightings(uses, history, progress)
-    builds = evidence.manifest.builds
+    sightings, scans_used = find_sightings(uses, cell, progress)
     lasting = keep_lasting(to_grid(evidence), evidence.slices, question.min_passes)
-    made = paint_box(lasting, model, CellBox.at(*cell))
+    made = paint_box(lasting, model, cell.box)
     return Explanation(
         point=(question.x, question.y),
-        cell=history.cell,
+        cell=cell,
         digest=saved.digest if isinstance(saved, Store) else None,
         map_extent=measure_extent(saved, model),
         verdict=name_class(made, question.writing),
         probability=float(made.probability[0, 0]),
         model=describe_model(model),
-        unit=history.unit,
-        seen=history.seen,
+        unit=find_unit(manifest.update),
+        seen=around[1][1],
         ground=measure_ground(saved, question),
-        around=history.around,
+        around=around,
         min_passes=question.min_passes,
-        visits=history.visits,
+        visits=cell.read_visits(unite(layers), manifest),
         builds=tuple(
-            BuildVisits(**vars(visits), build=index, logs=list_logs(build))
-            for index, (visits, build) in enumerate(zip(history.builds, builds, strict=True))
-            if visits is not None
+            BuildVisits(**vars(visits), build=index, logs=list_logs(manifest.builds[index]))
+            for index, layer in enumerate(layers)
+            if (visits := cell.read_visits(layer, manifest))
         ),
         scans_used=scans_used,
-        scans=tuple(sorted(sightings, key=lambda each: each.stamp_ns)),
+        scans=tuple(sightings),
         notes=(
-            *list_doubts(evidence.manifest),
-            *list_unexplained(evidence, history, uses, sightings),
+            *list_doubts(manifest),
+            *list_unexplained(evidence, around[1][1], uses, sightings),
         ),
     )
 
@@ -207,21 +207,21 @@ def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
 
 
 def list_unexplained(
-    evidence: Evidence, history: CellHistory, uses: Sequence[Use], sightings: Sequence[Sighting]
+    evidence: Evidence, seen: Seen, uses: Sequence[Use], sightings: Sequence[Sighting]
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
-    found, held = add_up(sightings), history.seen.numbers
-    if not uses or found == held:
+    found, manifest = add_up(sightings), evidence.manifest
+    if not uses or found == seen.numbers:
         return
-    kind, unit = history.seen.kind, history.unit
-    sums = f"{describe_numbers(found, kind, unit)} of {describe_numbers(held, kind, unit)}"
-    missing = list_missing(evidence, uses)
-    if missing:
+    unit = find_unit(manifest.update)
+    parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
+    sums = " of ".join(parts)
+    if missing := list_missing(evidence, uses):
         yield f"these logs explain {sums}; the rest is in {join_names(missing)}"
-    elif evidence.manifest.subtracted:
+    elif manifest.subtracted:
         yield f"the scans explain {sums}; other evidence was subtracted"
     else:
-        makers = ", ".join(sorted({build["occmap"] for build in evidence.manifest.builds}))
+        makers = ", ".join(sorted({build["occmap"] for build in manifest.builds}))
         yield f"the scans explain {sums}: the occmap that built it ({makers}) read them differently"
 
 

@@ -6,10 +6,10 @@ Options are read back from the JSON that `write_value` made of them.
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from types import GenericAlias, NoneType
+from types import NoneType
 from typing import Any, Self, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -24,13 +24,11 @@ from occmap.grid.tiles import (
     TILE,
     EvidenceKind,
     count_visits,
-    find_unit,
     take,
-    unite,
     unpack,
 )
 from occmap.options import BuildOptions
-from occmap.readers import Log, open_log
+from occmap.readers import open_log
 from occmap.report import Count, join_names
 from occmap.scans import plan_grid
 from occmap.scans.logs import count_scans
@@ -39,7 +37,7 @@ from occmap.scans.tally import Tally
 from occmap.scans.tracing import Progress
 from occmap.sensor import interpret
 from occmap.sensor.models import parse_model
-from occmap.types import Int64, PosedScans
+from occmap.types import PosedScans
 
 Value = TypeVar("Value")
 
@@ -71,16 +69,15 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     """
     builds = evidence.manifest.builds
     given = {digest: path for path in poses for digest in hash_files(path)}
-    distinct: dict[frozenset[tuple[str, int]], Path] = {}
+    distinct: dict[frozenset[str], Path] = {}
     for log in logs:  # of equal logs the first will do: a build cannot tell them apart
-        distinct.setdefault(frozenset(hash_files(log).items()), log)
+        distinct.setdefault(frozenset(hash_files(log)), log)
     uses: list[Use] = []
     for hashes, log in distinct.items():
         times = [count_uses(hashes, build) for build in builds]
-        used = [index for index in range(len(builds)) if times[index]]
-        if not used:
+        if not any(times):
             refuse_stranger(evidence, log)
-        for index in used:
+        for index in np.flatnonzero(times).tolist():
             options = recall_build(builds[index], evidence.where, log, given)
             uses += [Use(log, index, options)] * times[index]
     trajectories = [find_trajectory(builds[use.build]) for use in uses]
@@ -91,21 +88,15 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     return uses
 
 
-def hash_files(path: Path) -> Counter[str]:
-    """SHA-256 of a file, or of all files in a folder, with how many have it.
-
-    Raises
-    ------
-    LogError
-        A file cannot be read.
-    """
-    return Counter(str(entry["sha256"]) for entry in describe_files(path))
+def hash_files(path: Path) -> list[str]:
+    """SHA-256 of a file, or of all files in a folder; raises LogError if one cannot be read."""
+    return [str(entry["sha256"]) for entry in describe_files(path)]
 
 
-def count_uses(hashes: Iterable[tuple[str, int]], build: BuildRecord) -> int:
-    """How many times a build read the log that has these hashes."""
+def count_uses(hashes: Iterable[str], build: BuildRecord) -> int:
+    """How many times a build read the log whose files have these hashes."""
     held = Counter(entry["sha256"] for entry in list_inputs(build))
-    return min((held[digest] // count for digest, count in hashes), default=0)
+    return min((held[digest] for digest in hashes), default=0)
 
 
 def list_logs(build: BuildRecord) -> list[str]:
@@ -236,8 +227,9 @@ def make_value(kind: Any, plain: Any) -> Any:
         kinds = get_args(kind)
         kinds = kinds[:1] * len(list(plain)) if kinds[1:] == (Ellipsis,) else kinds
         return tuple(make_value(each, value) for each, value in zip(kinds, plain, strict=True))
-    if issubclass(kind, tuple):  # a NamedTuple: the tuple of what its fields are
-        return kind(*make_value(GenericAlias(tuple, tuple(get_type_hints(kind).values())), plain))
+    if issubclass(kind, tuple):  # a NamedTuple
+        hints = get_type_hints(kind).values()
+        return kind(*[make_value(each, value) for each, value in zip(hints, plain, strict=True)])
     return kind(plain)
 
 
@@ -307,81 +299,55 @@ class Cell:
     extent: Box
     """Lowest x and y, highest x and y (m)"""
 
+    @classmethod
+    def find(cls, lattice: Lattice, x: float, y: float) -> Self:
+        """Find the cell that holds a point (m).
 
-@dataclass(frozen=True)
-class CellHistory:
-    """What was observed in one cell."""
-
-    cell: Cell
-    unit: int
-    """What one beam, or one scan, adds to a number"""
-    around: list[list[Seen]]
-    """What observed the cell, in the middle, and its neighbours: 3 rows by falling y, in them 3
-    cells by rising x"""
-    visits: Visits | None
-    """When all builds together observed the cell; None where nothing did"""
-    builds: tuple[Visits | None, ...]
-    """For each of the manifest's builds; None where it did not observe the cell"""
+        Raises
+        ------
+        UsageError
+            It is too far away, or not finite.
+        """
+        farthest = max(abs(x), abs(y)) / lattice.resolution
+        if math.isnan(x + y) or not farthest < FARTHEST_CELL:
+            found = f"the point ({x:g}, {y:g}) is in no map"
+            raise UsageError(found, fix="give x and y in metres, in the map frame")
+        row, col = lattice.to_cell(x, y)
+        return cls(row, col, lattice.measure(CellBox.at(row, col)))
 
     @property
-    def seen(self) -> Seen:
-        """What observed the cell."""
-        return self.around[1][1]
+    def box(self) -> CellBox:
+        """The cell as a box of cells."""
+        return CellBox.at(self.row, self.column)
 
+    def read_slices(self, evidence: Evidence) -> list[Slices]:
+        """Take from each layer of slices, one of each build, that of the cell's tile."""
+        tile = self.row // TILE, self.column // TILE
+        layers = evidence.slices
+        return [take(each, np.flatnonzero((each.tiles == tile).all(axis=1))) for each in layers]
 
-def look_at(evidence: Evidence, x: float, y: float) -> CellHistory:
-    """Look up the cell that holds a point (m); one that is not in the map has zeros.
+    def read_around(self, evidence: Evidence) -> list[list[Seen]]:
+        """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
 
-    Raises
-    ------
-    UsageError
-        No map reaches so far.
-    """
-    lattice = Lattice(evidence.manifest.resolution)
-    row, col = find_cell(lattice, x, y)
-    tile = row // TILE, col // TILE
-    layers = [
-        take(layer, np.flatnonzero((layer.tiles == tile).all(axis=1))) for layer in evidence.slices
-    ]
-    return CellHistory(
-        Cell(row, col, lattice.measure(CellBox.at(row, col))),
-        unit=find_unit(evidence.manifest.update),
-        around=[
-            [read_cell(evidence, row + up, col + right) for right in (-1, 0, 1)]
-            for up in (1, 0, -1)
-        ],
-        visits=read_visits(unite(layers), (row, col), evidence.manifest),
-        builds=tuple(read_visits(layer, (row, col), evidence.manifest) for layer in layers),
-    )
+        A cell that is in no tile has zeros.
+        """
+        aside = (-1, 0, 1)
+        return [
+            [read_cell(evidence, self.row - down, self.column + right) for right in aside]
+            for down in aside
+        ]
 
-
-def find_cell(lattice: Lattice, x: float, y: float) -> tuple[int, int]:
-    """Row and column of the cell that holds a point (m).
-
-    Raises
-    ------
-    UsageError
-        It is too far away, or not finite.
-    """
-    farthest = max(abs(x), abs(y)) / lattice.resolution
-    if math.isnan(x + y) or not farthest < FARTHEST_CELL:
-        raise UsageError(
-            f"the point ({x:g}, {y:g}) is in no map", fix="give x and y in metres, in the map frame"
-        )
-    return lattice.to_cell(x, y)
-
-
-def read_visits(slices: Slices, cell: tuple[int, int], manifest: Manifest) -> Visits | None:
-    """Read from the slices of its tile when a cell (row, col) was observed; None: never."""
-    row, col = cell[0] % TILE, cell[1] % TILE
-    seen = np.unpackbits(unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
-    if not seen.any():
-        return None
-    numbers = slices.numbers[seen].tolist()
-    slice_ns = round(manifest.pass_gap_s * 1e9)
-    hit, seen_visits = count_visits(slices)[:, row, col].tolist()
-    hit_visits = hit if manifest.kind == EvidenceKind.COUNTS else None
-    return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
+    def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
+        """Read from the slices of its tile when the cell was observed; None: never."""
+        row, col = self.row % TILE, self.column % TILE
+        seen = np.unpackbits(unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
+        if not seen.any():
+            return None
+        numbers = slices.numbers[seen].tolist()
+        slice_ns = round(manifest.pass_gap_s * 1e9)
+        hit, seen_visits = count_visits(slices)[:, row, col].tolist()
+        hit_visits = hit if manifest.kind == EvidenceKind.COUNTS else None
+        return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
 
 
 def read_cell(evidence: Evidence, row: int, col: int) -> Seen:
@@ -412,16 +378,26 @@ class Sighting:
     distance: float
     """From there to the middle of the cell (m)"""
 
+    @classmethod
+    def note(cls, use: Use, posed: PosedScans, scan: int, seen: Seen, cell: Cell) -> Self:
+        """Note what one of some scans did to a cell."""
+        low_x, low_y, high_x, high_y = cell.extent
+        middle = (low_x + high_x) / 2, (low_y + high_y) / 2
+        places = posed.position[scan].reshape(-1, 3)  # one, or one a beam
+        x, y, _ = places[len(places) // 2].tolist()
+        stamp_ns, away = int(posed.batch.stamp_ns[scan]), math.dist((x, y), middle)
+        return cls(stamp_ns, str(use.log), use.build, posed.batch.topic, seen, x, y, away)
+
 
 def find_sightings(
-    uses: Sequence[Use], history: CellHistory, progress: Progress
+    uses: Sequence[Use], cell: Cell, progress: Progress
 ) -> tuple[list[Sighting], int]:
-    """Trace all scans of the logs once more, and see what each does to the cell.
+    """Trace all scans of the logs once more, as builds do, and see what each does to a cell.
 
     Returns
     -------
     sightings, used
-        In the order of the logs; and how many scans of these logs the builds used.
+        By time; and how many scans of these logs the builds used.
     """
     from occmap.grid.engine import look_at_cell  # noqa: PLC0415  late: it brings numba
 
@@ -430,41 +406,17 @@ def find_sightings(
     sightings: list[Sighting] = []
     tally = Tally(lambda scans: progress(scans, total))
     for use, log in opened:
-        spec, cell = plan_grid(use.options), (history.cell.row, history.cell.column)
-        for posed in pose_again(log, use.options, tally):
+        drive = open_drive(log, use.options)
+        drive.foresee()
+        spec = plan_grid(use.options)
+        for posed in (each.posed for each in drive.read(tally) if each.posed):
             rays, beams = interpret(posed, use.options.returns)
-            numbers = look_at_cell(rays, spec, *cell)
-            sightings += list_sightings(use, posed, numbers, history)
+            numbers = look_at_cell(rays, spec, cell.row, cell.column)
+            for scan in np.flatnonzero(numbers.any(axis=1)).tolist():
+                seen = Seen.read(numbers[scan].tolist(), spec.kind)
+                sightings.append(Sighting.note(use, posed, scan, seen, cell))
             tally.use(len(numbers), beams)
-    return sightings, tally.scans_used
-
-
-def pose_again(log: Log, options: BuildOptions, tally: Tally) -> Iterator[PosedScans]:
-    """Read and pose the scans of a log as a build does, by the limits that all of it shows."""
-    for attached in open_drive(log, options).settle().read(tally):
-        if attached.posed is not None:
-            yield attached.posed
-
-
-def list_sightings(
-    use: Use, posed: PosedScans, numbers: Int64, history: CellHistory
-) -> Iterator[Sighting]:
-    """List the scans of a batch that added something (S, 2) to the cell."""
-    low_x, low_y, high_x, high_y = history.cell.extent
-    middle = np.array([low_x + high_x, low_y + high_y]) / 2
-    for scan in np.flatnonzero(numbers.any(axis=1)):
-        place = posed.position[scan].reshape(-1, 3)  # one, or one a beam
-        sensor = place[len(place) // 2, :2]
-        yield Sighting(
-            int(posed.batch.stamp_ns[scan]),
-            str(use.log),
-            use.build,
-            posed.batch.topic,
-            Seen.read(numbers[scan].tolist(), history.seen.kind),
-            x=float(sensor[0]),
-            y=float(sensor[1]),
-            distance=float(np.hypot(*(sensor - middle))),
-        )
+    return sorted(sightings, key=lambda each: each.stamp_ns), tally.scans_used
 
 
 def add_up(sightings: Sequence[Sighting]) -> Numbers:

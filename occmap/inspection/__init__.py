@@ -37,6 +37,7 @@ from occmap.inspection.survey import Extent, Survey, TopicSurvey
 from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
+from occmap.posing.course import Stance
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
@@ -300,7 +301,6 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
-    posing = replace(posing, poser=survey.drive.poser)
     streams = {stream.topic: stream for stream in reversed(log.streams)}
     topics = choose_topics(log, options.selection.topics)
     seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
@@ -337,26 +337,25 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
-    """Read the scans of a log, once more if the first ones hid what stands for "no return".
+    """Read the scans of a log, once more if the first ones hid "no return", or some leap away.
 
     Returns
     -------
     survey, problem
-        With a poser of its own; and why the log cannot be read to its end, "" where it can.
+        And why the log cannot be read to its end, "" where it can.
     """
     topics = choose_topics(log, options.selection.topics)
-    limits, problem = RangeLimits(options.returns), ""
+    drive, problem = Drive(log, topics, poser, options), ""
     model, lattice = options.model, Lattice(options.resolution)
     spreads = isinstance(model, Spreading) and model.spread > 0
     aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
     for _ in range(2):
-        drive = Drive(log, topics, poser.start_over(), options, limits)
         survey = Survey(drive, options, Extent(lattice, *aside))
         try:
             survey.survey()
         except LogError as error:
             problem = str(error.placed(log.path))
-        if limits.settle():
+        if drive.settle():
             break
     return survey, problem
 
@@ -377,8 +376,10 @@ def sum_up(
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    mount, stance = None, posing.poser.courses[topic.topic].stance
-    if stance is not None:  # of no scan where none has a pose
+    courses = (each for (name, _), each in posing.poser.courses.items() if name == topic.topic)
+    track, mount = next((course.build() for course in courses), None), None
+    if track is not None:  # it is of no scan where none has a pose
+        stance = Stance.measure(track)
         better = find_better(posing.poser, topic.sample.parts, options.returns)
         mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(

@@ -365,7 +365,6 @@ class Survey(Selector):
 
     def __init__(self, drive: Drive, options: BuildOptions, extent: Extent) -> None:
         super().__init__(options.selection, options.posing.stamps)
-        drive.selector = self
         self.drive = drive
         self.options = options
         self.extent = extent
@@ -373,7 +372,7 @@ class Survey(Selector):
 
     def survey(self) -> None:
         """Read all scans once, holding no more than a batch of each topic."""
-        for batch, posed, dropped in self.drive.read(Tally()):
+        for batch, posed, dropped in self.drive.read(Tally(), selector=self):
             survey = self.topics[batch.topic]
             survey.census.add(batch)
             survey.dropped.update(dropped)

@@ -4,10 +4,10 @@
 """
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Self, TypeAlias
 
 import numpy as np
 
@@ -21,14 +21,16 @@ from occmap.posing.chain import (
     list_moments,
     place_beams,
 )
-from occmap.posing.course import STANDS, Course, list_tilts, warn_of_jumps
-from occmap.posing.leaps import LeapFilter
+from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
+from occmap.posing.leaps import describe_first, find_outliers
 from occmap.posing.sources import Sources, gather, resolve
 from occmap.posing.tracks import MAX_STAMP_NS
+from occmap.report import count
 from occmap.types import (
     IDENTITY,
     Attached,
     Float64,
+    Int64,
     Moments,
     Pose,
     PoseBatch,
@@ -41,6 +43,8 @@ POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
+Laser: TypeAlias = tuple[str, str]
+"""Topic and frame"""
 
 
 @dataclass(eq=False)
@@ -58,12 +62,14 @@ class Poser:
     """What a user should know of decisions and of what was left out; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where no chain leads to it."""
-    courses: defaultdict[str, Course] = field(default_factory=lambda: defaultdict(Course))
-    """By topic: how its sensor sat, and where it went."""
+    courses: dict[Laser, Course] = field(default_factory=dict)
+    """Where each sensor was at its scans."""
+    leaps: dict[Laser, Int64] = field(default_factory=dict)
+    """Stamps, by the clock of the poses, of the scans that leap away."""
 
     def __post_init__(self) -> None:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
-        self._leaps = LeapFilter(self.options.max_speed)
+        self._is_settled = False
         # Where the log's map frame lies in the map that is made: mostly, they are one.
         turned = Pose.planar(0.0, 0.0, math.radians(self.options.align or 0.0))
         moved = Transforms.fixed(self.options.transform or IDENTITY)
@@ -129,83 +135,125 @@ class Poser:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
 
-    def start_over(self) -> Self:
-        """Make a poser that knows the same of frames, and has seen no scan yet."""
-        return replace(self, courses=defaultdict(Course))
-
     def attach(self, batches: Iterable[ScanBatch]) -> Iterator[Attached]:
         """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
 
         A pose that the log states beside the scan is used as it is, unless the user named a
         trajectory; where the user gave the sensor's pose, it is taken to be the body's. Where only
         some scans of a batch are de-skewed, it comes in two parts. Scans in a frame that no chain
-        leads to are dropped and counted.
+        leads to are dropped and counted, and so are those that are known to leap away.
         """
-        looked_up = (part for batch in batches for part in self._look_up(batch))
-        for attached in self._leaps.sift(looked_up):
-            if attached.posed is not None:
-                self._watch(attached.posed)
-            yield attached
-        self._note(*self._leaps.list_notes())
+        for batch in batches:
+            for attached in self._look_up(batch):
+                yield attached if attached.posed is None else self._sift(attached, attached.posed)
+
+    def _sift(self, attached: Attached, posed: PosedScans) -> Attached:
+        """Leave out the scans that leap away, and take note of where the others were."""
+        batch, dropped = posed.batch, attached.dropped
+        laser = batch.topic, batch.frame
+        stamp_ns = self._convert(batch.stamp_ns)
+        if (leaps := self.leaps.get(laser)) is not None:
+            stays = ~np.isin(stamp_ns, leaps)
+            lost = int(np.count_nonzero(~stays))
+            dropped = {**dropped, DropReason.LEAP: lost} if lost else dropped
+            if lost == len(stays):
+                return Attached(attached.batch, None, dropped)
+            posed, stamp_ns = posed.take(stays), stamp_ns[stays]
+        if laser not in self.courses:
+            self.courses[laser] = Course(None if self._is_stated(batch) else self.chains[laser[1]])
+        self.courses[laser].see(posed, stamp_ns)
+        return Attached(attached.batch, posed, dropped)
+
+    def start_over(self) -> None:
+        """Forget the scans that were seen, since they are about to come once more."""
+        self.courses.clear()
+
+    def settle(self) -> bool:
+        """Look for leaps, once all scans were seen. Where there are some, say that this was wrong.
+
+        From then on the scans that leap away are left out, and no others are looked for.
+        """
+        if self._is_settled:
+            return True
+        self._is_settled = True
+        for laser, course in sorted(self.courses.items()):
+            track = course.build()
+            outliers = None if track is None else find_outliers(track, self.options.max_speed)
+            if track is None or outliers is None or not outliers.any():
+                continue
+            outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
+            if self.options.max_speed < math.inf:
+                self.leaps[laser] = track.stamp_ns[outliers]
+                scans = count(len(self.leaps[laser]), "scan")
+                outcome = f"{scans} left out for such leaps; `max_speed=inf` keeps all"
+            where = describe_first(track, outliers, self._offset_ns)
+            self._note(f"{laser[0]}: {where}: {outcome}")
+        return not self.leaps
+
+    def _convert(self, stamp_ns: Int64) -> Int64:
+        """Convert stamps of scans (S,) to the clock of the poses."""
+        return np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+
+    def _is_stated(self, batch: ScanBatch) -> bool:
+        """Whether the poses beside scans count, since the user named no others."""
+        return batch.pose is not None and self.sources.trajectory is None
 
     def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
         """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
-        scans = len(batch.stamp_ns)
-        if not scans:
+        if not len(batch.stamp_ns):
             return
-        if (stated := self._choose_stated(batch)) is not None:
-            yield self._keep(batch, self._read_stated(stated))
+        if batch.pose is not None and self._is_stated(batch):
+            yield self._keep(batch, self._read_stated(batch.pose))
             return
         if batch.frame not in self.chains:
             self.find_chains([batch.frame])
-        chain = self.chains.get(batch.frame)
-        if chain is None:
-            yield Attached(batch, None, {DropReason.NO_TRANSFORM: scans})
+        way = self.chains.get(batch.frame)
+        if way is None:
+            yield Attached(batch, None, {DropReason.NO_TRANSFORM: len(batch.stamp_ns)})
             return
-        if batch.clouds and not chain.interval_s and (bodies := self.sources.tree.bodies):
-            yield from self._place_registered(batch, chain, bodies[0])
+        stamp_ns = self._convert(batch.stamp_ns)
+        if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
+            yield self._place_registered(batch, way.at(stamp_ns), carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         deskew = Deskew.AUTO if batch.clouds else self.options.deskew
-        deskewed, notes = choose_deskewed(batch, deskew, chain)
+        deskewed, notes = choose_deskewed(batch, deskew, way)
         self._note(*notes)
-        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + list_moments(part)
-            yield self._keep(part, chain.at(moment_ns.ravel()))
+            yield self._keep(part, way.at(moment_ns.ravel()))
         if not deskewed.all():
-            yield self._keep(batch.take(~deskewed), chain.at(stamp_ns[~deskewed]))
-
-    def _place_registered(self, batch: ScanBatch, chain: Chain, body: str) -> Iterator[Attached]:
-        """Place clouds that are in the map already; they were seen from where a body was."""
-        self.find_chains([body])
-        carrier = self.chains.get(body)
-        if carrier is None or not carrier.interval_s:
-            yield self._keep(batch, chain.at(batch.stamp_ns))
-            return
-        self._note(
-            f"the clouds in {batch.frame!r} do not move with a sensor: taken as in the map "
-            f"already, and as seen from {body!r}"
-        )
-        stamp_ns = np.clip(batch.stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
-        seen_from = carrier.at(stamp_ns)
-        found = chain.at(stamp_ns)._replace(status=seen_from.status)
-        attached = self._keep(batch, found)
-        if attached.posed is not None:
-            origin = self._above.then(seen_from).position[seen_from.status == Status.POSED]
-            attached = attached._replace(posed=replace(attached.posed, origin=origin))
-        yield attached
-
-    def _choose_stated(self, batch: ScanBatch) -> Float64 | None:
-        """The poses (S, 7) that stand beside scans, unless the user named others."""
-        return batch.pose if self.sources.trajectory is None else None
+            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]))
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
         found, sensor = Transforms.read(poses), self.options.sensor_pose
         self._note(*_list_idle(self.options))
         return found.then(Transforms.fixed(sensor)) if sensor else found
+
+    def _find_carrier(self, frame: str) -> Chain | None:
+        """Find what moves, where a frame of clouds does not: they are in the map already."""
+        for body in self.sources.tree.bodies[:1]:
+            self.find_chains([body])
+            carrier = self.chains.get(body)
+            if carrier and carrier.interval_s:
+                self._note(
+                    f"the clouds in {frame!r} do not move with a sensor: taken as in the map "
+                    f"already, and as seen from {body!r}"
+                )
+                return carrier
+        return None
+
+    def _place_registered(
+        self, batch: ScanBatch, found: Transforms, seen_from: Transforms
+    ) -> Attached:
+        """Place clouds that are in the map already; they were seen from where a body was."""
+        attached = self._keep(batch, found._replace(status=seen_from.status))
+        if attached.posed is None:
+            return attached
+        origin = self._above.then(seen_from).position[seen_from.status == Status.POSED]
+        return attached._replace(posed=replace(attached.posed, origin=origin))
 
     def _keep(self, batch: ScanBatch, found: Transforms) -> Attached:
         """Keep the scans (S) that have a pose at all of their K moments, and count the others."""
@@ -218,12 +266,6 @@ class Poser:
         if not posed.any():
             return Attached(batch, None, dropped)
         return Attached(batch, place_beams(batch, posed, self._above.then(found)), dropped)
-
-    def _watch(self, posed: PosedScans) -> None:
-        """Note where the sensor of some scans was, for what there is to say of its course."""
-        batch = posed.batch
-        chain = self.chains[batch.frame] if self._choose_stated(batch) is None else None
-        self.courses[batch.topic].see(posed, batch.stamp_ns + self._offset_ns, chain)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.
@@ -238,14 +280,17 @@ class Poser:
             Beams are used up to here (m).
         """
         jumped = None
-        for topic, course in sorted(self.courses.items()):
-            if course.stands:
+        for (topic, _), course in sorted(self.courses.items()):
+            if (track := course.build()) is None:
+                continue
+            if stands(track):
                 self._note(f"{topic}: {STANDS}")
-            if course.stance and not course.is_of_clouds:
-                yield from ((topic, tilt) for tilt in list_tilts(course.stance, max_range))
+            if not course.is_of_clouds:
+                for tilt in list_tilts(Stance.measure(track), max_range):
+                    yield topic, tilt
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns
-                if jumped := warn_of_jumps(course.find_jumps(), course.stamp_ns, first):
+                if jumped := warn_of_jumps(course.find_jumps(track), track.stamp_ns, first):
                     yield topic, jumped
 
     def _note(self, *sentences: str) -> None:

@@ -15,7 +15,14 @@ import numpy as np
 from occmap.posing import Concern, Stamps
 from occmap.posing.chain import Chain, Moving, Status, make_chain
 from occmap.posing.frames import Edge, Source
-from occmap.posing.tracks import Track, TrackBuilder, measure_turn
+from occmap.posing.tracks import (
+    Track,
+    TrackBuilder,
+    differ,
+    measure_turn,
+    rotate_by,
+    to_quaternions,
+)
 from occmap.types import Float64, Int64, PoseBatch, PosedScans
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
@@ -140,46 +147,30 @@ def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
     return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
 
 
-class Break(NamedTuple):
-    """A sample at which a step of a chain jumps."""
-
-    after_ns: int
-    """Stamp of the sample, by the clock of the poses"""
-    before_ns: int
-    """The last stamp that is clearly before the jump"""
-    step: Edge
-
-
 def find_jumps(chain: Chain) -> list[Jump]:
-    """Find the jumps that the sensor at the end of a chain makes."""
-    breaks = find_breaks(chain)
-    after = chain.at(np.array([each.after_ns for each in breaks], np.int64))
-    before = chain.at(np.array([each.before_ns for each in breaks], np.int64))
-    known = (before.status == Status.POSED) & (after.status == Status.POSED)
-    jumps = []
-    for at in np.flatnonzero(known).tolist():
-        stamp_ns, _, step = breaks[at]
-        rotation = after.rotation[at] @ before.rotation[at].T
-        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
-        jumps.append(Jump(stamp_ns, before.position[at], after.position[at], rotation, name))
-    return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
-
-
-def find_breaks(chain: Chain) -> list[Break]:
-    """Find when any step of a chain jumps, in the order of time and each moment once.
+    """Find when the sensor at the end of a chain is suddenly elsewhere, in the order of time.
 
     A correction jumps where its pose holds until then, any other step where a body moves faster
     than a robot can.
     """
-    found: dict[int, Break] = {}
+    breaks: dict[int, tuple[int, Edge]] = {}
+    """By the first stamp after a jump: the last one that is clearly before it, and what jumps"""
     for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
         stamp_ns = leg.step.track.stamp_ns
         for at in np.union1d(np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)):
             after_ns = int(stamp_ns[at + 1])
             # A pose that holds does so until just before the next sample.
-            before_ns = after_ns - 1 if leg.holds[at] else int(stamp_ns[at])
-            found[after_ns] = Break(after_ns, before_ns, leg.step)
-    return [found[after_ns] for after_ns in sorted(found)]
+            breaks[after_ns] = after_ns - 1 if leg.holds[at] else int(stamp_ns[at]), leg.step
+    times = sorted(breaks)
+    after = chain.at(np.array(times, np.int64))
+    before = chain.at(np.array([breaks[each][0] for each in times], np.int64))
+    jumps = []
+    for at in np.flatnonzero(np.maximum(before.status, after.status) == Status.POSED).tolist():
+        step = breaks[times[at]][1]
+        rotation = after.rotation[at] @ before.rotation[at].T
+        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
+        jumps.append(Jump(times[at], before.position[at], after.position[at], rotation, name))
+    return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
 
 
 def find_strides(track: Track) -> Int64:
@@ -220,6 +211,48 @@ STANDS = (
 )
 
 
+class Course:
+    """Where one sensor was at its scans; grows with those that it is shown, 72 bytes each.
+
+    Parameters
+    ----------
+    chain
+        What its poses are looked up in; None where they stand beside the scans.
+    """
+
+    def __init__(self, chain: Chain | None = None) -> None:
+        self._chain = chain
+        self._poses = TrackBuilder()
+        self.is_of_clouds = False
+        """Its sensor has no scan plane"""
+
+    def see(self, posed: PosedScans, stamp_ns: Int64) -> None:
+        """Record the poses of some scans, with stamps (S,) by the clock of the poses.
+
+        Of de-skewed scans, those of their first beams count.
+        """
+        self.is_of_clouds = posed.batch.clouds is not None
+        position, rotation = posed.at_first_beam
+        pose = np.column_stack([position, to_quaternions(rotation)])
+        seen = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
+        self._poses.add_batch(seen, Stamps.HEADER)
+
+    def build(self) -> Track | None:
+        """Put all that was seen in the order of time; None where no scan had a pose."""
+        return self._poses.build()
+
+    def find_jumps(self, track: Track) -> list[Jump]:
+        """Find when it jumped; poses beside scans show that only when all of them are known."""
+        stated = [Edge("", "", track, Source.ODOMETRY)]
+        return find_jumps(self._chain or make_chain(stated, None))
+
+
+def stands(track: Track) -> bool:
+    """Whether a sensor never moved, though there were scans enough to see it move."""
+    moves = differ(track.position, track.quaternion, STILL_M, STILL_RAD)
+    return len(track) >= STILL_SCANS and not moves
+
+
 class Stance(NamedTuple):
     """How a sensor sat in the frame of the map, as the median of its scans."""
 
@@ -231,80 +264,14 @@ class Stance(NamedTuple):
     ahead: float
     """How far its x axis points up (rad); below 0: down"""
 
-
-class Course:
-    """Where the sensor of one topic was; grows with the scans that it is shown, 48 bytes each."""
-
-    def __init__(self) -> None:
-        self.is_of_clouds = False
-        """Its sensor has no scan plane"""
-        self._chain: Chain | None = None
-        """What their poses were looked up in; None where they stand beside the scans"""
-        self._stated = TrackBuilder()
-        """The poses that stand beside the scans"""
-        self._stamps: list[Int64] = [np.empty(0, np.int64)]
-        self._seats: list[Float64] = [np.empty((0, 5))]
-        """x, y, z, and how far the z axis and the x axis of the sensor point up"""
-        self._first: Float64 | None = None
-        self._turned = 0.0
-
-    def see(self, posed: PosedScans, stamp_ns: Int64, chain: Chain | None) -> None:
-        """Record the poses of some scans; of de-skewed ones, those of their first beams.
-
-        Parameters
-        ----------
-        stamp_ns
-            (S,) of the scans, by the clock of the poses.
-        chain
-            What their poses were looked up in; None where they stand beside the scans.
-        """
-        pose = posed.batch.pose
-        self.is_of_clouds = posed.batch.clouds is not None
-        if chain is None and pose is not None:
-            stated = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
-            self._stated.add_batch(stated, Stamps.HEADER)
-        self._chain = chain
-        self._stamps.append(stamp_ns)
-        position, rotation = posed.at_first_beam
-        self._seats.append(np.column_stack([position, rotation[:, 2, [2, 0]]]))
-        self._first = rotation[0] if self._first is None else self._first
-        self._turned = max(self._turned, float(measure_turn(self._first, rotation).max()))
-
-    @property
-    def stamp_ns(self) -> Int64:
-        """(S,) stamps of the scans, by the clock of the poses."""
-        return np.concatenate(self._stamps)
-
-    def find_jumps(self) -> list[Jump]:
-        """Find when it jumped; poses beside scans show that only when all of them are known."""
-        chain = self._chain
-        if chain is None and (track := self._stated.build()) is not None:
-            chain = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
-        return find_jumps(chain) if chain else []
-
-    @property
-    def bounds(self) -> Float64:
-        """(2, 3) the lowest and the highest x, y and z (m)."""
-        places = np.concatenate(self._seats)[:, :3]
-        return np.stack([places.min(axis=0, initial=np.inf), places.max(axis=0, initial=-np.inf)])
-
-    @property
-    def stands(self) -> bool:
-        """Whether it never moved, though there were scans enough to see it move."""
-        far = float(np.diff(self.bounds, axis=0).max())
-        has_seen = len(self.stamp_ns) >= STILL_SCANS
-        return has_seen and far < STILL_M and self._turned < STILL_RAD
-
-    @property
-    def stance(self) -> Stance | None:
-        """How it sat; None where no scan had a pose."""
-        *_, height, up, ahead = np.concatenate(self._seats).T
-        if not len(up):
-            return None
-        return Stance(
+    @classmethod
+    def measure(cls, track: Track) -> Self:
+        """Measure how a sensor sat."""
+        ahead, _, up = rotate_by(track.quaternion)[:, 2].T
+        return cls(
             upside_down=bool(np.median(up) < 0),
             tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),
-            height=float(np.median(height)),
+            height=float(np.median(track.position[:, 2])),
             ahead=float(np.arcsin(np.clip(np.median(ahead), -1, 1))),
         )
 

@@ -215,12 +215,14 @@ class TrackBuilder:
         return Track(stamp[kept], values[kept, :3], values[kept, 3:] / norm[kept, None])
 
 
-def differ(position: Float64, quaternion: Float64) -> bool:
-    """Whether any of the poses, (N, 3) m and (N, 4), differs from the first."""
+def differ(
+    position: Float64, quaternion: Float64, far_m: float = FIXED_M, far_rad: float = FIXED_RAD
+) -> bool:
+    """Whether any of the poses, (N, 3) m and (N, 4), differs from the first by more than that."""
     far = float(np.abs(position - position[:1]).max(initial=0))
     first = np.broadcast_to(quaternion[:1], quaternion.shape)
     turned = float(angle_between(first, quaternion).max(initial=0))
-    return far > FIXED_M or turned > FIXED_RAD
+    return far > far_m or turned > far_rad
 
 
 def find_usable(values: Float64) -> tuple[Bool, Float64]:

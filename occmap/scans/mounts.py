@@ -30,7 +30,7 @@ from occmap.scans import make_engine
 from occmap.scans.logs import choose_topics, count_messages, make_poser
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
-from occmap.sensor import RangeLimits, ReturnOptions, interpret
+from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import CountingModel
 from occmap.types import IDENTITY, Float64, Int64, Kind, Pose, PosedScans, Rays
 
@@ -151,7 +151,7 @@ FEW_SCANS = 200
 little; those are read again at once. Of 280 pieces of logs none was suspected wrongly."""
 
 
-def open_drive(log: Log, options: BuildOptions, limits: RangeLimits | None = None) -> Drive:
+def open_drive(log: Log, options: BuildOptions) -> Drive:
     """Choose the scans of a log, and read its poses, which are few beside them.
 
     Raises
@@ -161,7 +161,7 @@ def open_drive(log: Log, options: BuildOptions, limits: RangeLimits | None = Non
     """
     topics = choose_topics(log, options.selection.topics)
     try:
-        return Drive(log, topics, make_poser(log, topics, options.posing), options, limits)
+        return Drive(log, topics, make_poser(log, topics, options.posing), options)
     except MountError as error:
         raise name_mount(log, topics, options, error) from None
 

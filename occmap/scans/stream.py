@@ -1,20 +1,20 @@
 """From single scans to batches: the scans that are used, stacked by geometry."""
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Self, TypeAlias
+from typing import Any
 
 import numpy as np
 
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Echo, Log, ReaderOptions, read_recorded, read_scans
+from occmap.readers import Echo, Log, ReaderOptions, read_recorded
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import RangeLimits, read_limits
-from occmap.types import Attached, Cloud, Int64, Recorded, Scan, ScanBatch, ScanRun
+from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun
 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
@@ -32,9 +32,7 @@ class Selector:
     """Says which scans of one log are used; it is shown all of them, in order."""
 
     def __init__(self, selection: Selection, stamps: Stamps) -> None:
-        self.selection = selection
-        self.stamps = stamps
-        """Which of a scan's two times counts"""
+        self._selection, self._stamps = selection, stamps
         self._wants_all = replace(selection, topics=()) == Selection()
         self.first_ns: int | None = None
         """The stamp of the log's first scan; None before it is seen"""
@@ -57,28 +55,25 @@ class Selector:
         """Give each scan and why it is not used, or None; a run stays whole if all is used."""
         for some in scans:
             # A run is taken whole where the user wants every scan, and these can be used.
-            if isinstance(some, ScanRun) and not (self._wants_all and not find_flaw(some.first)):
+            if isinstance(some, ScanRun) and (find_flaw(some.first) or not self._wants_all):
                 yield from ((scan, self._judge_next(scan)) for scan in some.split())
             else:
                 yield some, self._judge_next(some.first)
 
     def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
-        stamp_ns = self.stamps.choose(scan.stamp_ns, scan.record_ns)
+        stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
             return flaw
-        if not self.selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self.selection.end_s:
+        if not self._selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self._selection.end_s:
             return LeftOut.TIME
         self._wanted += 1
-        return LeftOut.STRIDE if (self._wanted - 1) % self.selection.stride else None
+        return LeftOut.STRIDE if (self._wanted - 1) % self._selection.stride else None
 
 
 BATCH_BEAMS = 1 << 18
 """Beams that are gathered before they are handed on: a few megabytes, and enough work that threads
-seldom wait for Python's lock."""
-
-BATCH_POINTS = 1 << 19
-"""Points of clouds that are gathered, unless one has more"""
+seldom wait for Python's lock. Two points of a cloud take as much as a beam."""
 CLOUD_MOMENTS = 33
 """Poses looked up for one cloud whose points have times of their own"""
 
@@ -88,76 +83,58 @@ ECHOES = "MultiEchoLaserScan"
 MOST_TURNS = 1.5
 """Some lasers overlap a little where a turn closes; none goes round twice."""
 
-Geometry: TypeAlias = tuple[tuple[str, str], tuple[float, ...]]
-"""What all scans of a batch share: topic and frame, then angles, beams, limits and posed or not."""
-
-
-def find_geometry(scan: Scan) -> Geometry:
-    """Take from a scan what all scans of a batch share."""
-    limits, has_pose = read_limits(scan), scan.pose is not None
-    angles = scan.angle_min, scan.angle_increment
-    return (scan.topic, scan.frame), (*angles, len(scan.ranges), *limits, has_pose)
-
 
 def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
     """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
-    held: dict[Geometry, dict[int, Scan]] = {}
-    clouds: list[Cloud] = []
+    held: defaultdict[object, list[Any]] = defaultdict(list)
     beams = 0
-    for number, some in enumerate(scans):
-        if isinstance(some, Cloud):
-            if clouds and not can_join(clouds, some):
-                yield make_cloud_batch(clouds, stamps)
-                clouds = []
-            clouds.append(some)
-            continue
-        if isinstance(some, Scan):
-            held.setdefault(find_geometry(some), {})[number] = some
-            beams += len(some.ranges)
-        if isinstance(some, ScanRun) or beams >= BATCH_BEAMS:
-            yield from release(held, stamps)
-            held, beams = {}, 0
+    for some in scans:
+        if not isinstance(some, ScanRun):
+            held[find_shape(some)].append(some)
+            beams += len(some.points) // 2 if isinstance(some, Cloud) else len(some.ranges)
+            if beams < BATCH_BEAMS:
+                continue
+        yield from (pack(alike, stamps) for alike in held.values())
+        held.clear()
+        beams = 0
         if isinstance(some, ScanRun):
             yield make_batch(some, stamps)
-    if clouds:
-        yield make_cloud_batch(clouds, stamps)
-    yield from release(held, stamps)
+    yield from (pack(alike, stamps) for alike in held.values())
 
 
-def can_join(clouds: Sequence[Cloud], other: Cloud) -> bool:
-    """Whether a cloud goes into one batch with those before it."""
-    kinds = {
-        (cloud.topic, cloud.frame, cloud.pose is None, cloud.offset_ns is None)
-        for cloud in (clouds[-1], other)
-    }
-    points = sum(len(cloud.points) for cloud in (*clouds, other))
-    return len(kinds) == 1 and points <= BATCH_POINTS
+def find_shape(some: Scan | Cloud) -> tuple[object, ...]:
+    """Take from a scan, or a cloud, what all of a batch share."""
+    of_all = some.topic, some.frame, some.pose is not None
+    if isinstance(some, Cloud):
+        return *of_all, some.offset_ns is not None
+    return *of_all, some.angle_min, some.angle_increment, len(some.ranges), *read_limits(some)
 
 
-def release(held: Mapping[Geometry, Mapping[int, Scan]], stamps: Stamps) -> Iterator[ScanBatch]:
-    """Make a batch of the scans of each geometry; these are held by their places in the stream."""
-    lasers = Counter(laser for laser, _ in held)
-    for (laser, _), numbered in held.items():
-        scans = list(numbered.values())
-        run = ScanRun(
-            scans[0],
-            np.array([scan.stamp_ns for scan in scans], np.int64),
-            np.array([scan.record_ns for scan in scans], np.int64),
-            np.stack([scan.ranges for scan in scans]),
-            np.array([scan.time_increment for scan in scans], np.float64),
-            np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
-        )
-        number = np.array([*numbered], np.int64) if lasers[laser] > 1 else None
-        yield make_batch(run, stamps, number)
+def pack(alike: list[Any], stamps: Stamps) -> ScanBatch:
+    """Make a batch of scans, or of clouds, of one shape."""
+    if isinstance(alike[0], Cloud):
+        return make_cloud_batch(alike, stamps)
+    return make_batch(join_scans(alike), stamps)
 
 
-def make_batch(run: ScanRun, stamps: Stamps, number: Int64 | None = None) -> ScanBatch:
+def join_scans(scans: Sequence[Scan]) -> ScanRun:
+    """Make a run of scans of one geometry."""
+    return ScanRun(
+        scans[0],
+        np.array([scan.stamp_ns for scan in scans], np.int64),
+        np.array([scan.record_ns for scan in scans], np.int64),
+        np.stack([scan.ranges for scan in scans]),
+        np.array([scan.time_increment for scan in scans], np.float64),
+        np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
+    )
+
+
+def make_batch(run: ScanRun, stamps: Stamps) -> ScanBatch:
     """Make a batch of scans that are alike."""
     first = run.first
     shape = first.frame, first.angle_min, first.angle_increment, *read_limits(first)
     stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
-    differing = stamp_ns, run.ranges, run.time_increment, run.pose
-    return ScanBatch(*shape, *differing, first.topic, number)
+    return ScanBatch(*shape, stamp_ns, run.ranges, run.time_increment, run.pose, first.topic)
 
 
 def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
@@ -184,12 +161,6 @@ def find_span(cloud: Cloud) -> tuple[int, int]:
     return int(cloud.offset_ns.min()), int(cloud.offset_ns.max())
 
 
-def list_oddities(batch: ScanBatch) -> Iterator[str]:
-    """Say what is odd about the beams of scans, and on which topic."""
-    if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
-        yield f"{batch.topic}: {oddity}"
-
-
 def find_oddity(angle_increment: float, beams: int) -> str:
     """Say what is odd about angles; "" where nothing is."""
     turns = abs(angle_increment) * (beams - 1) / math.tau
@@ -214,34 +185,39 @@ class Drive:
     ----------
     topics
         The topics whose scans are used.
-    limits
-        From which range on nothing came back; they learn from all scans, since those that are not
-        used tell of the laser, too.
     """
 
     def __init__(
-        self,
-        log: Log,
-        topics: Sequence[str],
-        poser: Poser,
-        options: BuildOptions,
-        limits: RangeLimits | None = None,
+        self, log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
     ) -> None:
         self.log, self.topics, self.poser = log, topics, poser
-        self.limits = limits or RangeLimits(options.returns)
-        self.selector = Selector(options.selection, options.posing.stamps)
+        self.limits = RangeLimits(options.returns)
+        self.is_settled = False
+        """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._options = options
+        self._first_ns = 0
         self._odd: dict[str, None] = {}
 
-    def settle(self) -> Self:
-        """Read all scans for their limits alone, which then hold from the first scan on."""
-        for some in read_scans(self.log, self.topics):
-            self.limits.see(some)
-        self.limits.settle()
-        return self
+    def settle(self) -> bool:
+        """Say, once all scans were read, whether limits and leaps were known from the first on.
+
+        Else they are from now on, and the scans are to be read once more.
+        """
+        self.is_settled = True
+        return all([self.limits.settle(), self.poser.settle()])
+
+    def foresee(self) -> bool:
+        """Read all scans for limits and leaps alone, and settle them."""
+        self.limits = RangeLimits(self._options.returns)
+        for _ in self.read(Tally()):
+            pass
+        return self.settle()
 
     def read(
-        self, tally: Tally, wants: Callable[[int, int], bool] | None = None
+        self,
+        tally: Tally,
+        wants: Callable[[int, int], bool] | None = None,
+        selector: Selector | None = None,
     ) -> Iterator[Attached]:
         """Read the scans that are used, holding no more than a batch; count what becomes of all.
 
@@ -250,9 +226,13 @@ class Drive:
         wants
             Says of each cloud, by its stamp and its number of points, whether it is posed; None:
             all are.
+        selector
+            Is shown all scans of the log; None: one that only selects.
         """
-        scans = self.limits.watch(read_recorded(self.log, self.topics))
-        chosen, stamps = self.selector.select(scans), self.selector.stamps
+        self.poser.start_over()
+        stamps = self._options.posing.stamps
+        selector = selector or Selector(self._options.selection, stamps)
+        chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         if wants is not None:
             chosen = (
                 some
@@ -263,19 +243,21 @@ class Drive:
         batches = stack(chosen, stamps)
         limited = tally.time_each("read", map(self.limits.apply, batches))
         for attached in tally.time_each("pose", self.poser.attach(limited)):
-            self._odd |= dict.fromkeys(list_oddities(attached.batch))
+            batch = attached.batch
+            if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
+                self._odd[f"{batch.topic}: {oddity}"] = None
             tally.drop(attached.dropped)
             yield attached
-            tally.advance(len(attached.batch.stamp_ns))
+            tally.advance(len(batch.stamp_ns))
         tally.frames[str(self.log.path)] = self.poser.fixed
         tally.lasers = max(tally.lasers, len(self.topics))
-        tally.scans_read += self.selector.read
-        tally.drop(dict(self.selector.left_out))
+        tally.scans_read += selector.read
+        tally.drop(dict(selector.left_out))
+        self._first_ns = selector.first_ns or 0
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
-        first_ns, reach = self.selector.first_ns or 0, self._options.returns.max_range
-        concerns = self.poser.list_concerns(first_ns, reach)
+        concerns = self.poser.list_concerns(self._first_ns, self._options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
         idle = list_idle(self.log, self.topics, self._options.reading)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
 from occmap.cells import Ground, Slices
-from occmap.errors import name_log
+from occmap.errors import MapError, name_log
 from occmap.evidence import list_misfit
 from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
@@ -19,7 +19,7 @@ from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
-from occmap.sensor import RangeLimits, ReturnCounts, ReturnOptions, interpret
+from occmap.sensor import ReturnCounts, ReturnOptions, interpret
 from occmap.types import PosedScans, Rays, Update
 from occmap.workers import Workers
 
@@ -42,30 +42,36 @@ def trace_logs(
 ) -> list[tuple[Log, list[str]]]:
     """Read logs and trace their scans; return each log with the notes on it.
 
-    Only a log read to its end shows for sure which ranges mean "no return". Where the first scans
-    led to another limit, all these logs are read once more.
+    Only a log read to its end shows for sure which ranges mean "no return", and which scans leap
+    away. Where the first scans let something else seem right, all these logs are read once more.
 
     Parameters
     ----------
     begin
         Called each time that the logs are read; returns what takes their rays.
     """
-    limits = [RangeLimits(options.returns) for _ in logs]
+    with tally.time("poses"):
+        drives = [open_drive(log, options) for log in logs]
     for _ in range(2):
-        counts = tally.start_over()
-        add_rays = begin()
-        notes = []
-        for log, limit in zip(logs, limits, strict=True):
-            with counts.time("poses"):
-                drive = open_drive(log, options, limit)
-            trace(drive, options, add_rays, counts)
-            notes.append(drive.list_notes())
-        right = [limit.settle() for limit in limits]
+        counts, add_rays = tally.start_over(), begin()
+        right = [trace(drive, options, add_rays, counts) for drive in drives]
         if all(right):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
     tally.add(counts)
-    return list(zip(logs, notes, strict=True))
+    return [(drive.log, drive.list_notes()) for drive in drives]
+
+
+def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> bool:
+    """Trace the scans of a log; say whether they were read as all of it says they should be."""
+    try:
+        trace_stream(drive, options, add_rays, tally)
+    except MapError:
+        # Without scans that leap away the map may be small enough.
+        if drive.is_settled or drive.foresee():
+            raise
+        return False
+    return drive.is_settled or drive.settle()
 
 
 def find_ground(
@@ -95,7 +101,7 @@ def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> Non
                 workers.give(attached.posed)
 
 
-def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:
+def trace_stream(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:
     """Trace the scans of a log as a stream."""
     reach = Reach(Lattice(options.resolution), options.max_cells)
 

@@ -125,10 +125,10 @@ def tune(
     scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
     before = scorer.score(Correction())
     timed, place, unsearched = plan_search(logs, mount, scorer.trace(Correction()))
-    way = search.find_way(scorer, timed, place)
+    time, mounted, best = search.find_both(scorer, timed, place)
     # Both once more, since one may have hidden part of the other.
-    again = search.TOGETHER if timed and way.mount.verdict is Verdict.FOUND else []
-    together = search.find_correction(scorer, way.correction, again)
+    again = search.TOGETHER if timed and mounted.verdict is Verdict.FOUND else []
+    together = search.find_correction(scorer, best, again)
     best = together.correction
     after = scorer.score(best)
     gain, gain_error = Gain.measure(before.predicted, after.predicted)
@@ -143,8 +143,8 @@ def tune(
         gain=gain,
         gain_error=gain_error,
         correction=best,
-        time=way.time,
-        mount=way.mount,
+        time=time,
+        mount=mounted,
         together=together,
         tried=[
             TriedCorrection(**vars(correction), share=trial.score.share)

@@ -4,10 +4,9 @@ The scans of the logs are read once, and posed again and again.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
 
@@ -93,7 +92,8 @@ def keep_logs(
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    drive = open_drive(log, options).settle()
+    drive = open_drive(log, options)
+    drive.foresee()
     kept: list[ScanBatch] = []
     seen, every = 0, 1
     for _, posed, _ in drive.read(tally):
@@ -335,70 +335,51 @@ def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) ->
         return Finding(Verdict.UNSEEN, start)
     before, earlier = scorer.score(start).predicted, scorer.tried.keys() - {start}
     best = find_best(scorer, start, knobs)
-    gain = Gain.measure(before, scorer.tried[best].predicted)
-
-    of_this = [each for each in scorer.tried if each not in earlier or each == best]
-    middle = len(before) // 2
-    first, second = (
-        {each: Gain.measure(before[half], scorer.tried[each].predicted[half]) for each in of_this}
-        for half in (slice(middle), slice(middle, None))
-    )
-    alike = Half(best, *first[best]), Half(best, *second[best])
+    found = {each: scorer.tried[each].predicted for each in scorer.tried}
+    gain = Gain.measure(before, found[best])
+    of_this = [each for each in found if each not in earlier or each == best]
+    halves = [
+        {each: Gain.measure(before[half], found[each][half]) for each in of_this}
+        for half in (slice(len(before) // 2), slice(len(before) // 2, None))
+    ]
+    alike = tuple(Half(best, *gains[best]) for gains in halves)
     if gain.certain and all(half.gain > SMALL for half in alike):
         return Finding(Verdict.FOUND, best, *gain, alike)
-    mine, its = (max(gains, key=lambda each: gains[each].share) for gains in (first, second))
-    opposed = (first[mine].certain and (-second[mine]).certain) or (
-        second[its].certain and (-first[its]).certain
-    )
+    first, second = halves
+    opposed = contradicts(first, second) or contradicts(second, first)
     if opposed or (gain.certain and min(half.gain for half in alike) <= 0):
-        apart = Half(mine, *first[mine]), Half(its, *second[its])
+        favourites = ((find_favourite(gains), gains) for gains in halves)
+        apart = tuple(Half(favourite, *gains[favourite]) for favourite, gains in favourites)
         return Finding(Verdict.DISAGREE, start, *gain, apart)
     return Finding(Verdict.NOTHING, start, *gain, alike)
 
 
-class Way(NamedTuple):
-    """What two searches found, one after the other."""
-
-    time: Finding
-    mount: Finding
-    correction: Correction
-    """What both found together"""
-
-    @property
-    def verdicts(self) -> list[Verdict]:
-        """What each of the two searches is worth."""
-        return [self.time.verdict, self.mount.verdict]
+def find_favourite(gains: Mapping[Correction, Gain]) -> Correction:
+    """Find the correction that gains most for some scans."""
+    return max(gains, key=lambda each: gains[each].share)
 
 
-def find_way(scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]) -> Way:
-    """Search for a time offset and then for a mount; where that matters, the other way round too.
+def contradicts(gains: Mapping[Correction, Gain], others: Mapping[Correction, Gain]) -> bool:
+    """Whether what is best for some scans certainly gains there, and loses by other scans."""
+    favourite = find_favourite(gains)
+    return gains[favourite].certain and (-others[favourite]).certain
 
-    A laser that is late looks as if it sat further back, and the reverse, so whichever is searched
-    first may make up for the other.
+
+def find_both(
+    scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]
+) -> tuple[Finding, Finding, Correction]:
+    """Search for a time offset and for a mount; give what came of each, and both together.
+
+    A laser that is late looks as if it sat further back, and the reverse, so each makes up for a
+    part of the other. What gains more alone is right, and the other is searched on top of it.
     """
     time = find_correction(scorer, Correction(), timed)
     # Where halves want different times, a mount would only make up for that.
-    disagree = time.verdict is Verdict.DISAGREE
-    mount = find_correction(scorer, time.correction, [] if disagree else place)
-    usual = Way(time, mount, mount.correction)
-    if not disagree and time.verdict is not Verdict.FOUND:  # no time has made up for a mount
-        return usual
-    mount = find_correction(scorer, Correction(), place)
-    time = find_correction(scorer, mount.correction, timed)
-    return choose_way(scorer, usual, Way(time, mount, time.correction))
-
-
-def choose_way(scorer: Scorer, usual: Way, other: Way) -> Way:
-    """Choose between the way that begins with the time and the one that begins with the mount.
-
-    The one that finds less to be wrong is right, unless the other gains certainly more.
-    """
-    if other.mount.verdict is not Verdict.FOUND or other.time.verdict is Verdict.DISAGREE:
-        return usual
-    # Two corrections fit much, even times that change within the log: the mount alone must do.
-    if Verdict.DISAGREE in usual.verdicts and other.time.verdict is Verdict.FOUND:
-        return usual
-    less, more = sorted((usual, other), key=lambda way: way.verdicts.count(Verdict.FOUND))
-    before, after = (scorer.score(way.correction).predicted for way in (less, more))
-    gain = Gain.measure(before, after)
-    return more if gain.certain else less
+    mount = find_correction(scorer, Correction(), [] if time.verdict is Verdict.DISAGREE else place)
+    if time.verdict is not Verdict.FOUND:
+        return time, mount, mount.correction
+    if mount.verdict is Verdict.FOUND and mount.gain > time.gain:
+        time = find_correction(scorer, mount.correction, timed)
+        return time, mount, time.correction
+    mount = find_correction(scorer, time.correction, place)
+    return time, mount, mount.correction

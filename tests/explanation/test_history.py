@@ -8,7 +8,7 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.errors import UsageError
-from occmap.explanation.history import Visits, look_at
+from occmap.explanation import Explanation, Question, explain
 from occmap.grid.tiles import EvidenceKind
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
@@ -23,6 +23,27 @@ def observe(folder: Path, poses: list[Planar], model: str = "simple") -> Evidenc
     options = replace(PLAIN, resolution=0.1, model=parse_model(model))
     build([log], options, [folder / "m.npz"])
     return read_evidence(folder / "m.npz")
+
+
+SECOND = 10**9
+
+
+def look_at(evidence: Evidence, x: float, y: float) -> Explanation:
+    return explain(evidence, Question(x, y))
+
+
+def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]:
+    """Of each build: its number, since when and until when (s), and on how many visits."""
+    return [
+        (
+            each.build,
+            each.since_ns // 10**9,
+            each.until_ns // 10**9,
+            each.hit_visits or 0,
+            each.seen_visits,
+        )
+        for each in look_at(evidence, x, y).builds
+    ]
 
 
 def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None:
@@ -41,17 +62,16 @@ def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
     once = observe(tmp_path, step)
     long = observe(tmp_path, [*step * 12, *[(0.05, 9.05, 0.0)] * 30, *step])
     both = merge([once, long])
-    second = 10**9
-    assert look_at(once, *cell).builds == (Visits(0, 10 * second, 1, 1),)
-    assert look_at(both, *cell).builds == (
-        Visits(0, 10 * second, 1, 1),
-        Visits(0, 50 * second, 2, 2),
-    )
-    assert look_at(both, *cell).visits == Visits(0, 50 * second, 2, 2)
-    assert look_at(both, 0.05, 0.05).builds[1] == Visits(0, 50 * second, 0, 2)
-    assert look_at(both, 0.35, 9.05).builds == (None, Visits(10 * second, 50 * second, 1, 1))
-    nowhere = look_at(both, 50.0, 9.05)
-    assert (nowhere.visits, nowhere.builds) == (None, (None, None))
+    assert list_visits(once, *cell) == [(0, 0, 10, 1, 1)]
+    assert list_visits(both, *cell) == [(0, 0, 10, 1, 1), (1, 0, 50, 2, 2)]
+    assert list_visits(both, 0.05, 0.05)[1] == (1, 0, 50, 0, 2)
+    assert list_visits(both, 0.35, 9.05) == [(1, 10, 50, 1, 1)]
+    assert list_visits(both, 50.0, 9.05) == []
+    together = look_at(both, *cell).visits
+    assert together
+    assert (together.since_ns, together.until_ns) == (0, 50 * SECOND)
+    assert (together.hit_visits, together.seen_visits) == (2, 2)
+    assert look_at(both, 50.0, 9.05).visits is None
 
 
 def test_neighbours_lie_around_the_cell(tmp_path: Path) -> None:

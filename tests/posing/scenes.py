@@ -48,6 +48,14 @@ def attach(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[st
     return [part.posed for part in parts if part.posed is not None], dict(dropped)
 
 
+def attach_twice(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[str, int]]:
+    """As `attach`, once all scans have shown which of them leap away."""
+    attach(poser, *batches)
+    poser.settle()
+    poser.start_over()
+    return attach(poser, *batches)
+
+
 def positions(poser: Poser, seconds: Sequence[float], frame: str = "laser") -> Float64:
     """Where the sensor is at these moments, all of which must have a pose."""
     (posed,), dropped = attach(poser, batch_at(seconds, frame))

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.posing import Stamps
-from occmap.posing.chain import Chain, Status, make_chain
-from occmap.posing.course import find_breaks
+from occmap.posing.chain import Chain, Status, find_holds, make_chain
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import TrackBuilder
 from occmap.types import Float64, Pose
@@ -80,22 +79,15 @@ def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
     correction = edge(
         "map", "odom", [*zip((0, 2, 4, 6), places, strict=True), (7, turned(7.5, x=0.41))]
     )
-    assert [each[:2] for each in find_breaks(chain_of(correction, DRIVE))] == [
-        (4 * SECOND, 4 * SECOND - 1),  # by 0.22 m in 2 s, where 0.2 m may be
-        (7 * SECOND, 7 * SECOND - 1),  # by 0.063 rad in 1 s, where 0.06 may be
-    ]
+    # Before 4 s by 0.22 m in 2 s, where 0.2 m may be, and before 7 s by 0.063 rad in 1 s, where
+    # 0.06 may be.
+    assert find_holds(correction.track).tolist() == [False, True, False, True, False]
 
 
 def test_a_correction_that_is_recorded_the_other_way_round_holds_too() -> None:
     upward = edge("odom", "map", [(0, turned(0)), (10, turned(0, x=-5))])
     position, _, _ = look_up(chain_of(upward.invert(), DRIVE), 5)
     assert position.tolist() == [[5, 0, 0]]  # and not 7.5, halfway through the jump
-
-
-def test_a_leap_of_what_drives_breaks_between_two_samples() -> None:
-    places = [turned(0, x=0.2 * t + 5 * (t > 30)) for t in range(60)]
-    (found,) = find_breaks(chain_of(edge("odom", "base", list(enumerate(places)))))
-    assert found[:2] == (31 * SECOND, 30 * SECOND)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,17 @@ from occmap.posing.attach import Poser
 from occmap.posing.course import find_strides
 from occmap.posing.tracks import Track
 from occmap.types import Pose, PoseSample
-from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned
+from tests.posing.scenes import (
+    SECOND,
+    at,
+    attach,
+    attach_twice,
+    batch_at,
+    bolted,
+    build,
+    drive,
+    turned,
+)
 from tests.samples import write_csv
 
 SECONDS = range(101)
@@ -68,7 +78,7 @@ def test_a_plateau_of_wrong_corrections_is_told_with_both_its_ends() -> None:
 def test_a_plateau_whose_scans_are_left_out_is_no_jump() -> None:
     samples = correct(lambda second: turned(0, 300.0) if 60 <= second < 65 else NOWHERE)
     poser = build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples)
-    posed, dropped = attach(poser, batch_at([half / 2 for half in range(201)]))
+    posed, dropped = attach_twice(poser, batch_at([half / 2 for half in range(201)]))
     assert dropped == {DropReason.LEAP: 10}
     assert sum(len(each.batch.stamp_ns) for each in posed) == 191
     assert not list(poser.list_concerns(0, math.inf))

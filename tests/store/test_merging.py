@@ -9,7 +9,8 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.explanation.history import Visits, look_at
+from occmap.explanation import Question, explain
+from occmap.explanation.history import Visits
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, unite
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
@@ -93,7 +94,7 @@ def test_logs_of_the_same_hours_are_one_visit_however_they_are_built(
     build(logs, BuildOptions(), [tmp_path / "both.npz"])
     apart = merge([save(tmp_path / "m.npz", BuildOptions(), log) for log in logs])
     for evidence in (read_evidence(tmp_path / "both.npz"), apart):
-        found = look_at(evidence, 0.35, 0.05).visits
+        found = explain(evidence, Question(0.35, 0.05)).visits
         until_ns = (other_start + 8) // 10 * 10**10 + 10**10
         assert found == Visits(0, until_ns, visits, visits)
 
