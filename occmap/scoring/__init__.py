@@ -7,6 +7,7 @@ that are kept from all of them.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from time import thread_time
 from typing import NamedTuple, Self
 
@@ -19,6 +20,9 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, choose_model
 from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scans import make_engine
+from occmap.scans.logs import count_scans, open_scans
+from occmap.scans.tally import Tally, refuse_unused
+from occmap.scans.tracing import AddRays, Progress, Remarks, trace_logs
 from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
 from occmap.workers import Workers
@@ -157,6 +161,35 @@ def estimate_error(part: Float64, whole: Float64) -> float:
         return math.inf
     rest = part - math.fsum(part) / total * whole
     return math.sqrt(scans / (scans - 1) * math.fsum(rest**2)) / total
+
+
+def read_scans(
+    paths: Sequence[Path],
+    options: BuildOptions,
+    begin: Callable[[], AddRays],
+    progress: Progress,
+) -> tuple[Tally, Remarks]:
+    """Read all usable scans of logs in their order; say what became of them, and what to note.
+
+    Parameters
+    ----------
+    begin
+        Called each time that the logs are read; returns what takes their rays.
+
+    Raises
+    ------
+    OccmapError
+        As a build.
+    """
+    tally = Tally()
+    logs = open_scans(paths, options)
+    total = sum(count_scans(log, options.selection.topics) for log in logs)
+    tally.tell = lambda scans: progress(scans, total)
+    remarks = Remarks([str(log.path) for log in logs])
+    for log, notes in trace_logs(logs, replace(options, jobs=1), begin, tally):
+        remarks.note(log.path, log.notes, notes)
+    refuse_unused(paths, tally)
+    return tally, remarks
 
 
 DEFAULT_MODELS = ("simple", "quadratic")
