@@ -15,25 +15,23 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, Range1d, WheelZoomTool
-from bokeh.palettes import Blues256, Greys256, Oranges256, Plasma256, Purples256, Viridis256
+from bokeh.palettes import (
+    Blues256,
+    Greys256,
+    Oranges256,
+    Plasma256,
+    Purples256,
+    Viridis256,
+    linear_palette,
+)
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
 from occmap.cells import Box, Evidence, OccupancyMap, Slices, keep_largest
 from occmap.evidence import make_empty
-from occmap.grid import CellBox
-from occmap.grid.tiles import (
-    TILE,
-    EvidenceKind,
-    TileGrid,
-    count_visits,
-    split_tiles,
-    take,
-    unite,
-    unpack,
-    view_tiles,
-)
+from occmap.grid import CellBox, tiles
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.page.document import Stage
 from occmap.types import Bool, Int64, Trajectory
 from occmap.writers.images import encode_png
@@ -101,8 +99,8 @@ class Seen(NamedTuple):
     @classmethod
     def of(cls, evidence: Evidence) -> "Seen":
         """Make evidence ready."""
-        grid = make_empty(evidence.manifest).like(view_tiles(evidence.tiles, evidence.cells))
-        return cls(grid, unite(evidence.slices), evidence.manifest.pass_gap_s)
+        grid = make_empty(evidence.manifest).like(tiles.view_tiles(evidence.tiles, evidence.cells))
+        return cls(grid, tiles.unite(evidence.slices), evidence.manifest.pass_gap_s)
 
     @property
     def first(self) -> int:
@@ -182,9 +180,9 @@ def read_seen(seen: Seen, box: CellBox) -> Layers:
     band: Layers = {"hits": first, "misses": second} if is_counted else {"looks": second}
     band |= {name: np.zeros(box.shape, np.uint32) for name in ("visits", "last")}
     there = box.shrink(TILE).find(seen.slices.tiles)
-    for (_, col), slices in split_tiles(take(seen.slices, there)):
+    for (_, col), slices in tiles.split_tiles(tiles.take(seen.slices, there)):
         start = col * TILE - box.col
-        band["visits"][:, start : start + TILE] = count_visits(slices)[1]
+        band["visits"][:, start : start + TILE] = tiles.count_visits(slices)[1]
         band["last"][:, start : start + TILE] = find_last(slices, seen.first)
     return band
 
@@ -192,7 +190,7 @@ def read_seen(seen: Seen, box: CellBox) -> Layers:
 def find_last(slices: Slices, first: int) -> Int64:
     """(64, 64) the last slice that saw each cell of one tile, counted from 1; 0 where none did."""
     last = np.zeros((TILE, TILE), np.int64)
-    for number, bits in zip(slices.numbers.tolist(), unpack(slices)[:, 1], strict=True):
+    for number, bits in zip(slices.numbers.tolist(), tiles.unpack(slices)[:, 1], strict=True):
         seen: Bool = np.unpackbits(bits, axis=-1).view(np.bool_)
         last[seen] = number - first + 1
     return last
@@ -281,8 +279,9 @@ def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Lay
     if seen:
         times |= {"scale": seen.slice_s, "start": seen.first * seen.slice_s}
 
-    def shade(key: str, label: str, kind: Kind, palette: Sequence[str], **more: Any) -> Layer:
-        return Layer(key, label, kind, pick(palette), **{"top": max(tops.get(key, 1), 1)} | more)
+    def shade(key: str, label: str, kind: Kind, palette: tuple[str, ...], **more: Any) -> Layer:
+        colours = linear_palette(palette, SHADES)
+        return Layer(key, label, kind, colours, **{"top": max(tops.get(key, 1), 1)} | more)
 
     percent = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
     layers = (
@@ -295,11 +294,6 @@ def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Lay
         shade("last", "last seen", "time", Viridis256, **times),
     )
     return [layer for layer in layers if layer.key in tops]
-
-
-def pick(colours: Sequence[str]) -> list[str]:
-    """Take as many colours of a palette as are told apart."""
-    return [colours[round(each * (len(colours) - 1) / (SHADES - 1))] for each in range(SHADES)]
 
 
 def set_out(
