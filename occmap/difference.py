@@ -25,7 +25,7 @@ from occmap.report import HIDDEN, Count, Printed, Share, printed_as
 from occmap.store import Store, as_blocks, open_saved
 from occmap.store.layout import digest_evidence
 from occmap.store.publishing import classify_blocks, open_map
-from occmap.types import Bool, Int64, UInt8
+from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 
 if TYPE_CHECKING:
@@ -55,6 +55,17 @@ class Place(NamedTuple):
         """Lowest x and y, highest x and y of a box of cells (m)."""
         row, col, row_end, col_end = (edge * self.resolution for edge in box)
         return self.x + col, self.y + row, self.x + col_end, self.y + row_end
+
+    def list_middles(self, mask: Bool) -> Float64:
+        """(N, 2) x and y of the middles of the cells of a mask (H, W) that are true (m)."""
+        rows, cols = np.nonzero(mask)
+        return np.column_stack([cols + 0.5, rows + 0.5]) * self.resolution + self[1:]
+
+    def find_cells(self, points: Float64, shape: tuple[int, ...]) -> tuple[Int64, Int64]:
+        """Rows and columns of the cells of points (N, 2); those outside are on the border."""
+        cells = np.floor((points - self[1:]) / self.resolution)
+        cols, rows = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
+        return rows, cols
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,55 +300,40 @@ def classify(image: "GreyImage", meta: Meta) -> UInt8:
     return classes[::-1]
 
 
-class Blob(NamedTuple):
-    """Cells that are connected over their edges or corners."""
+def find_largest_blob(mask: Bool) -> tuple[int, CellBox] | None:
+    """Count the cells of the largest blob, and find its box; None where the mask is empty.
 
-    cells: int
-    box: CellBox
-
-
-class Runs(NamedTuple):
-    """Neighbouring cells of one row each, in the order of rows and columns; (N,) each."""
-
-    row: Int64
-    start: Int64
-    end: Int64
-    """Not part of the run"""
-
-
-def find_largest_blob(mask: Bool) -> Blob | None:
-    """Find the blob of the most cells, of several the lowest; None where the mask is empty."""
-    runs = find_runs(mask)
-    if not len(runs.row):
+    A blob is connected over the edges or corners of its cells; of several alike it is the lowest.
+    """
+    row, start, end = runs = find_runs(mask)
+    if not len(row):
         return None
-    labels = label_connected(len(runs.row), *find_contacts(runs, mask.shape[1]))
-    cells = np.bincount(labels, weights=runs.end - runs.start)
-    inside = labels == np.argmax(cells)
-    row, start, end = (part[inside] for part in runs)
+    labels = label_connected(len(row), *find_contacts(runs, mask.shape[1]))
+    cells = np.bincount(labels, weights=end - start)
+    row, start, end = runs[:, labels == np.argmax(cells)]
     box = CellBox(int(row[0]), int(start.min()), int(row[-1]) + 1, int(end.max()))
-    return Blob(int(cells.max()), box)
+    return int(cells.max()), box
 
 
-def find_runs(mask: Bool) -> Runs:
-    """Find the runs of cells in each row of a mask (H, W)."""
-    padded = np.zeros((mask.shape[0], mask.shape[1] + 2), np.int8)
-    padded[:, 1:-1] = mask
-    change = np.diff(padded, axis=1)
+def find_runs(mask: Bool) -> Int64:
+    """(3, N) row, first column and column behind the last of each run of cells in a mask (H, W)."""
+    change = np.diff(np.pad(mask, [(0, 0), (1, 1)]).view(np.int8), axis=1)
     row, start = np.nonzero(change == 1)
     _, end = np.nonzero(change == -1)
-    return Runs(row, start, end)
+    return np.stack([row, start, end])
 
 
-def find_contacts(runs: Runs, cols: int) -> tuple[Int64, Int64]:
+def find_contacts(runs: Int64, cols: int) -> tuple[Int64, Int64]:
     """Pairs of runs in neighbouring rows that share an edge or a corner; (C,) each.
 
     What a run touches in the row above it begins with the first run that ends where it starts or
     later, and goes up to the last one that starts where it ends or earlier.
     """
+    row, start, end = runs
     stride = cols + 2  # a run that ends with a row touches none that begins the next
-    above = (runs.row + 1) * stride
-    first = np.searchsorted(runs.row * stride + runs.end, above + runs.start, "left")
-    last = np.searchsorted(runs.row * stride + runs.start, above + runs.end, "right")
+    above = (row + 1) * stride
+    first = np.searchsorted(row * stride + end, above + start, "left")
+    last = np.searchsorted(row * stride + start, above + end, "right")
     count = np.maximum(last - first, 0)
     lower = np.repeat(np.arange(len(count)), count)
     step = np.arange(len(lower)) - np.repeat(np.cumsum(count) - count, count)
@@ -448,7 +444,7 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         known=known,
         changed_cells=changed_cells,
         changed=changed,
-        largest=blob and ChangedBlob(blob.cells, corner.measure(blob.box)),
+        largest=blob and ChangedBlob(blob[0], corner.measure(blob[1])),
         columns=both.cols,
         rows=both.rows,
         digests=(before.digest, after.digest),

@@ -60,10 +60,10 @@ class Stage:
     plots: Sequence[Any]
     """Bokeh figures, which are called map-0, map-1 ..."""
     titles: Sequence[str]
-    data: Mapping[str, Any]
+    posters: Sequence[str]
+    """A PNG of each, in base 64, that stands for it until it is drawn"""
+    data: dict[str, Any]
     """What the script knows of them; see page.js"""
-    arrays: Mapping[str, str]
-    """Packed arrays as text, by their name"""
     note: str = ""
     """What of the map is not shown as it is"""
 
@@ -118,8 +118,8 @@ def compose(page: Page) -> str:
 
 
 def to_script(value: Any) -> str:
-    """Write JSON that ends no script, whatever names are in it."""
-    text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+    """Write JSON, of dataclasses too, that ends no script, whatever names are in it."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=vars)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

@@ -16,13 +16,13 @@
 
   // Arrays: deflated, the lowest bytes of all numbers first; see raster.py.
   const asked_for = new Map(), unpacked = new Map();
-  function unpack(name, spec) {
-    if (!asked_for.has(name))
-      asked_for.set(name, inflate(name, spec).then(array => (unpacked.set(name, array), array)));
-    return asked_for.get(name);
+  function unpack(packed) {
+    if (!asked_for.has(packed))
+      asked_for.set(packed, inflate(packed).then(array => (unpacked.set(packed, array), array)));
+    return asked_for.get(packed);
   }
-  async function inflate(name, {rows, columns, planes}) {
-    const text = atob(find(name).textContent);
+  async function inflate({rows, columns, planes, data}) {
+    const text = atob(data);
     const bytes = new Uint8Array(text.length);
     for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -91,12 +91,6 @@
 
   // Looking: all maps show one layer and one part of the world.
   const maps = (DATA.maps || []).map((raster, index) => ({raster, index}));
-  // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
-  maps.forEach(({raster}, index) => {
-    const poster = makeElement("div", "", "poster");
-    poster.style.backgroundImage = `url(data:image/png;base64,${raster.poster})`;
-    document.querySelectorAll("figure")[index].prepend(poster);
-  });
   let current = null, asked = false;
   function repaint() {
     if (asked) return;
@@ -105,8 +99,7 @@
       asked = false;
       const layer = current;
       for (const map of maps) {
-        const spec = map.raster.layers[layer.key];
-        const cells = await unpack(spec.id, spec);
+        const cells = await unpack(map.raster.layers[layer.key]);
         if (layer === current) paint(map, cells, {...layer, table: tableOf(layer)});
       }
       document.body.dataset.layer = layer.key;
@@ -116,6 +109,7 @@
       }
     });
   }
+  // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
   // Bokeh paints at its own pace and says nothing of it.
   const SETTLING_MS = 150;
   let settled = false;
@@ -128,7 +122,7 @@
   async function prepare() {
     for (const {raster} of maps)
       for (const spec of Object.values(raster.layers)) {
-        await unpack(spec.id, spec);
+        await unpack(spec);
         await new Promise(resolve => setTimeout(resolve));
       }
   }
@@ -175,9 +169,9 @@
     const missing = [];
     let known = true;
     for (const layer of DATA.layers) {
-      const spec = raster.layers[layer.key], cells = unpacked.get(spec.id);
+      const spec = raster.layers[layer.key], cells = unpacked.get(spec);
       const inside = row >= 0 && row < spec.rows && column >= 0 && column < spec.columns;
-      if (!cells) missing.push(unpack(spec.id, spec));
+      if (!cells) missing.push(unpack(spec));
       const value = inside && cells ? cells[row * spec.columns + column] : 0;
       if (layer.key === "class") known = value > 0;
       rows.push([layer.label, !cells ? "\u2026" : known || layer.kind === "classes" ? describe(layer, value) : "\u2013"]);
@@ -224,7 +218,7 @@
     const {scans, origin, unit} = DATA.journey, document_ = maps[0].figure.document;
     const source = document_.get_model_by_name("scan").data_source, robot = document_.get_model_by_name("robot").data_source;
     const from = index < 0 ? 0 : scans.ends[index - 1] || 0, to = index < 0 ? 0 : scans.ends[index];
-    const [xs, ys] = await Promise.all(["scan-x", "scan-y"].map(name => unpack(name, DATA.journey[name])));
+    const [xs, ys] = await Promise.all(scans.hits.map(unpack));
     const take = (cells, start) => Float64Array.from(cells.subarray(from, to), value => start + value * unit);
     source.data = {x: take(xs, origin[0]), y: take(ys, origin[1])};
     robot.data = index < 0 ? {x: [], y: []} : {x: [scans.x[index]], y: [scans.y[index]]};

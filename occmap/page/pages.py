@@ -30,18 +30,16 @@ from occmap.page.raster import (
     CLASS_COLOURS,
     MOST_BYTES,
     MOST_CELLS,
-    WAY_COLOURS,
     Layer,
     Layers,
-    Packed,
     Raster,
+    Seen,
     add_scan,
     add_way,
-    describe_rasters,
     make_raster,
     name_layers,
     pack,
-    plot_map,
+    set_out,
     thin,
 )
 from occmap.report import write_box
@@ -84,29 +82,17 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
 def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> Stage:
     """Set out a map, and what was recorded over it."""
     grid = replace(product.grid, decision=options.decide(product.grid.decision))
-    raster = make_raster(grid, evidence)
-    data, arrays = describe_rasters([raster], name_layers([raster]), grid.extent)
-    plot = plot_map(0)
-    journey = product.journey or Journey((), ())
-    starts = [each.stamp_ns.min() for each in journey.trajectories if each.stamp_ns.size]
-    start_ns = int(min(starts, default=raster.start_s * 1e9))
-    if journey.trajectories:
-        add_way(plot, journey.trajectories, start_ns)
-        ends = [int(each.stamp_ns.max()) for each in journey.trajectories if each.stamp_ns.size]
-        marks = f"{start_ns / 1e9:.3f} s", f"{max(ends) / 1e9:.3f} s"
-        data["journey"] = {"ramp": (WAY_COLOURS[::4], *marks)}  # colours, and what is at their ends
-    if journey.scans:
-        add_scan(plot)
-        scans, packed = pack_scans(journey)
-        data["journey"] |= scans | {name: each.to_json() for name, each in packed.items()}
-        arrays = {**arrays, **{name: each.text for name, each in packed.items()}}
-    return Stage(
-        plots=[plot],
-        titles=[""],
-        data=data,
-        arrays=arrays,
-        note=" ".join(list_losses(raster, product, evidence)),
-    )
+    seen = Seen.of(evidence)
+    raster = make_raster(grid, seen)
+    note = " ".join(list_losses(raster, product, evidence))
+    stage = set_out([raster], name_layers([raster], seen), grid.extent, note=note)
+    journey = product.journey
+    if journey and journey.trajectories:
+        stage.data["journey"] = add_way(stage.plots[0], journey.trajectories)
+        if journey.scans:
+            add_scan(stage.plots[0])
+            stage.data["journey"] |= pack_scans(journey)
+    return stage
 
 
 def list_losses(raster: Raster, product: Product, evidence: Evidence) -> list[str]:
@@ -130,22 +116,22 @@ def list_losses(raster: Raster, product: Product, evidence: Evidence) -> list[st
     return losses
 
 
-def pack_scans(journey: Journey) -> tuple[dict[str, Any], dict[str, Packed]]:
+def pack_scans(journey: Journey) -> dict[str, Any]:
     """Pack the hits of scans, and say when and where each was taken."""
     scans = sorted(journey.scans, key=lambda each: each.stamp_ns)
     hits = [np.concatenate([getattr(each, axis) for each in scans]) for axis in ("x", "y")]
     origin = [float(axis.min(initial=0)) for axis in hits]
-    packed = {
-        name: pack(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
-        for name, axis, low in zip(("scan-x", "scan-y"), hits, origin, strict=True)
-    }
     known = {
         "t": [round(each.stamp_ns / 1e9, 3) for each in scans],
         "ends": np.cumsum([len(each.x) for each in scans]).tolist(),
         "x": [round(each.origin[0], 3) for each in scans],
         "y": [round(each.origin[1], 3) for each in scans],
+        "hits": [
+            pack(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
+            for axis, low in zip(hits, origin, strict=True)
+        ],
     }
-    return {"scans": known, "origin": origin, "unit": HIT_UNIT_M}, packed
+    return {"scans": known, "origin": origin, "unit": HIT_UNIT_M}
 
 
 def write_comparison(path: Path, comparison: VariantComparison) -> None:
@@ -199,13 +185,12 @@ def tell_reliability(results: Sequence[ScoredVariant]) -> Block:
     plot = figure(
         height=380,
         sizing_mode="stretch_width",
-        tools="pan,wheel_zoom,reset,save",
+        toolbar_location=None,
         x_range=Range1d(start=0, end=1),
         y_range=Range1d(start=0, end=1),
         x_axis_label="predicted: mean probability of being occupied",
         y_axis_label="observed: share of looks that found it occupied",
     )
-    plot.toolbar.logo = None
     plot.grid.grid_line_color = "#e4e7eb"
     plot.outline_line_color = None
     plot.line([0, 1], [0, 1], color="#9aa5b1", line_dash="dashed")
@@ -231,18 +216,10 @@ def stage_variants(results: Sequence[ScoredVariant]) -> Stage:
     rasters = [make_raster(result.map, None, share) for result in results]
     low_x, low_y, high_x, high_y = zip(*(result.map.extent for result in results), strict=True)
     box = min(low_x), min(low_y), max(high_x), max(high_y)
-    data, arrays = describe_rasters(rasters, name_layers(rasters), box)
-    first = plot_map(0)
-    plots = [first, *(plot_map(index, first) for index in range(1, len(results)))]
     coarse = max(raster.step for raster in rasters)
     note = f"Large maps are shown thinned, up to one of {coarse} x {coarse} cells."
-    return Stage(
-        plots=plots,
-        titles=[f"share {each.score.share:.3f} \u2013 {each.name}" for each in results],
-        data=data,
-        arrays=arrays,
-        note=note if coarse > 1 else "",
-    )
+    titles = [f"share {each.score.share:.3f} \u2013 {each.name}" for each in results]
+    return set_out(rasters, name_layers(rasters), box, titles, note if coarse > 1 else "")
 
 
 CLASSES = ("unknown", "free", "occupied")
@@ -291,11 +268,10 @@ def stage_changes(difference: MapDifference) -> Stage:
     place = difference.place
     shown = thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
     packed = {name: pack(shown[name]) for name in layers}
-    raster = Raster(place.x, place.y, place.resolution * step, step, packed, 0.0)
+    raster = Raster(place.x, place.y, place.resolution * step, step, packed)
     box = place.measure(CellBox(0, 0, *difference.before.shape))
-    data, arrays = describe_rasters([raster], list_change_layers(), box)
     note = f"Of each {step} x {step} cells the one that changed most is shown."
-    return Stage([plot_map(0)], [""], data, arrays, note=note if step > 1 else "")
+    return set_out([raster], list_change_layers(), box, note=note if step > 1 else "")
 
 
 def list_change_layers() -> list[Layer]:

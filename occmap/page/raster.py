@@ -8,39 +8,38 @@ The page's script fills the maps, by what it is told here of how their layers ar
 """
 
 import zlib
-from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from base64 import b64decode, b64encode
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, Range1d, WheelZoomTool
-from bokeh.palettes import Blues256, Greys256, Oranges256, Plasma256, Purples256, Viridis256
+from bokeh.palettes import (
+    Blues256,
+    Greys256,
+    Oranges256,
+    Plasma256,
+    Purples256,
+    Viridis256,
+    linear_palette,
+)
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
-from occmap.cells import Box, Evidence, OccupancyMap, Slices
+from occmap.cells import Box, Evidence, OccupancyMap, Slices, keep_largest
 from occmap.evidence import make_empty
-from occmap.grid import CellBox
-from occmap.grid.tiles import (
-    TILE,
-    EvidenceKind,
-    TileGrid,
-    count_visits,
-    split_tiles,
-    take,
-    unite,
-    unpack,
-    view_tiles,
-)
-from occmap.types import Bool, Float64, Int64, Trajectory
+from occmap.grid import CellBox, tiles
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.page.document import Stage
+from occmap.types import Bool, Int64, Trajectory
 from occmap.writers.images import encode_png
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
-MOST_BYTES = 9_500_000
-"""Of all layers of a page together, compressed; as text they take a third more"""
+MOST_BYTES = 12_500_000
+"""Of all layers of a page together, compressed and as text"""
 COUNTS = {"hits", "misses", "looks"}
 UNKNOWN, FREE, UNDECIDED, OCCUPIED = range(4)
 NOT_OBSERVED = 255
@@ -55,29 +54,21 @@ Layers: TypeAlias = dict[str, NDArray[Any]]
 """(H, W) unsigned numbers by name; row 0 is the lowest y"""
 
 
-class Packed(NamedTuple):
+@dataclass(frozen=True)
+class Packed:
     """An array as a page holds it: compressed, and its script unpacks it again.
 
     All lowest bytes come first, then all second ones and so on, as many as the largest number
     needs: of most numbers only the lowest byte differs from that of the number before.
     """
 
-    data: bytes
-    """Deflated, in the format of zlib"""
     rows: int
     columns: int
     planes: int
     """Bytes of each number: 1 to 4"""
     largest: int
-
-    @property
-    def text(self) -> str:
-        """The data as text, in base 64."""
-        return b64encode(self.data).decode()
-
-    def to_json(self) -> dict[str, Any]:
-        """What the page's script must know to unpack the text."""
-        return {name: getattr(self, name) for name in ("rows", "columns", "planes", "largest")}
+    data: str
+    """Deflated, in the format of zlib, in base 64"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,49 +83,49 @@ class Raster:
     step: int
     """How many cells of the map that is wide"""
     layers: dict[str, Packed]
-    rounding: float
+    rounding: float = 0.0
     """By what share of itself a count may be off"""
-    unit: int = 1
-    """What one observation counts in the layers of hits and misses"""
-    slice_s: float = 0.0
-    """How long the slices of time are that the layer of last sights counts (s)"""
-    start_s: float = 0.0
-    """When the first of these slices begins (s)"""
 
 
 class Seen(NamedTuple):
-    """What evidence says of cells."""
+    """Evidence, ready to be read without a copy of its tiles."""
 
     grid: TileGrid
     slices: Slices
     """Those of all builds, in order"""
-    first: int
-    """The first of them"""
     slice_s: float
-    """How long each is (s)"""
+    """How long each of them is (s)"""
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> "Seen":
+        """Make evidence ready."""
+        grid = make_empty(evidence.manifest).like(tiles.view_tiles(evidence.tiles, evidence.cells))
+        return cls(grid, tiles.unite(evidence.slices), evidence.manifest.pass_gap_s)
+
+    @property
+    def first(self) -> int:
+        """The first slice, from which the layer of last sights counts."""
+        return int(self.slices.numbers.min()) if self.slices.numbers.size else 0
 
 
-def make_raster(
-    grid: OccupancyMap, evidence: Evidence | None, most_bytes: int = MOST_BYTES
-) -> Raster:
+def make_raster(grid: OccupancyMap, seen: Seen | None, most_bytes: int = MOST_BYTES) -> Raster:
     """Take the layers of a map as exactly as a page of bearable size can hold them.
 
     Parameters
     ----------
-    evidence
+    seen
         What the map was made of; it may reach beyond the map. None: only classes and probabilities
         are known.
     """
-    for raster in list_rasters(grid, evidence):
+    for raster in list_rasters(grid, seen):
         if sum(len(each.data) for each in raster.layers.values()) <= most_bytes:
             break
     return raster
 
 
-def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Raster]:
+def list_rasters(grid: OccupancyMap, seen: Seen | None) -> Iterator[Raster]:
     """Take the layers of a map more and more roughly, so that they take fewer and fewer bytes."""
-    box, seen = CellBox.of(grid), see(evidence) if evidence else None
-    times = (seen.grid.unit, seen.slice_s, seen.first * seen.slice_s) if seen else (1, 0.0, 0.0)
+    box = CellBox.of(grid)
     steps = [each for each in STEPS if box.cells <= MOST_CELLS * each**2]
     for step in steps or STEPS[-1:]:
         bands = [thin(band, step) for band in read_bands(grid, seen, box)]
@@ -147,11 +138,11 @@ def list_rasters(grid: OccupancyMap, evidence: Evidence | None) -> Iterator[Rast
         }
         place = round(shown.col * size, 9), round(shown.row * size, 9), size, step
         packed = {name: pack(layer) for name, layer in layers.items()}
-        yield Raster(*place, packed, 0.0, *times)
+        yield Raster(*place, packed)
         for parts in COUNT_STEPS:
             counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
             packed = packed | {name: pack(layer) for name, layer in counts.items()}
-            yield Raster(*place, packed, 0.5 / parts, *times)
+            yield Raster(*place, packed, 0.5 / parts)
 
 
 def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[Layers]:
@@ -182,14 +173,6 @@ def classify(grid: OccupancyMap) -> NDArray[np.uint8]:
     return classes
 
 
-def see(evidence: Evidence) -> Seen:
-    """Make evidence ready to be read, without a copy of its tiles."""
-    grid = make_empty(evidence.manifest).like(view_tiles(evidence.tiles, evidence.cells))
-    slices = unite(evidence.slices)
-    first = int(slices.numbers.min()) if slices.numbers.size else 0
-    return Seen(grid, slices, first, evidence.manifest.pass_gap_s)
-
-
 def read_seen(seen: Seen, box: CellBox) -> Layers:
     """(64, W) hits and misses, or looks, and visits and last sights in a row of tiles."""
     first, second = seen.grid.gather(box, np.uint32)
@@ -197,9 +180,9 @@ def read_seen(seen: Seen, box: CellBox) -> Layers:
     band: Layers = {"hits": first, "misses": second} if is_counted else {"looks": second}
     band |= {name: np.zeros(box.shape, np.uint32) for name in ("visits", "last")}
     there = box.shrink(TILE).find(seen.slices.tiles)
-    for (_, col), slices in split_tiles(take(seen.slices, there)):
+    for (_, col), slices in tiles.split_tiles(tiles.take(seen.slices, there)):
         start = col * TILE - box.col
-        band["visits"][:, start : start + TILE] = count_visits(slices)[1]
+        band["visits"][:, start : start + TILE] = tiles.count_visits(slices)[1]
         band["last"][:, start : start + TILE] = find_last(slices, seen.first)
     return band
 
@@ -207,7 +190,7 @@ def read_seen(seen: Seen, box: CellBox) -> Layers:
 def find_last(slices: Slices, first: int) -> Int64:
     """(64, 64) the last slice that saw each cell of one tile, counted from 1; 0 where none did."""
     last = np.zeros((TILE, TILE), np.int64)
-    for number, bits in zip(slices.numbers.tolist(), unpack(slices)[:, 1], strict=True):
+    for number, bits in zip(slices.numbers.tolist(), tiles.unpack(slices)[:, 1], strict=True):
         seen: Bool = np.unpackbits(bits, axis=-1).view(np.bool_)
         last[seen] = number - first + 1
     return last
@@ -250,7 +233,7 @@ def pack(array: NDArray[Any]) -> Packed:
         for plane in range(planes)
     )
     rows, columns = array.shape
-    return Packed(data + squeeze.flush(), rows, columns, planes, largest)
+    return Packed(rows, columns, planes, largest, b64encode(data + squeeze.flush()).decode())
 
 
 CLASS_NAMES = ("unknown", "free", "undecided", "occupied")
@@ -287,57 +270,55 @@ class Layer:
     """The time at which the first slice begins (s)"""
 
 
-def name_layers(rasters: Sequence[Raster]) -> list[Layer]:
+def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Layer]:
     """Say what the layers of maps are, which all have the same ones."""
-    first = rasters[0]
-    tops = {key: max(*(each.layers[key].largest for each in rasters), 1) for key in first.layers}
-    counts = {"scale": 1 / first.unit, "digits": 1 if first.unit > 1 else 0}
-    times = {"scale": first.slice_s, "start": first.start_s}
+    tops = {key: max(each.layers[key].largest for each in rasters) for key in rasters[0].layers}
+    unit = seen.grid.unit if seen else 1
+    counts = {"none": 0, "scale": 1 / unit, "digits": 1 if unit > 1 else 0}
+    times: dict[str, Any] = {"none": 0}
+    if seen:
+        times |= {"scale": seen.slice_s, "start": seen.first * seen.slice_s}
 
-    def shade(key: str, kind: Kind, palette: Sequence[str], **more: Any) -> Layer:
-        shown: dict[str, Any] = {"label": key, "none": 0, "top": tops.get(key, 1)}
-        return Layer(key=key, kind=kind, colours=pick(palette), **shown | more)
+    def shade(key: str, label: str, kind: Kind, palette: tuple[str, ...], **more: Any) -> Layer:
+        colours = linear_palette(palette, SHADES)
+        return Layer(key, label, kind, colours, **{"top": max(tops.get(key, 1), 1)} | more)
 
     percent = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
     layers = (
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
-        shade("p", "ramp", Greys256[::-1], label="probability", **percent),
-        shade("hits", "log", Oranges256[::-1], **counts),
-        shade("misses", "log", Blues256[::-1], **counts),
-        shade("looks", "log", Blues256[::-1], **counts),
-        shade("visits", "ramp", Purples256[::-1]),
-        shade("last", "time", Viridis256, label="last seen", **times),
+        shade("p", "probability", "ramp", Greys256[::-1], **percent),
+        shade("hits", "hits", "log", Oranges256[::-1], **counts),
+        shade("misses", "misses", "log", Blues256[::-1], **counts),
+        shade("looks", "looks", "log", Blues256[::-1], **counts),
+        shade("visits", "visits", "ramp", Purples256[::-1], none=0),
+        shade("last", "last seen", "time", Viridis256, **times),
     )
     return [layer for layer in layers if layer.key in tops]
 
 
-def pick(colours: Sequence[str]) -> list[str]:
-    """Take as many colours of a palette as are told apart."""
-    return [colours[round(each * (len(colours) - 1) / (SHADES - 1))] for each in range(SHADES)]
-
-
-def describe_rasters(
-    rasters: Sequence[Raster], layers: Sequence[Layer], box: Box
-) -> tuple[dict[str, Any], Mapping[str, str]]:
-    """Describe maps for the script, with their packed arrays by name; classes come first."""
-    arrays: dict[str, str] = {}
-    maps = []
-    for index, raster in enumerate(rasters):
-        specs = {}
-        for name, packed in raster.layers.items():
-            arrays[f"map-{index}-{name}"] = packed.text
-            specs[name] = packed.to_json() | {"id": f"map-{index}-{name}"}
-        poster = draw_poster(raster.layers[layers[0].key], layers[0].colours)
-        place = {"x": raster.x, "y": raster.y, "size": raster.size}
-        maps.append({**place, "layers": specs, "poster": poster})
-    return {"maps": maps, "layers": [vars(each) for each in layers], "box": box}, arrays
+def set_out(
+    rasters: Sequence[Raster],
+    layers: Sequence[Layer],
+    box: Box,
+    titles: Sequence[str] = ("",),
+    note: str = "",
+) -> Stage:
+    """Set out maps side by side; the first layer, of classes, is the one that is seen first."""
+    first = plot_map(0)
+    return Stage(
+        plots=[first, *(plot_map(index, first) for index in range(1, len(rasters)))],
+        titles=titles,
+        posters=[draw_poster(each.layers[layers[0].key], layers[0].colours) for each in rasters],
+        data={"maps": rasters, "layers": layers, "box": box},
+        note=note,
+    )
 
 
 def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
     """Draw a small PNG, in base 64: of the cells that share a pixel the largest, y upwards."""
-    shape = classes.rows, classes.columns
-    cells = np.frombuffer(zlib.decompress(classes.data), np.uint8).reshape(shape)
-    small = to_blocks(cells, -(-max(cells.shape) // POSTER_PX)).max(axis=2)
+    plain = np.frombuffer(zlib.decompress(b64decode(classes.data)), np.uint8)
+    cells = plain.reshape(classes.rows, classes.columns)
+    small = keep_largest(cells, -(-max(cells.shape) // POSTER_PX))
     table = np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8)
     return b64encode(encode_png(table[small[::-1]])).decode()
 
@@ -379,31 +360,45 @@ def plot_map(index: int, shared: Any = None) -> Any:
     return plot
 
 
-def add_way(plot: Any, trajectories: Sequence[Trajectory], start_ns: int) -> None:
-    """Draw where lasers went, coloured by time, and where they were when scans were lost."""
+def add_way(plot: Any, trajectories: Sequence[Trajectory]) -> dict[str, Any]:
+    """Draw where lasers went, coloured by time, and where they were when scans were lost.
+
+    Returns
+    -------
+    dict
+        What the page's script must know: the colours, and what is at their ends.
+    """
     step = -(-sum(len(each.stamp_ns) for each in trajectories) // MOST_STEPS) or 1
-    parts = [each.pose[::step, :2] for each in trajectories]
-    times = [(each.stamp_ns[::step] - start_ns) / 1e9 for each in trajectories]
-    segments = {
-        "x0": join([part[:-1, 0] for part in parts]),
-        "y0": join([part[:-1, 1] for part in parts]),
-        "x1": join([part[1:, 0] for part in parts]),
-        "y1": join([part[1:, 1] for part in parts]),
-        "t": join([time[1:] for time in times]),
-    }
-    colour = linear_cmap("t", WAY_COLOURS, 0, max((t.max() for t in times if t.size), default=1))
+    stamps = np.concatenate([each.stamp_ns for each in trajectories])
+    start_ns, end_ns = int(stamps.min()), int(stamps.max())
+    ways = [
+        np.column_stack([each.pose[:, :2], (each.stamp_ns - start_ns) / 1e9])[::step]
+        for each in trajectories
+    ]
+    x0, y0, _ = np.concatenate([way[:-1] for way in ways]).T
+    x1, y1, t = np.concatenate([way[1:] for way in ways]).T
+    colour = linear_cmap("t", WAY_COLOURS, 0, float(t.max(initial=1e-9)))
     line = {"color": colour, "line_width": 2, "line_cap": "round"}
-    source = ColumnDataSource(segments)
+    source = ColumnDataSource({"x0": x0, "y0": y0, "x1": x1, "y1": y1, "t": t})
     plot.segment("x0", "y0", "x1", "y1", source=source, name="way", **line)
-    lost = [place_lost(each) for each in trajectories if len(each.stamp_ns)]
-    columns = {
-        name: [value for each in lost for value in each[name]] for name in ("x", "y", "t", "why")
-    }
+    lost = [row for each in trajectories if len(each.stamp_ns) for row in list_lost(each)]
+    names = ("x", "y", "t", "why")
+    source = ColumnDataSource({name: [row[at] for row in lost] for at, name in enumerate(names)})
     cross = {"marker": "x", "size": 9, "line_width": 2, "color": LOST_COLOUR}
-    source = ColumnDataSource(columns)
     crosses = plot.scatter("x", "y", source=source, name="dropped", **cross)
     tips = [("dropped", "@why"), ("stamp", "@t{0.000} s"), ("drawn at", "the scan before")]
     plot.add_tools(HoverTool(renderers=[crosses], tooltips=tips))
+    return {"ramp": (WAY_COLOURS[::4], f"{start_ns / 1e9:.3f} s", f"{end_ns / 1e9:.3f} s")}
+
+
+def list_lost(trajectory: Trajectory) -> Iterator[tuple[float, float, float, str]]:
+    """List the scans without a pose: x and y at the scan before, or else the first; when, why."""
+    order = np.argsort(trajectory.stamp_ns, kind="stable")
+    stamps = trajectory.stamp_ns[order]
+    for stamp_ns, why in trajectory.dropped:
+        before = max(int(np.searchsorted(stamps, stamp_ns)) - 1, 0)
+        x, y = trajectory.pose[order[before], :2].tolist()
+        yield x, y, stamp_ns / 1e9, why
 
 
 def add_scan(plot: Any) -> None:
@@ -413,22 +408,3 @@ def add_scan(plot: Any) -> None:
     for name, style in (("scan", hits), ("robot", laser)):
         nothing = ColumnDataSource({"x": [], "y": []})
         plot.scatter("x", "y", source=nothing, name=name, **style)
-
-
-def place_lost(trajectory: Trajectory) -> dict[str, list[Any]]:
-    """Place scans without a pose where the laser was at the scan before, or else at the first."""
-    stamps = np.array([stamp_ns for stamp_ns, _ in trajectory.dropped], np.int64)
-    order = np.argsort(trajectory.stamp_ns, kind="stable")
-    before = np.searchsorted(trajectory.stamp_ns[order], stamps) - 1
-    places = trajectory.pose[order[np.maximum(before, 0)], :2]
-    return {
-        "x": places[:, 0].tolist(),
-        "y": places[:, 1].tolist(),
-        "t": (stamps / 1e9).tolist(),
-        "why": [why for _, why in trajectory.dropped],
-    }
-
-
-def join(parts: Sequence[Float64]) -> Float64:
-    """Join arrays, of which there may be none, as float32: a screen shows no more."""
-    return np.concatenate([*parts, np.zeros(0)]).astype(np.float32)

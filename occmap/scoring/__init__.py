@@ -7,6 +7,7 @@ that are kept from all of them.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from time import thread_time
 from typing import NamedTuple, Self
 
@@ -19,6 +20,9 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, choose_model
 from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Share
 from occmap.scans import make_engine
+from occmap.scans.logs import count_scans, open_scans
+from occmap.scans.tally import Tally, refuse_unused
+from occmap.scans.tracing import AddRays, Progress, Remarks, trace_logs
 from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
 from occmap.workers import Workers
@@ -159,6 +163,35 @@ def estimate_error(part: Float64, whole: Float64) -> float:
     return math.sqrt(scans / (scans - 1) * math.fsum(rest**2)) / total
 
 
+def read_scans(
+    paths: Sequence[Path],
+    options: BuildOptions,
+    begin: Callable[[], AddRays],
+    progress: Progress,
+) -> tuple[Tally, Remarks]:
+    """Read all usable scans of logs in their order; say what became of them, and what to note.
+
+    Parameters
+    ----------
+    begin
+        Called each time that the logs are read; returns what takes their rays.
+
+    Raises
+    ------
+    OccmapError
+        As a build.
+    """
+    tally = Tally()
+    logs = open_scans(paths, options)
+    total = sum(count_scans(log, options.selection.topics) for log in logs)
+    tally.tell = lambda scans: progress(scans, total)
+    remarks = Remarks([str(log.path) for log in logs])
+    for log, notes in trace_logs(logs, replace(options, jobs=1), begin, tally):
+        remarks.note(log.path, log.notes, notes)
+    refuse_unused(paths, tally)
+    return tally, remarks
+
+
 DEFAULT_MODELS = ("simple", "quadratic")
 """Beside the one that an update is used with"""
 
@@ -220,7 +253,6 @@ class HoldOut:
 
     def __init__(self) -> None:
         self.held: list[Rays] = []
-        self.scans = 0
         self._seen = 0
 
     def split(self, rays: Rays) -> Rays:
@@ -230,8 +262,12 @@ class HoldOut:
         self._seen += scans
         if kept.any():
             self.held.append(rays.take(kept))
-            self.scans += int(np.count_nonzero(kept))
         return rays.take(~kept)
+
+    @property
+    def scans(self) -> int:
+        """Held-out scans."""
+        return sum(len(rays.kind) for rays in self.held)
 
     @property
     def hits(self) -> int:
@@ -331,9 +367,9 @@ class Trials:
 
     def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
         self._options = options
-        self.variants = variants
+        self._variants = variants
+        self._evidence: dict[str, SharedEvidence] = {}
         self.hold_out = HoldOut()
-        self.evidence: dict[str, SharedEvidence] = {}
 
     def tracing(self) -> Workers[Task]:
         """Make threads that trace."""
@@ -341,16 +377,16 @@ class Trials:
 
     def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
         """Start anew; return a function that holds some scans out and has the others traced."""
-        self.hold_out, self.evidence = HoldOut(), {}
-        for variant in self.variants:
-            if variant.evidence not in self.evidence:
-                choice = replace(self._options, update=variant.update, model=variant.model)
-                self.evidence[variant.evidence] = SharedEvidence(choice)
+        self.hold_out = HoldOut()
+        self._evidence = {
+            key: SharedEvidence(replace(self._options, update=each.update, model=each.model))
+            for key, each in {each.evidence: each for each in self._variants}.items()
+        }
 
         def observe(rays: Rays) -> None:
             seen = self.hold_out.split(rays)
             if len(seen.kind):
-                for evidence in self.evidence.values():
+                for evidence in self._evidence.values():
                     workers.give((evidence, seen))
 
         return observe
@@ -363,17 +399,16 @@ class Trials:
         MapError
             Nothing was observed, or a map would be too large.
         """
-        grids = {key: evidence.finish() for key, evidence in self.evidence.items()}
-        held = self.hold_out.held
-        results = [self._score(v, grids[v.evidence], held) for v in self.variants]
+        grids = {key: evidence.finish() for key, evidence in self._evidence.items()}
+        results = [self._score(each, grids[each.evidence]) for each in self._variants]
         results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
         return [each.compare_with(results[0]) for each in results]
 
-    def _score(self, variant: Variant, grid: TileGrid, held_out: Sequence[Rays]) -> ScoredVariant:
+    def _score(self, variant: Variant, grid: TileGrid) -> ScoredVariant:
         start = thread_time()
         made = render(grid, variant.model, self._options.max_cells)
-        seconds = self.evidence[variant.evidence].seconds + thread_time() - start
-        trial = score_map(made, held_out, self._options.jobs)
+        seconds = self._evidence[variant.evidence].seconds + thread_time() - start
+        trial = score_map(made, self.hold_out.held, self._options.jobs)
         return ScoredVariant(
             variant=variant,
             map=made,

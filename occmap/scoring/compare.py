@@ -10,10 +10,9 @@ from occmap.errors import LogError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
 from occmap.report import HIDDEN, Count, Noted, count, printed_as
 from occmap.report.results import list_frames
-from occmap.scans.logs import count_scans, open_scans
-from occmap.scans.tally import ScanCounts, Tally, refuse_unused
-from occmap.scans.tracing import Progress, Remarks, ignore_progress, trace_logs
-from occmap.scoring import SMALL, HoldOut, ScoredVariant, Trials, Variant
+from occmap.scans.tally import ScanCounts
+from occmap.scans.tracing import Progress, Remarks, ignore_progress
+from occmap.scoring import SMALL, HoldOut, ScoredVariant, Trials, Variant, read_scans
 from occmap.types import Update
 
 FEW_SCANS = 10
@@ -90,18 +89,10 @@ def compare(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    tally = Tally()
-    logs = open_scans(paths, options)
-    total = sum(count_scans(log, options.selection.topics) for log in logs)
-    remarks = Remarks([str(log.path) for log in logs])
-    tally.tell = lambda scans: progress(scans, total)
     trials = Trials(variants, options)
-    in_order = replace(options, jobs=1)  # which scans are held out must not be chance
     with trials.tracing() as workers:
-        for log, notes in trace_logs(logs, in_order, partial(trials.begin, workers), tally):
-            remarks.note(log.path, log.notes, notes)
+        tally, remarks = read_scans(paths, options, partial(trials.begin, workers), progress)
     hold_out = trials.hold_out
-    refuse_unused(paths, tally)
     refuse_unscored(remarks.logs, hold_out)
     remarks.notes += list_frames(tally)
     if hold_out.scans < FEW_SCANS:

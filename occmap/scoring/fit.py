@@ -4,20 +4,22 @@ So the map frame of one session is found in that of another.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from occmap.cells import Evidence
 from occmap.choices import format_mount, to_rpy
+from occmap.difference import Place
 from occmap.errors import PoseError
 from occmap.evidence import render, to_grid
+from occmap.grid import CellBox
 from occmap.options import BuildOptions
 from occmap.scans.mounts import sample_rays
-from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Pose, Update
+from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Pose, Rays, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for"""
@@ -47,14 +49,12 @@ class Transform(NamedTuple):
     """Turn, counter-clockwise (rad)"""
 
     def move(self, points: Float64) -> Float64:
-        """Move points (N, 2)."""
-        moved: Float64 = points @ self.matrix.T + np.array([self.x, self.y])
-        return moved
+        """Move points (N, 2), or a single one (2,)."""
+        return np.asarray(points @ self.matrix.T + self[:2])
 
     def move_back(self, points: Float64) -> Float64:
         """Find which points (N, 2) are moved to given ones."""
-        back: Float64 = (points - np.array([self.x, self.y])) @ self.matrix
-        return back
+        return np.asarray((points - self[:2]) @ self.matrix)
 
     def after(self, first: Pose) -> "Transform":
         """Make one of a planar move and, after it, this one."""
@@ -81,21 +81,19 @@ class Walls(NamedTuple):
     """How far it is from each cell to the nearest wall."""
 
     away: Float32
-    """(H, W) m, up to a limit"""
-    corner: Float64
-    """(2,) x and y of the lower-left corner (m)"""
-    resolution: float
-    """Side of a cell (m)"""
+    """(H, W) m, up to a limit; along the border it is the limit"""
+    place: Place
     limit: float
     """What is farther away counts as this far (m)"""
 
     @classmethod
-    def of(cls, occupied: Bool, corner: Float64, resolution: float, limit: float) -> "Walls":
+    def of(cls, occupied: Bool, place: Place, limit: float) -> "Walls":
         """Measure it between the middles of cells, in a map (H, W) and within `limit` around it.
 
         Squares of distances are smallest over columns first and over rows then, which is exact
         (Felzenszwalb and Huttenlocher 2012), here for whole rows of cells at once.
         """
+        resolution, x, y = place
         side = min(math.ceil(limit / resolution), MOST_STEPS)
         limit = min(limit, side * resolution)
         mask = np.pad(occupied, side)
@@ -108,7 +106,8 @@ class Walls(NamedTuple):
                 np.minimum(lowest[:-step], farther[step:], out=lowest[:-step])
             squares = np.ascontiguousarray(lowest.T)
         away = np.minimum(np.sqrt(squares) * np.float32(resolution), np.float32(limit))
-        return cls(away, corner - side * resolution, resolution, limit)
+        margin = side * resolution
+        return cls(away, Place(resolution, x - margin, y - margin), limit)
 
     @property
     def pivot(self) -> Float64:
@@ -116,18 +115,12 @@ class Walls(NamedTuple):
 
         A session that begins at the same dock as another is turned about that.
         """
-        height, width = self.away.shape
-        last = self.corner + np.array([width, height]) * self.resolution
-        return np.clip(np.zeros(2), self.corner, last)
+        low_x, low_y, high_x, high_y = self.place.measure(CellBox(0, 0, *self.away.shape))
+        return np.clip(np.zeros(2), (low_x, low_y), (high_x, high_y))
 
     def measure(self, points: Float64) -> Float32:
         """How far it is from the cells of points (N, 2) to the nearest wall (m)."""
-        cols, rows = np.floor((points - self.corner) / self.resolution).astype(np.int64).T
-        height, width = self.away.shape
-        inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
-        found = np.full(len(points), self.limit, np.float32)
-        found[inside] = self.away[rows[inside], cols[inside]]
-        return found
+        return self.away[self.place.find_cells(points, self.away.shape)]
 
 
 class Match(NamedTuple):
@@ -159,17 +152,12 @@ def fit(points: Float64, walls: Walls) -> Match:
     (share, best), *others = sorted(((search.judge(each), each) for each in refined), reverse=True)
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
     x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
-    shift = middle - Transform(0.0, 0.0, yaw).move(middle[None])[0]
-    made = Transform(round(x + float(shift[0]), 5), round(y + float(shift[1]), 5), round(yaw, 6))
-    return Match(made, share, rival)
-
-
-Place: TypeAlias = tuple[float, float, float]
-"""A turn (rad) about the middle of the points and then a shift: x, y (m) and yaw"""
+    right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
+    return Match(Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6)), share, rival)
 
 
 class _Search(NamedTuple):
-    """A search for the place of points."""
+    """A search for the place of points: a turn about their middle, and then a shift."""
 
     points: Float64
     """(N, 2) from their middle (m)"""
@@ -177,46 +165,45 @@ class _Search(NamedTuple):
     """(2,) in the map of the walls (m)"""
     walls: Walls
 
-    def judge(self, place: Place, width: float = 0.0, most: int = MOST_POINTS) -> float:
+    def judge(self, place: Transform, width: float = 0.0, most: int = MOST_POINTS) -> float:
         """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6."""
         points = self.points[:: max(len(self.points) // most, 1)]
-        away = self.walls.measure(Transform(*place).move(points) + self.middle)
-        return float(np.exp(-0.5 * (away / max(width, self.walls.resolution)) ** 2).mean())
+        away = self.walls.measure(place.move(points) + self.middle)
+        return float(np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2).mean())
 
-    def list_peaks(self) -> list[Place]:
+    def list_peaks(self) -> list[Transform]:
         """List the places on a coarse grid that none beside them beats, the best ones first."""
         shifts = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
         turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
         arm = self.middle - self.walls.pivot
         swings = [Transform(0.0, 0.0, yaw).move(arm) - arm for yaw in turns]
         places = [
-            (x + swing[0], y + swing[1], yaw)
+            Transform(x + swing[0], y + swing[1], yaw)
             for x, y, (yaw, swing) in product(shifts, shifts, zip(turns, swings, strict=True))
         ]
-        shape = len(shifts), len(shifts), len(turns)
-        shares = np.reshape([self.judge(place, STEP_M, 500) for place in places], shape)
-        framed = np.pad(shares, 1)
-        parts = [slice(at, at + size) for size in shape for at in range(3)]
-        beside = [framed[x, y, yaw] for x, y, yaw in product(parts[:3], parts[3:6], parts[6:])]
-        peaks = np.flatnonzero(shares >= np.max(beside, axis=0))
+        shares = np.reshape(
+            [self.judge(place, STEP_M, 500) for place in places],
+            (len(shifts), len(shifts), len(turns)),
+        )
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(shares, 1), (3, 3, 3))
+        peaks = np.flatnonzero(shares >= beside.max(axis=(3, 4, 5)))
         best = peaks[np.argsort(-shares.ravel()[peaks], kind="stable")]
         return [places[at] for at in best[:MOST_PEAKS].tolist()]
 
-    def refine(self, place: Place, halvings: range, most: int = MOST_POINTS) -> Place:
+    def refine(self, place: Transform, halvings: range, most: int = MOST_POINTS) -> Transform:
         """Go on to the best of the places beside, in shorter and shorter steps."""
         for halving in halvings:
             step_m, step_rad = STEP_M / 2**halving, STEP_RAD / 2**halving
             x, y, yaw = place
             around = [
-                (x + right * step_m, y + up * step_m, yaw + turn * step_rad)
+                Transform(x + right * step_m, y + up * step_m, yaw + turn * step_rad)
                 for turn, right, up in product(range(-2, 3), repeat=3)
             ]
-            shares = [self.judge(each, step_m, most) for each in around]
-            place = around[int(np.argmax(shares))]
+            place = max(around, key=lambda each: self.judge(each, step_m, most))
         return place
 
 
-def _are_apart(place: Place, other: Place) -> bool:
+def _are_apart(place: Transform, other: Transform) -> bool:
     x, y, yaw = np.abs(np.subtract(place, other)).tolist()
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
@@ -235,8 +222,10 @@ def find_transform(
     if past.manifest.update == Update.CLOUD:
         raise PoseError("`fit` takes scans of planar lasers, not clouds", where=past.where, fix=fix)
     grid = render(to_grid(past), options.model, options.max_cells)
-    walls = Walls.of(grid.occupied, np.array(grid.origin), grid.resolution, REACH_M)
-    hits = list_hits(paths, options)
+    walls = Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
+    deeper = np.float32(options.hit_offset * options.resolution)  # where a map has its hits
+    sample = sample_rays(paths, options)
+    hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
     found = fit(hits, walls) if len(hits) else Match(STAY, 0.0, 0.0)
     told = (
         f"{found.share:.0%} of their hits lie on its walls, and {found.rival:.0%} at the best "
@@ -249,23 +238,14 @@ def find_transform(
     if found.transform.is_far(walls.pivot):
         text = f"{logs} may lie on it best beyond what is searched: {told}"
         raise PoseError(text, where=past.where, fix="try again with a first `transform`")
-    moved = turn_back(found.transform, options).after(options.posing.transform or IDENTITY)
-    given = format_mount(Pose.planar(*moved))
+    turned = Transform(0.0, 0.0, -math.radians(options.posing.align or 0.0))
+    x, y = turned.move(np.array(found.transform[:2])).tolist()
+    moved = found.transform._replace(x=x, y=y)  # what does the same before the map is turned
+    given = format_mount(Pose.planar(*moved.after(options.posing.transform or IDENTITY)))
     pose = Pose.planar(*map(float, given.split(",")))  # the one that the user may type
     return pose, f"{past.where}: {logs} fit it with `transform=({given})`: {told}"
 
 
-def list_hits(paths: Sequence[Path], options: BuildOptions) -> Float64:
-    """(N, 2) where a map would have the hits of some scans of all logs (m)."""
-    hits, deeper = [np.zeros((0, 2))], np.float32(options.hit_offset * options.resolution)
-    for rays in sample_rays(paths, options):
-        end = rays._replace(distance=rays.distance + deeper).end
-        hits.append(end[rays.kind == Kind.HIT])
-    return np.concatenate(hits)
-
-
-def turn_back(moved: Transform, options: BuildOptions) -> Transform:
-    """Find what does the same before a map is turned by `align`."""
-    align = math.radians(options.posing.align or 0.0)
-    x, y = Transform(0.0, 0.0, -align).move(np.array([moved.x, moved.y])).tolist()
-    return Transform(x, y, moved.yaw)
+def list_hits(seen: Iterable[Rays]) -> Float64:
+    """(N, 2) where the beams of scans ended (m)."""
+    return np.concatenate([np.zeros((0, 2)), *(rays.end[rays.kind == Kind.HIT] for rays in seen)])

@@ -3,23 +3,23 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from occmap.cells import CellClass, Decision, OccupancyMap, to_log_odds
+from occmap.cells import CellClass, Decision, OccupancyMap
 from occmap.difference import ClassMap, Place
 from occmap.errors import MapError
+from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share
-from occmap.scans.logs import count_scans, open_scans
-from occmap.scans.tally import ScanCounts, Tally, refuse_unused
-from occmap.scans.tracing import AddRays, Progress, Remarks, ignore_progress, trace_logs
-from occmap.scoring import Trial, score_map
-from occmap.scoring.fit import STAY, Transform, Walls, fit
-from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Rays, UInt8
+from occmap.scans.tally import ScanCounts
+from occmap.scans.tracing import AddRays, Progress, ignore_progress
+from occmap.scoring import Trial, read_scans, score_map
+from occmap.scoring.fit import STAY, Transform, Walls, fit, list_hits
+from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
@@ -27,6 +27,8 @@ FIRST_GUESS = 0.9
 """The chance that a beam stops in an occupied cell, until beams tell"""
 FARTHEST_M = 2.0
 """Distances from walls count up to here"""
+BESIDE = 1.5
+"""In cells: all eight cells around one are nearer"""
 FREE, OCCUPIED, NEITHER = CellClass.FREE, CellClass.OCCUPIED, CellClass.NEITHER
 WHITE, BLACK, GREY = (254, 254, 254), (0, 0, 0), (205, 205, 205)
 INVENTED, DANGER, MISSED = (213, 94, 0), (0, 114, 178), (230, 159, 0)
@@ -121,20 +123,6 @@ def find_place(written: ClassMap) -> Place:
     return written.place
 
 
-def list_walls(written: ClassMap) -> Float64:
-    """(N, 2) the middles of the occupied cells (m)."""
-    place = find_place(written)
-    rows, cols = np.nonzero(written.classes == OCCUPIED)
-    return np.column_stack([cols + 0.5, rows + 0.5]) * place.resolution + place[1:]
-
-
-def measure_walls(written: ClassMap) -> Walls:
-    """Measure how far it is from each cell to the nearest occupied one."""
-    place = find_place(written)
-    corner = np.array([place.x, place.y])
-    return Walls.of(written.classes == OCCUPIED, corner, place.resolution, FARTHEST_M)
-
-
 def score_by_logs(
     written: ClassMap,
     paths: Sequence[Path],
@@ -154,27 +142,20 @@ def score_by_logs(
     OccmapError
         As a build, no beam measured a range, or the map says not where it lies.
     """
-    options = replace(options, resolution=find_place(written).resolution)
-    tally = Tally()
-    logs = open_scans(paths, options)
-    total = sum(count_scans(log, options.selection.topics) for log in logs)
-    tally.tell = lambda scans: progress(scans, total)
+    place = find_place(written)
     seen: list[Rays] = []
 
     def begin() -> AddRays:
         seen.clear()
         return seen.append
 
-    remarks = Remarks([str(log.path) for log in logs])
-    # One thread, so that scans come in their order.
-    for log, notes in trace_logs(logs, replace(options, jobs=1), begin, tally):
-        remarks.note(log.path, log.notes, notes)
-    refuse_unused(paths, tally)
+    options = replace(options, resolution=place.resolution)
+    tally, remarks = read_scans(paths, options, begin, progress)
     hits = list_hits(seen)
     if not len(hits):
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
-    walls = measure_walls(written)
+    walls = Walls.of(written.classes == OCCUPIED, place, FARTHEST_M)
     moved = fit(hits, walls).transform if is_fitted else STAY
     if is_fitted and moved.is_far(walls.pivot):
         remarks.notes.append(
@@ -183,7 +164,6 @@ def score_by_logs(
         )
     seen = [move_rays(rays, moved) for rays in seen]
     trial, occupied, free = weigh(written, seen, options.jobs)
-    beside = 1.5 * walls.resolution  # of all eight
     score = LogScore(
         logs=remarks.logs,
         scans=tally.scans,
@@ -191,17 +171,12 @@ def score_by_logs(
         share=trial.score.share,
         share_error=trial.score.share_error,
         log_likelihood=trial.score.log_likelihood,
-        agreement=float(np.mean(walls.measure(moved.move(hits)) < beside)),
+        agreement=float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution)),
         stops_in_occupied=occupied,
         stops_in_free=free,
         transform=moved.after(options.posing.transform or IDENTITY) if is_fitted else STAY,
     )
     return score, remarks.notes
-
-
-def list_hits(seen: Sequence[Rays]) -> Float64:
-    """(N, 2) where beams ended (m)."""
-    return np.concatenate([rays.end[rays.kind == Kind.HIT] for rays in seen] or [np.zeros((0, 2))])
 
 
 def move_rays(rays: Rays, by: Transform) -> Rays:
@@ -230,13 +205,11 @@ def weigh(written: ClassMap, seen: Sequence[Rays], jobs: int) -> tuple[Trial, fl
 def to_probabilities(written: ClassMap, occupied: float, free: float) -> OccupancyMap:
     """Make a map in which all cells of a class have one probability."""
     place = find_place(written)
-    sure = [min(max(chance, LEAST_CHANCE), 1 - LEAST_CHANCE) for chance in (occupied, free)]
-    odds = np.zeros(3, np.float32)
-    odds[[OCCUPIED, FREE]] = [to_log_odds(chance) for chance in sure]
-    middle = sum(sure) / 2
-    observed: Bool = written.classes != NEITHER
+    chances = np.clip([0.5, free, occupied], LEAST_CHANCE, 1 - LEAST_CHANCE)  # as CellClass has it
+    log_odds = np.log(chances / (1 - chances)).astype(np.float32)[written.classes]
+    middle = float(chances[1:].mean())
     decision, origin = Decision(middle, middle), (place.x, place.y)
-    return OccupancyMap(odds[written.classes], observed, place.resolution, origin, decision)
+    return OccupancyMap(log_odds, written.classes != NEITHER, place.resolution, origin, decision)
 
 
 def score_by_truth(
@@ -256,15 +229,19 @@ def score_by_truth(
     MapError
         One of them says not where it lies, or both together are too large.
     """
-    moved = fit(list_walls(written), measure_walls(truth)).transform if is_fitted else STAY
-    canvas = make_canvas(written, truth, moved)
-    is_true, is_said = canvas.lay(truth, STAY), canvas.lay(written, moved)
-    shape, side = is_true.shape, canvas.side
-    from_true, from_said = (
-        cut(Walls.of(each == OCCUPIED, canvas.corner, side, FARTHEST_M), shape)
-        for each in (is_true, is_said)
+    true, said = find_place(truth), find_place(written)
+    moved = STAY
+    if is_fitted:
+        walls = said.list_middles(written.classes == OCCUPIED)
+        moved = fit(walls, Walls.of(truth.classes == OCCUPIED, true, FARTHEST_M)).transform
+    place, shape = cover(written, truth, moved)
+    is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)
+    side = place.resolution
+    from_true, from_said, from_floor = (
+        measure_distances(cells, place)
+        for cells in (is_true == OCCUPIED, is_said == OCCUPIED, is_true == FREE)
     )
-    edges = (is_true == OCCUPIED) & touch(is_true == FREE)
+    edges = (is_true == OCCUPIED) & (from_floor < BESIDE * side)
     far = within_m + side / 1000  # distances are between middles of cells
     open_floor = (is_true == FREE) & (from_true > far)
     walls, is_missed = is_said == OCCUPIED, edges & (from_said > far)
@@ -302,52 +279,20 @@ def share(part: Bool, whole: Bool) -> float:
     return int(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
 
 
-def cut(walls: Walls, shape: tuple[int, ...]) -> Float32:
-    """Take the distances within a map of a shape, without the margin around it."""
-    side = (walls.away.shape[0] - shape[0]) // 2
-    return walls.away[side : side + shape[0], side : side + shape[1]]
+def measure_distances(cells: Bool, place: Place) -> Float32:
+    """(H, W) how far it is from each cell of a map to the nearest of some cells (m)."""
+    away = Walls.of(cells, place, FARTHEST_M).away
+    margin = (away.shape[0] - cells.shape[0]) // 2
+    return away[margin:-margin, margin:-margin]
 
 
-def touch(mask: Bool) -> Bool:
-    """Cells that are beside those of a mask, over edges or corners, or in it."""
-    padded = np.pad(mask, 1)
-    height, width = mask.shape
-    views = (padded[r : r + height, c : c + width] for r in range(3) for c in range(3))
-    touched: Bool = np.logical_or.reduce(list(views))
-    return touched
+def cover(written: ClassMap, truth: ClassMap, moved: Transform) -> tuple[Place, tuple[int, int]]:
+    """Choose cells that cover both maps, as small as the smaller ones, on the lattice of the truth.
 
-
-class Canvas(NamedTuple):
-    """The cells on which two maps are compared."""
-
-    corner: Float64
-    """(2,) x and y of the lower-left corner (m)"""
-    side: float
-    """Of a cell (m)"""
-    rows: int
-    cols: int
-
-    def lay(self, written: ClassMap, moved: Transform) -> UInt8:
-        """(H, W) the classes of a map that is moved; NEITHER outside of it."""
-        place = find_place(written)
-        height, width = written.classes.shape
-        xs, ys = (
-            self.corner[axis] + (np.arange(size) + 0.5) * self.side
-            for axis, size in enumerate((self.cols, self.rows))
-        )
-        classes = np.full((self.rows, self.cols), NEITHER, np.uint8)
-        for row, y in enumerate(ys.tolist()):
-            points = moved.move_back(np.column_stack([xs, np.full(self.cols, y)]))
-            # A little farther on, as a border that two maps share may be rounded either way.
-            at = np.floor((points - np.array(place[1:])) / place.resolution + 1e-6)
-            cols, rows = at.astype(np.int64).T
-            inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
-            classes[row, inside] = written.classes[rows[inside], cols[inside]]
-        return classes
-
-
-def make_canvas(written: ClassMap, truth: ClassMap, moved: Transform) -> Canvas:
-    """Make cells that cover both maps, as small as the smaller ones, on the lattice of the truth.
+    Returns
+    -------
+    place, shape
+        Where they lie, and how many rows and columns there are.
 
     Raises
     ------
@@ -355,20 +300,32 @@ def make_canvas(written: ClassMap, truth: ClassMap, moved: Transform) -> Canvas:
         They are too many.
     """
     true = find_place(truth)
-    side = min(find_place(written).resolution, true.resolution)
+    side, corner = min(find_place(written).resolution, true.resolution), np.array(true[1:])
     reach = np.concatenate([moved.move(list_corners(written)), list_corners(truth)])
-    corner = np.array([true.x, true.y])
     low = np.floor((reach.min(axis=0) - corner) / side + 1e-6)
     high = np.ceil((reach.max(axis=0) - corner) / side - 1e-6)
     cols, rows = (int(each) for each in high - low)
     if rows * cols > MAX_CELLS:
         found = f"both maps together take {cols} x {rows} cells, too many to compare"
         raise MapError(found, where=written.path, fix="check that both are in one map frame")
-    return Canvas(corner + low * side, side, rows, cols)
+    return Place(side, *(corner + low * side).tolist()), (rows, cols)
 
 
 def list_corners(written: ClassMap) -> Float64:
     """(4, 2) where the corners of a map are (m)."""
-    place, (rows, cols) = find_place(written), written.classes.shape
-    whole = np.array([[0, 0], [cols, 0], [0, rows], [cols, rows]])
-    return np.array(place[1:]) + whole * place.resolution
+    low_x, low_y, *high = find_place(written).measure(CellBox(0, 0, *written.classes.shape))
+    return np.array(list(product((low_x, high[0]), (low_y, high[1]))))
+
+
+def lay(written: ClassMap, moved: Transform, place: Place, shape: tuple[int, int]) -> UInt8:
+    """(H, W) the classes of a map that is moved, cell by cell; NEITHER outside of it."""
+    own, framed = find_place(written), np.pad(written.classes, 1)
+    # A little farther on, as a border that two maps share may be rounded either way.
+    x, y = (edge - (1 + 1e-6) * own.resolution for edge in own[1:])
+    around = Place(own.resolution, x, y)
+    classes = np.empty(shape, np.uint8)
+    for row in range(shape[0]):
+        line = place._replace(y=place.y + row * place.resolution)
+        points = moved.move_back(line.list_middles(np.ones((1, shape[1]), np.bool_)))
+        classes[row] = framed[around.find_cells(points, framed.shape)]
+    return classes

@@ -1,34 +1,56 @@
+import zlib
+from base64 import b64decode
 from dataclasses import replace
-from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from occmap import api
 from occmap.api import Map
 from occmap.cells import OccupancyMap
 from occmap.grid import CellBox
-from occmap.page.raster import MOST_CELLS, Raster, classify, make_raster, round_counts
-from tests.page.test_packing import unpack
+from occmap.page.raster import (
+    MOST_CELLS,
+    Packed,
+    Raster,
+    Seen,
+    classify,
+    make_raster,
+    name_layers,
+    pack,
+    round_counts,
+)
 from tests.writers.maps import map_of
-
-
-@cache
-def build(folder: str) -> Map:
-    return api.build_map("sample_logs/drive.csv", resolution=0.1, outputs=f"{folder}/m.npz")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Map:
-    return build(str(tmp_path_factory.getbasetemp()))
+    path = tmp_path_factory.mktemp("raster") / "m.npz"
+    return api.build_map("sample_logs/drive.csv", resolution=0.1, outputs=path)
+
+
+@pytest.fixture(scope="module")
+def seen(made: Map) -> Seen:
+    assert made.evidence
+    return Seen.of(made.evidence)
+
+
+def unpack(packed: Packed) -> NDArray[np.uint32]:
+    """As page.js does."""
+    plain = np.frombuffer(zlib.decompress(b64decode(packed.data)), np.uint8)
+    planes = plain.reshape(packed.planes, packed.rows, packed.columns).astype(np.uint32)
+    shifts = 8 * np.arange(packed.planes, dtype=np.uint32)
+    return np.asarray((planes << shifts[:, None, None]).sum(axis=0, dtype=np.uint32))
 
 
 def layer(raster: Raster, name: str) -> np.ndarray[tuple[int, ...], np.dtype[np.uint32]]:
     return unpack(raster.layers[name])
 
 
-def test_layers_are_those_of_the_map(made: Map) -> None:
-    raster = make_raster(made, made.evidence)
+def test_layers_are_those_of_the_map(made: Map, seen: Seen) -> None:
+    raster = make_raster(made, seen)
     assert (raster.x, raster.y, raster.size, raster.step) == (*made.origin, 0.1, 1)
     assert min(made.origin) < 0
     np.testing.assert_array_equal(layer(raster, "class") == 3, made.occupied)
@@ -37,38 +59,39 @@ def test_layers_are_those_of_the_map(made: Map) -> None:
     np.testing.assert_allclose(
         layer(raster, "p")[made.observed] / 100, made.probability[made.observed], atol=0.005
     )
-    np.testing.assert_array_equal(layer(raster, "hits") / raster.unit, made.hits)
-    np.testing.assert_array_equal(layer(raster, "misses") / raster.unit, made.misses)
+    np.testing.assert_array_equal(layer(raster, "hits") / seen.grid.unit, made.hits)
+    np.testing.assert_array_equal(layer(raster, "misses") / seen.grid.unit, made.misses)
 
 
-def test_visits_and_last_sights_are_those_of_the_log(made: Map) -> None:
-    raster = make_raster(made, made.evidence)
-    seen = layer(raster, "visits") > 0
-    np.testing.assert_array_equal(seen, (made.hits > 0) | (made.misses > 0))
-    np.testing.assert_array_equal(layer(raster, "last") > 0, seen)
+def test_visits_and_last_sights_are_those_of_the_log(made: Map, seen: Seen) -> None:
+    raster = make_raster(made, seen)
+    is_seen = layer(raster, "visits") > 0
+    np.testing.assert_array_equal(is_seen, (made.hits > 0) | (made.misses > 0))
+    np.testing.assert_array_equal(layer(raster, "last") > 0, is_seen)
     first, last = 1_700_000_000.0, 1_700_000_082.6
-    assert raster.start_s <= first < raster.start_s + raster.slice_s
-    ends = raster.start_s + layer(raster, "last").max() * raster.slice_s
-    assert ends - raster.slice_s <= last < ends
+    shown = next(each for each in name_layers([raster], seen) if each.key == "last")
+    assert shown.start <= first < shown.start + shown.scale
+    end = shown.start + layer(raster, "last").max() * shown.scale
+    assert end - shown.scale <= last < end
 
 
-def test_a_cropped_map_has_its_own_part_of_the_evidence(made: Map) -> None:
+def test_a_cropped_map_has_its_own_part_of_the_evidence(made: Map, seen: Seen) -> None:
     part = OccupancyMap.take(made, slice(7, 30), slice(3, 90))
-    raster = make_raster(part, made.evidence)
-    np.testing.assert_array_equal(layer(raster, "hits") / raster.unit, made.hits[7:30, 3:90])
+    raster = make_raster(part, seen)
+    np.testing.assert_array_equal(layer(raster, "hits") / seen.grid.unit, made.hits[7:30, 3:90])
 
 
 @pytest.mark.parametrize("step", [2, 8])
 def test_a_coarse_cell_is_the_one_most_likely_occupied(
-    step: int, made: Map, monkeypatch: pytest.MonkeyPatch
+    step: int, made: Map, seen: Seen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("occmap.page.raster.MOST_CELLS", made.log_odds.size / step**2)
-    raster = make_raster(made, made.evidence)
+    raster = make_raster(made, seen)
     assert raster.step == step
     row, col = made.place.tolist()
     begin, left = row // step * step, col // step * step
     assert (raster.x, raster.y) == pytest.approx((left * 0.1, begin * 0.1))
-    classes, hits = layer(raster, "class"), layer(raster, "hits") / raster.unit
+    classes, hits = layer(raster, "class"), layer(raster, "hits") / seen.grid.unit
     rows, cols = made.shape
     assert classes.shape == (-(-(row + rows - begin) // step), -(-(col + cols - left) // step))
     box = CellBox(begin, left, begin + step * len(classes), left + step * classes.shape[1])
@@ -85,17 +108,17 @@ def test_a_coarse_cell_is_the_one_most_likely_occupied(
         assert (classes[i, j] == 3) == occupied
 
 
-def test_a_page_that_would_be_too_large_is_rounded_then_thinned(made: Map) -> None:
-    exact = make_raster(made, made.evidence)
+def test_a_page_that_would_be_too_large_is_rounded_then_thinned(made: Map, seen: Seen) -> None:
+    exact = make_raster(made, seen)
     size = sum(len(each.data) for each in exact.layers.values())
-    rounded = make_raster(made, made.evidence, size - 1)
+    rounded = make_raster(made, seen, size - 1)
     assert (rounded.step, rounded.rounding) == (1, 0.5 / 16)
     misses = layer(exact, "misses").astype(float)
     off = np.abs(layer(rounded, "misses") - misses)
     assert off.any()
     assert (off <= rounded.rounding * misses).all()
     np.testing.assert_array_equal(layer(rounded, "class"), layer(exact, "class"))
-    thinned = make_raster(made, made.evidence, size // 4)
+    thinned = make_raster(made, seen, size // 4)
     assert thinned.step > 1
     assert sum(len(each.data) for each in thinned.layers.values()) <= size // 4
 
@@ -116,3 +139,17 @@ def test_a_map_without_evidence_has_classes_and_probabilities() -> None:
 def test_16_million_cells_are_not_thinned_for_their_number() -> None:
     assert MOST_CELLS >= 4000 * 4000
     assert classify(replace(map_of([[0.9]]))).tolist() == [[3]]
+
+
+@pytest.mark.parametrize(
+    ("largest", "planes"), [(0, 1), (255, 1), (256, 2), (65535, 2), (65536, 3), (2**32 - 1, 4)]
+)
+def test_numbers_survive_with_as_few_bytes_as_they_need(largest: int, planes: int) -> None:
+    numbers: NDArray[Any] = np.array([[0, largest // 2, largest], [1 % (largest + 1), 0, 0]])
+    packed = pack(numbers)
+    assert (packed.planes, packed.largest) == (planes, largest)
+    np.testing.assert_array_equal(unpack(packed), numbers)
+
+
+def test_a_number_too_large_is_the_largest() -> None:
+    assert unpack(pack(np.array([[2**40]]))).tolist() == [[2**32 - 1]]

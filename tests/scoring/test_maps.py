@@ -86,7 +86,7 @@ def test_resolutions_may_differ(times: int) -> None:
 
 def test_distances_are_those_to_the_nearest_wall() -> None:
     occupied = np.random.default_rng(1).random((23, 31)) < 0.01
-    walls = Walls.of(occupied, np.zeros(2), 0.1, 1.0)
+    walls = Walls.of(occupied, HERE, 1.0)
     middles = (np.argwhere(occupied)[:, ::-1] + 0.5) * 0.1
     for point in np.random.default_rng(2).uniform(-0.9, 4.0, (500, 2)):
         middle = (np.floor(point / 0.1) + 0.5) * 0.1
@@ -95,7 +95,7 @@ def test_distances_are_those_to_the_nearest_wall() -> None:
 
 
 def test_distances_in_a_map_of_millimetres_end_nearer_by() -> None:
-    walls = Walls.of(np.ones((1, 1), np.bool_), np.zeros(2), 0.001, 2.0)
+    walls = Walls.of(np.ones((1, 1), np.bool_), Place(0.001, 0.0, 0.0), 2.0)
     assert walls.limit == pytest.approx(0.2)
     assert walls.measure(np.array([[1.0, 0.0]]))[0] == pytest.approx(0.2)
 
@@ -105,9 +105,7 @@ def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
     plan = load_map(SAMPLE_LOGS / "floor_plan.yaml", WriteOptions())
     assert plan.place is not None
     occupied = plan.classes == CellClass.OCCUPIED
-    corner = np.array([plan.place.x, plan.place.y])
-    walls = Walls.of(occupied, corner, plan.place.resolution, 2.0)
-    points = (np.argwhere(occupied)[:, ::-1] + 0.5) * plan.place.resolution + corner
+    walls, points = Walls.of(occupied, plan.place, 2.0), plan.place.list_middles(occupied)
     true = Transform(*moved)
     found = fit(true.move_back(points), walls).transform
     assert found.yaw == pytest.approx(true.yaw, abs=0.004)

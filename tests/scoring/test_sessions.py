@@ -9,6 +9,7 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.choices import to_rpy
+from occmap.difference import Place
 from occmap.errors import PoseError
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
@@ -68,7 +69,7 @@ def test_a_first_transform_is_where_the_search_begins(tmp_path: Path) -> None:
 def test_a_corridor_lets_the_search_slide() -> None:
     occupied = np.zeros((60, 400), np.bool_)
     occupied[[5, 55], :] = True  # two walls 2.5 m apart, 20 m long
-    walls = Walls.of(occupied, np.zeros(2), 0.05, 2.0)
+    walls = Walls.of(occupied, Place(0.05, 0.0, 0.0), 2.0)
     along = np.arange(5.0, 15.0, 0.02)
     points = np.concatenate(
         [np.column_stack([along, np.full_like(along, y)]) for y in (0.28, 2.78)]
