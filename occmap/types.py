@@ -315,14 +315,9 @@ class ScanBatch:
             ranges=self.ranges[scans],
             time_increment=self.time_increment[scans],
             pose=None if self.pose is None else self.pose[scans],
-            clouds=self.clouds and tuple(map(self.clouds.__getitem__, list_chosen(scans))),
+            clouds=self.clouds
+            and tuple(self.clouds[at] for at in np.arange(len(self.stamp_ns))[scans]),
         )
-
-
-def list_chosen(scans: Bool | Int64) -> list[int]:
-    """List the indices that a mask (S,), or indices, choose."""
-    chosen: list[int] = (np.flatnonzero(scans) if scans.dtype == np.bool_ else scans).tolist()
-    return chosen
 
 
 @dataclass(frozen=True, slots=True)

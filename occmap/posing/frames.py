@@ -7,18 +7,17 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from typing import Self
 
-from occmap.errors import PoseError
 from occmap.posing.tracks import Track
 
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 """The names that REP 105 gives to the map and to the robot"""
-MOST_STEPS = 100
-"""The frames of a robot are some ten deep. A way of more steps than this is damage."""
+MOST_ABOVE = 100
+"""Frames above another that are looked at: those of a robot are some ten deep."""
 MOST_TARGETS = 4
 """Frames whose distances to all others are kept; few are asked for again."""
 
@@ -66,7 +65,7 @@ class FrameTree:
             self._up[edge.child].append(edge)
             self._down[edge.parent].append(edge)
         self.frames: tuple[str, ...] = tuple(sorted(self._up.keys() | self._down.keys()))
-        self._distances: dict[str, dict[str, int]] = {}
+        self._measure = lru_cache(MOST_TARGETS)(self._count_steps)
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._up or frame in self._down
@@ -99,10 +98,10 @@ class FrameTree:
         return dict(found)
 
     def list_ancestors(self, frame: str) -> list[str]:
-        """List a frame and those above it, nearest first; no more than a way may have steps."""
+        """List a frame and those above it, nearest first."""
         found = [frame]
         for below in found:  # it grows meanwhile
-            if len(found) > MOST_STEPS:
+            if len(found) > MOST_ABOVE:
                 break
             found += [e.parent for e in self._up.get(below, ()) if e.parent not in found]
         return found
@@ -116,21 +115,10 @@ class FrameTree:
         """Find the shortest way down from one frame to another; None where there is none.
 
         Of equally short ways the one that climbs from `lower` is preferred, then names decide.
-
-        Raises
-        ------
-        PoseError
-            It has more than `MOST_STEPS` steps.
         """
         distances = self._measure(upper)
         if lower not in distances:
             return None
-        if distances[lower] > MOST_STEPS:
-            raise PoseError(
-                f"the way from {upper!r} to {lower!r} leads through {distances[lower]} frames, "
-                f"where {MOST_STEPS} are the most that is followed",
-                fix="see the transforms in `occmap check`",
-            )
         path: list[Edge] = []
         while lower != upper:
             near = distances[lower] - 1
@@ -171,23 +159,18 @@ class FrameTree:
         moving = find_moving(self.find_path(root, frame) or [])
         return moving[-1].child if moving else root
 
-    def _measure(self, upper: str) -> dict[str, int]:
+    def _count_steps(self, upper: str) -> dict[str, int]:
         """Count the steps from a frame to each that is connected with it."""
-        if upper not in self:
-            return {}
-        if upper not in self._distances:
-            distances, queue = {upper: 0}, [upper]
-            for frame in queue:  # it grows meanwhile
-                below = (edge.child for edge in self._down.get(frame, ()))
-                above = (edge.parent for edge in self._up.get(frame, ()))
-                for other in (*below, *above):
-                    if other not in distances:
-                        distances[other] = distances[frame] + 1
-                        queue.append(other)
-            while len(self._distances) >= MOST_TARGETS:
-                del self._distances[next(iter(self._distances))]
-            self._distances[upper] = distances
-        return self._distances[upper]
+        distances = {upper: 0} if upper in self else {}
+        queue = list(distances)
+        for frame in queue:  # it grows meanwhile
+            below = (edge.child for edge in self._down.get(frame, ()))
+            above = (edge.parent for edge in self._up.get(frame, ()))
+            for other in (*below, *above):
+                if other not in distances:
+                    distances[other] = distances[frame] + 1
+                    queue.append(other)
+        return distances
 
 
 def last_part(frame: str) -> str:

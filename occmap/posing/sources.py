@@ -38,8 +38,6 @@ INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
 """How many of the static transforms that changed are named: their names are long."""
-MOST_LOOPS = 8
-"""Loops that are listed at most."""
 USE_TF = "leave out `poses`: transforms are used without it"
 
 
@@ -212,16 +210,11 @@ def _disagree(same: Sequence[Edge]) -> bool:
 
 
 def _list_loops(parents: dict[str, list[str]]) -> Iterator[str]:
-    """Name the loops, the first few of many; each is cut open to find the next."""
-    for _ in range(MOST_LOOPS):
-        try:
-            TopologicalSorter(parents).prepare()
-        except CycleError as error:
-            loop: list[str] = error.args[1]
-            parents[loop[1]].remove(loop[0])
-            yield f"the transforms {' -> '.join(loop)} form a loop: the shortest way counts"
-        else:
-            return
+    """Name a loop, if there is one."""
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        yield f"the transforms {' -> '.join(error.args[1])} form a loop: the shortest way counts"
 
 
 GIVE_POSES = "give a trajectory: `poses=FILE`"

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,67 @@ from occmap.posing.attach import Poser
 from occmap.types import Pose, PoseSample
 from tests.posing.scenes import at, bolted, build, drive, positions, turned, yaw_of
 
-MOUNT = bolted("base_link", "laser", Pose.planar(0.5, 0, 0))
 AHEAD = Pose.planar(0.5, 0, 0)
+MOUNT = bolted("base_link", "laser", AHEAD)
+TF = [*drive("odom", "base_link"), MOUNT]
+IN_MAP = [*TF, bolted("map", "odom", turned(0, y=7))]
+MOVED = bolted("base_link", "laser", turned(0, y=3))
+MAST = [bolted("base_link", "mast", turned(0, y=1)), bolted("mast", "laser", AHEAD)]
+HULLS = [*drive("odom", "hull"), *drive("odom", "mast")]
+MOCAP = [at(t, "mocap", "", turned(0, y=t), "/mocap/pose") for t in range(11)]
+FUSED = [at(t, "odom", "base_link", turned(0, y=t), "/fused") for t in range(11)]
+LAGGING = [at(t, "odom", "base_link", turned(0, x=-t), "/wheels") for t in range(100)]
+NAMELESS = drive("odom", "", "/odom")
+PLACES: dict[str, tuple[list[PoseSample], dict[str, Any], list[float], str]] = {
+    "map before odom": (IN_MAP, {}, [4.5, 7, 0], "map"),
+    "odom without a map": ([*TF, bolted("world", "odom", turned(0, y=7))], {}, [4.5, 0, 0], "odom"),
+    "the root without both": ([*drive("earth", "base_link"), MOUNT], {}, [4.5, 0, 0], "earth"),
+    "a chosen map": (IN_MAP, {"map_frame": "odom"}, [4.5, 0, 0], "odom"),
+    "leading slashes": ([*drive("/odom", "/base_link"), MOUNT], {}, [4.5, 0, 0], "odom"),
+    "a given mount": (drive("odom", "base_link"), {"sensor_pose": AHEAD}, [4.5, 0, 0], "odom"),
+    "before that of the log": (TF, {"sensor_pose": turned(0, x=-1)}, [3, 0, 0], "odom"),
+    "on a named base": (HULLS, {"sensor_pose": AHEAD, "base_frame": "mast"}, [4.5, 0, 0], "odom"),
+    "a given transform": (
+        drive("odom", "base_link"),
+        {"static_transforms": (MOVED,)},
+        [4, 3, 0],
+        "odom",
+    ),
+    "before one of the log": (TF, {"static_transforms": (MOVED,)}, [4, 3, 0], "odom"),
+    "the last static one": (
+        [*TF, MOUNT._replace(stamp_ns=1, pose=turned(0, y=2)), MOUNT],
+        {},
+        [4, 2, 0],
+        "odom",
+    ),
+    "odometry": ([*drive("odom", "base_link", "/wheels"), MOUNT], {}, [4.5, 0, 0], "odom"),
+    "tf before odometry": ([*LAGGING, *TF], {}, [4.5, 0, 0], "odom"),
+    "poses of a still tree": ([*drive("mocap", "", "/pose"), MOUNT], {}, [4.5, 0, 0], "mocap"),
+    "poses without a tree": (drive("mocap", "", "/pose"), {}, [4, 0, 0], "mocap"),
+    "nameless odometry": (NAMELESS, {"sensor_pose": AHEAD}, [4.5, 0, 0], "odom"),
+    "of a base in tf": ([*NAMELESS, MOUNT], {}, [4.5, 0, 0], "odom"),
+    "of another base": ([*NAMELESS, bolted("torso", "laser", AHEAD)], {}, [4.5, 0, 0], "odom"),
+    "bolted to the map": ([bolted("map", "laser", turned(0, x=3))], {}, [3, 0, 0], "map"),
+    "a chosen topic": ([*TF, *MOCAP], {"poses": "/mocap/pose"}, [0.5, 4, 0], "mocap"),
+    "chosen odometry": (
+        [*TF, *drive("map", "odom"), *FUSED],
+        {"poses": "fused"},
+        [0.5, 4, 0],
+        "odom",
+    ),
+    "in a chosen map": (
+        [*TF, *drive("map", "odom"), *FUSED],
+        {"poses": "/fused", "map_frame": "map"},
+        [4.5, 4, 0],
+        "map",
+    ),
+    "of an unconnected body": (
+        [*drive("odom", "base_footprint", "/odom"), MOUNT],
+        {"poses": "/odom", "base_frame": "base_link"},
+        [4.5, 0, 0],
+        "odom",
+    ),
+}
 
 
 def place(poser: Poser, second: float = 4, frame: str = "laser") -> list[float]:
@@ -20,41 +80,154 @@ def place(poser: Poser, second: float = 4, frame: str = "laser") -> list[float]:
     return [round(float(value), 9) for value in positions(poser, [second], frame)[0]]
 
 
-def refusal(poser: Poser, *frames: str) -> str:
-    """Why no frame of a log has a chain, of the first one."""
-    failures = poser.find_chains(frames or ["laser"])
+@pytest.mark.parametrize("case", PLACES)
+def test_where_a_laser_ends_up_and_in_which_map(case: str) -> None:
+    samples, options, expected, fixed = PLACES[case]
+    poser = build(*samples, **options)
+    assert place(poser) == expected
+    assert poser.fixed == fixed
+
+
+REFUSALS: dict[str, tuple[list[PoseSample], dict[str, Any], list[str]]] = {
+    "an unknown map": (
+        IN_MAP,
+        {"map_frame": "moon"},
+        ["no frame 'moon' in the log (known: base_link, laser, map, odom)", "`map_frame`"],
+    ),
+    "no mount": (
+        drive("odom", "base_link"),
+        {},
+        [
+            "no transform to the laser's frame 'laser' (known: base_link, odom)",
+            "give its mount on base_link: `sensor_pose=(x,y,yaw)`",
+        ],
+    ),
+    "of nameless odometry": (
+        NAMELESS,
+        {},
+        ["give its mount on base_link: `sensor_pose=(x,y,yaw)`"],
+    ),
+    "many frames": (
+        [*drive("odom", "base_link"), *(bolted("base_link", f"w{i:02}", AHEAD) for i in range(20))],
+        {},
+        ["w03 and 16 more)"],
+    ),
+    "an unclear base": (
+        HULLS,
+        {"sensor_pose": AHEAD},
+        ["is not clear (known: hull, mast, odom)", "name it: `base_frame=hull`"],
+    ),
+    "an unknown base": (
+        HULLS,
+        {"sensor_pose": AHEAD, "base_frame": "moon"},
+        ["`base_frame` takes hull, mast, odom"],
+    ),
+    "no poses": ([], {}, ["the scans have no poses", "give a trajectory: `poses=FILE`"]),
+    "goals and plans": (
+        [
+            sample
+            for topic in ("/goal_pose", "/initialpose", "/move_base/global/plan")
+            for sample in drive("map", "", topic, range(50))
+        ],
+        {},
+        ["the scans have no poses"],
+    ),
+    "nothing moves": ([MOUNT], {}, ["tf only says where 'laser' sits on", "`poses=FILE`"]),
+    "what moves is elsewhere": (
+        [*drive("odom", "base_footprint"), MOUNT],
+        {},
+        [
+            "not connected to what moves: base_footprint",
+            "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`",
+        ],
+    ),
+    "a chosen body that is not connected": (
+        [*drive("odom", "base_footprint", "/odom"), MOUNT],
+        {"poses": "/odom"},
+        ["no transform from 'base_footprint' to 'laser'"],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSALS)
+def test_why_a_laser_has_no_place(case: str) -> None:
+    samples, options, texts = REFUSALS[case]
+    poser = build(*samples, **options)
+    error = str(poser.find_chains(["laser"])["laser"])
     assert poser.fixed is None
-    return str(next(iter(failures.values())))
+    assert all(text in error for text in texts), error
 
 
-# The fixed frame
+NOTES: dict[str, tuple[list[PoseSample], dict[str, Any], list[str]]] = {
+    "a given mount": (
+        TF,
+        {"sensor_pose": turned(0, x=-1)},
+        ["the given sensor pose replaces the log's of 'laser'"],
+    ),
+    "a given transform": (
+        TF,
+        {"static_transforms": (MOVED,)},
+        ["the given transform base_link -> laser replaces the log's"],
+    ),
+    "odometry": (
+        [*drive("odom", "base_link", "/wheels"), MOUNT],
+        {},
+        ["tf does not give odom -> base_link: taken from /wheels"],
+    ),
+    "tf before odometry": ([*LAGGING, *TF], {}, []),
+    "poses of a still tree": (
+        [*drive("mocap", "", "/pose"), MOUNT],
+        {},
+        ["poses from /pose, taken as those of 'base_link'"],
+    ),
+    "poses without a tree": (
+        drive("mocap", "", "/pose"),
+        {},
+        [
+            "poses from /pose, taken as those of 'laser', the laser itself: give "
+            "`sensor_pose=(x,y,yaw)` if they are the robot's"
+        ],
+    ),
+    "a frame above": (TF, {"static_transforms": (bolted("map", "odom", turned(0)),)}, []),
+    "two parents": (
+        [*TF, bolted("tower", "laser", turned(0)), bolted("map", "odom", turned(0))],
+        {},
+        ["frames that have several parents: laser (base_link, tower); the shortest way counts"],
+    ),
+    "a loop": (
+        [*TF, bolted("laser", "odom", turned(0)), bolted("odom", "camera", turned(0))],
+        {},
+        [
+            "the transforms laser -> odom -> base_link -> laser form a loop: the shortest way "
+            "counts",
+            "'laser' never moves in 'odom', though other frames do",
+        ],
+    ),
+    "a mount sent again": ([*TF, MOUNT._replace(record_ns=5)], {}, []),
+    "a mount that changes": (
+        [*TF, MOUNT._replace(record_ns=5, pose=turned(0, y=2))],
+        {},
+        ["/tf_static changes base_link -> laser: the last pose counts"],
+    ),
+    "a mount that is sent on /tf, too": (
+        [*TF, *(at(t, "base_link", "laser", AHEAD) for t in range(3))],
+        {},
+        [],
+    ),
+    "and moves there": (
+        [*TF, *(at(t, "base_link", "laser", turned(0, y=t)) for t in range(3))],
+        {},
+        ["/tf, /tf_static differ on base_link -> laser: /tf counts"],
+    ),
+}
 
 
-def test_the_map_is_chosen_before_odom() -> None:
-    poser = build(*drive("odom", "base_link"), MOUNT, bolted("map", "odom", turned(0, y=7)))
-    assert place(poser) == [4.5, 7, 0]
-    assert poser.fixed == "map"
-
-
-def test_odom_is_chosen_where_there_is_no_map() -> None:
-    poser = build(*drive("odom", "base_link"), MOUNT, bolted("world", "odom", turned(0, y=7)))
-    assert place(poser) == [4.5, 0, 0]
-    assert poser.fixed == "odom"
-
-
-def test_the_root_is_chosen_where_there_is_neither() -> None:
-    poser = build(*drive("earth", "base_link"), MOUNT)
-    assert place(poser) == [4.5, 0, 0]
-    assert poser.fixed == "earth"
-
-
-def test_the_user_chooses_the_map_frame() -> None:
-    log = [*drive("odom", "base_link"), MOUNT, bolted("map", "odom", turned(0, y=7))]
-    poser = build(*log, map_frame="odom")
-    assert place(poser) == [4.5, 0, 0]
-    message = refusal(build(*log, map_frame="moon"))
-    known = "no frame 'moon' in the log (known: base_link, laser, map, odom)"
-    assert message == f"{known}; give one of these as `map_frame`, or leave it out"
+@pytest.mark.parametrize("case", NOTES)
+def test_what_is_said_of_how_poses_were_found(case: str) -> None:
+    samples, options, notes = NOTES[case]
+    poser = build(*samples, **options)
+    poser.find_chains(["laser"])
+    assert poser.notes == notes
 
 
 def test_each_robot_maps_in_its_own_map() -> None:
@@ -72,37 +245,6 @@ def test_each_robot_maps_in_its_own_map() -> None:
     assert place(poser, frame="robot1/laser") == [4.5, 1, 0]  # in the map that is chosen already
 
 
-def test_leading_slashes_mean_nothing() -> None:
-    poser = build(*drive("/odom", "/base_link"), MOUNT)
-    assert place(poser, frame="/laser") == [4.5, 0, 0]
-
-
-# The mount
-
-
-def test_a_missing_mount_is_named_with_the_flag_that_gives_it() -> None:
-    assert refusal(build(*drive("odom", "base_link"))) == (
-        "no transform to the laser's frame 'laser' (known: base_link, odom); "
-        "give its mount on base_link: `sensor_pose=(x,y,yaw)`"
-    )
-
-
-def test_many_known_frames_are_not_all_listed() -> None:
-    wheels = [bolted("base_link", f"wheel{i:02}", AHEAD) for i in range(20)]
-    assert "wheel03 and 16 more)" in refusal(build(*drive("odom", "base_link"), *wheels))
-
-
-def test_the_given_mount_hangs_on_base_link() -> None:
-    poser = build(*drive("odom", "base_link"), sensor_pose=Pose.planar(1, 2, math.pi))
-    assert place(poser) == [5, 2, 0]
-
-
-def test_the_given_mount_goes_before_the_log() -> None:
-    poser = build(*drive("odom", "base_link"), MOUNT, sensor_pose=turned(0, x=-1))
-    assert place(poser) == [3, 0, 0]
-    assert "the given sensor pose replaces the log's of 'laser'" in poser.notes
-
-
 @pytest.mark.parametrize("base", ["base_footprint", "r2d2/base_link", "hull"])
 def test_the_base_is_found_under_other_names(base: str) -> None:
     wheel = [at(t, base, "wheel", turned(90 * t)) for t in range(11)]
@@ -110,251 +252,82 @@ def test_the_base_is_found_under_other_names(base: str) -> None:
     assert place(poser) == [4.5, 0, 0]
 
 
-def test_an_unclear_base_is_asked_for() -> None:
-    log = [*drive("odom", "hull"), *drive("odom", "mast")]
-    message = refusal(build(*log, sensor_pose=AHEAD))
-    assert message == (
-        "which frame the laser is mounted on is not clear (known: hull, mast, odom); "
-        "name it: `base_frame=hull`"
-    )
-    assert place(build(*log, sensor_pose=AHEAD, base_frame="mast")) == [4.5, 0, 0]
-    assert "`base_frame` takes hull, mast, odom" in refusal(
-        build(*log, sensor_pose=AHEAD, base_frame="moon")
-    )
-
-
-def test_a_given_static_transform_fills_the_tree_or_goes_before_it() -> None:
-    given = bolted("base_link", "laser", turned(0, y=3))
-    assert place(build(*drive("odom", "base_link"), static_transforms=(given,))) == [4, 3, 0]
-    poser = build(*drive("odom", "base_link"), MOUNT, static_transforms=(given,))
-    assert place(poser) == [4, 3, 0]
-    assert "the given transform base_link -> laser replaces the log's" in poser.notes
-
-
 def test_a_given_transform_that_closes_a_loop_is_told() -> None:
-    loop = bolted("laser", "odom", turned(0))
-    looped = build(*drive("odom", "base_link"), MOUNT, static_transforms=(loop,))
+    looped = build(*TF, static_transforms=(bolted("laser", "odom", turned(0)),))
     told = "the given transform laser -> odom closes a loop: odom is above laser already"
     assert told in looped.notes
-    above = bolted("map", "odom", turned(0))
-    assert build(*drive("odom", "base_link"), MOUNT, static_transforms=(above,)).notes == []
-
-
-def test_of_a_static_transform_that_is_sent_again_the_last_holds() -> None:
-    again = MOUNT._replace(stamp_ns=1, pose=turned(0, y=2))
-    assert place(build(*drive("odom", "base_link"), again, MOUNT)) == [4, 2, 0]
-
-
-# Transforms that contradict each other: maps are made all the same, and it is said
-
-
-def notes_of(*samples: PoseSample) -> list[str]:
-    return build(*drive("odom", "base_link"), MOUNT, *samples).notes
-
-
-def test_a_frame_with_two_parents_is_told() -> None:
-    assert notes_of(bolted("tower", "laser", turned(0)), bolted("map", "odom", turned(0))) == [
-        "frames that have several parents: laser (base_link, tower); the shortest way counts"
-    ]
-
-
-def test_a_loop_is_told_once() -> None:
-    loop = bolted("laser", "odom", turned(0)), bolted("odom", "camera", turned(0))
-    assert notes_of(*loop) == [
-        "the transforms laser -> odom -> base_link -> laser form a loop: the shortest way counts"
-    ]
 
 
 def test_a_long_chain_of_frames_costs_no_time() -> None:
     chain = [bolted(f"link{i}", f"link{i + 1}", turned(0)) for i in range(10_000)]
-    assert notes_of(*chain) == []
-
-
-@pytest.mark.parametrize("stamp_ns", [0, 1])
-def test_a_static_transform_that_changes_is_told(stamp_ns: int) -> None:
-    again = MOUNT._replace(stamp_ns=stamp_ns, record_ns=5)
-    moved = again._replace(pose=turned(0, y=2))
-    assert notes_of(moved) == ["/tf_static changes base_link -> laser: the last pose counts"]
-    assert notes_of(again) == []
-
-
-def test_a_transform_that_is_static_and_otherwise_is_told() -> None:
-    sent = [at(t, "base_link", "laser", MOUNT.pose) for t in range(3)]
-    assert notes_of(*sent) == []
-    moved = [at(t, "base_link", "laser", turned(0, y=t)) for t in range(3)]
-    assert notes_of(*moved) == ["/tf, /tf_static differ on base_link -> laser: /tf counts"]
-
-
-# Odometry and topics of poses
-
-
-def test_odometry_fills_what_tf_lacks_and_says_so() -> None:
-    poser = build(*drive("odom", "base_link", "/wheels"), MOUNT)
-    assert place(poser) == [4.5, 0, 0]
-    assert poser.notes == ["tf does not give odom -> base_link: taken from /wheels"]
-
-
-def test_tf_goes_before_odometry() -> None:
-    lagging = [at(t, "odom", "base_link", turned(0, x=-t), "/wheels") for t in range(100)]
-    poser = build(*lagging, *drive("odom", "base_link"), MOUNT)
-    assert place(poser) == [4.5, 0, 0]
-    assert not poser.notes
-
-
-def test_a_topic_of_poses_carries_a_tree_that_does_not_move() -> None:
-    poser = build(*drive("mocap", "", "/pose"), MOUNT)
-    assert place(poser) == [4.5, 0, 0]
-    assert poser.fixed == "mocap"
-    assert poser.notes == ["poses from /pose, taken as those of 'base_link'"]
+    assert build(*TF, *chain).notes == []
 
 
 def test_two_lasers_ride_on_one_topic_of_poses() -> None:
-    poser = build(*drive("mocap", "", "/pose"), MOUNT, bolted("base_link", "rear", turned(180)))
+    rear = bolted("base_link", "rear", turned(180))
+    poser = build(*drive("mocap", "", "/pose"), MOUNT, rear)
     poser.find_chains(["laser", "rear"])
     assert place(poser, frame="rear") == [4, 0, 0]
     assert place(poser, frame="laser") == [4.5, 0, 0]
 
 
-def test_odometry_that_names_no_body_is_that_of_the_robot() -> None:
-    nameless = drive("odom", "", "/odom")
-    named = refusal(build(*drive("odom", "base_link", "/odom")))
-    assert "give its mount on base_link: `sensor_pose=(x,y,yaw)`" in named
-    assert refusal(build(*nameless)) == named
-    assert place(build(*nameless, sensor_pose=Pose.planar(0.5, 0, 0))) == [4.5, 0, 0]
-    assert place(build(*nameless, MOUNT)) == [4.5, 0, 0]  # whatever tf calls the body
-    assert place(build(*nameless, bolted("torso", "laser", Pose.planar(0.5, 0, 0)))) == [4.5, 0, 0]
-
-
-def test_poses_without_any_tree_are_those_of_the_laser() -> None:
-    poser = build(*drive("mocap", "", "/pose"))
-    assert place(poser) == [4, 0, 0]
-    assert poser.notes == [
-        "poses from /pose, taken as those of 'laser', the laser itself: give "
-        "`sensor_pose=(x,y,yaw)` if they are the robot's"
-    ]
-
-
-def test_goals_and_plans_are_no_poses() -> None:
-    goals = [
-        sample
-        for topic in ("/goal_pose", "/initialpose", "/move_base/global/plan")
-        for sample in drive("map", "", topic, range(50))
-    ]
-    assert "the scans have no poses" in refusal(build(*goals))
-    assert build(*goals, *drive("map", "", "/plane_pose")).sources.unnamed_body is not None
-
-
-def test_the_topic_with_most_poses_is_taken_and_then_the_first_by_name() -> None:
-    def chosen(*topics: tuple[str, int]) -> str:
-        log = [s for name, count in topics for s in drive("map", "", name, range(count))]
-        body = build(*log).sources.unnamed_body
-        assert body is not None
-        return body.topic
-
-    assert chosen(("/a", 5), ("/b", 6)) == "/b"
-    assert chosen(("/b", 5), ("/a", 5)) == "/a"
-
-
-def test_a_log_without_any_poses_says_what_was_looked_for() -> None:
-    assert refusal(build()) == (
-        "the scans have no poses: looked for tf, odometry and topics of poses in the log; "
-        "give a trajectory: `poses=FILE`"
-    )
-
-
-def test_a_tree_in_which_nothing_moves_is_refused() -> None:
-    message = refusal(build(MOUNT))
-    assert message.startswith("the scans have no poses: tf only says where 'laser' sits on")
-    assert message.endswith("give a trajectory: `poses=FILE`")
-
-
-def test_what_moves_elsewhere_is_named_with_what_would_join_it() -> None:
-    message = refusal(build(*drive("odom", "base_footprint"), MOUNT))
-    assert "not connected to what moves: base_footprint" in message
-    assert "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`" in message
-
-
-def test_a_robot_bolted_to_its_map_stands_there_at_all_times() -> None:
-    assert place(build(bolted("map", "laser", turned(0, x=3)))) == [3, 0, 0]
+@pytest.mark.parametrize(
+    ("topics", "chosen"),
+    [
+        ({"/a": 5, "/b": 6}, "/b"),
+        ({"/b": 5, "/a": 5}, "/a"),
+        ({"/goal_pose": 50, "/plane_pose": 5}, "/plane_pose"),
+    ],
+)
+def test_the_topic_with_most_poses_is_taken_and_then_the_first_by_name(
+    topics: dict[str, int], chosen: str
+) -> None:
+    log = [s for name, count in topics.items() for s in drive("map", "", name, range(count))]
+    body = build(*log).sources.unnamed_body
+    assert body is not None
+    assert body.topic == chosen
 
 
 def test_of_two_lasers_the_one_without_transform_is_noted() -> None:
-    poser = build(*drive("odom", "base_link"), MOUNT)
+    poser = build(*TF)
     poser.find_chains(["laser", "bumper"])
     assert place(poser) == [4.5, 0, 0]
     assert any("no transform to the laser's frame 'bumper'" in note for note in poser.notes)
 
 
 def test_lasers_that_map_in_different_frames_are_not_mixed() -> None:
-    poser = build(*drive("odom", "base_link"), MOUNT, *drive("odom2", "hull"))
+    poser = build(*TF, *drive("odom2", "hull"))
     poser.find_chains(["laser"])
     poser.find_chains(["hull"])
     assert poser.chains["hull"] is None
     assert any("no transform from 'odom' to 'hull'" in note for note in poser.notes)
 
 
-# A chosen trajectory
-
-
-def write_tum(tmp_path: Path) -> str:
+@pytest.mark.parametrize(
+    ("samples", "options", "expected", "fixed"),
+    [
+        ([*drive("map", "odom"), *TF], {}, [4.5, 20, 0], "map"),
+        ([bolted("hull", "base_link", turned(0, y=1)), MOUNT], {}, [4.5, 21, 0], "map"),
+        ([], {}, [4, 20, 0], "map"),
+        ([], {"sensor_pose": AHEAD}, [4.5, 20, 0], "map"),
+        ([*drive("odom", "base_link"), *MAST], {"base_frame": "mast"}, [4.5, 20, 0], "map"),
+        ([], {"map_frame": "hall"}, [4, 20, 0], "hall"),
+    ],
+    ids=["above the laser", "a still tree", "the laser's", "its body's", "a named base's", "hall"],
+)
+def test_a_trajectory_file_carries_the_laser(
+    tmp_path: Path,
+    samples: list[PoseSample],
+    options: dict[str, Any],
+    expected: list[float],
+    fixed: str,
+) -> None:
     path = tmp_path / "slam.tum"
     path.write_text("".join(f"{t} {t} 20 0 0 0 0 1\n" for t in range(11)))
-    return str(path)
-
-
-def test_a_trajectory_file_replaces_what_moves_above_the_laser(tmp_path: Path) -> None:
-    log = [*drive("map", "odom"), *drive("odom", "base_link"), MOUNT]
-    poser = build(*log, poses=write_tum(tmp_path))
-    assert place(poser) == [4.5, 20, 0]
-    assert poser.fixed == "map"
-    assert poser.notes == [f"poses from {tmp_path / 'slam.tum'}, taken as those of 'base_link'"]
-
-
-def test_a_trajectory_file_carries_the_root_of_a_still_tree(tmp_path: Path) -> None:
-    hull = bolted("hull", "base_link", turned(0, y=1))
-    assert place(build(hull, MOUNT, poses=write_tum(tmp_path))) == [4.5, 21, 0]
-
-
-def test_a_trajectory_file_alone_is_the_lasers_own_or_its_bodys(tmp_path: Path) -> None:
-    file = write_tum(tmp_path)
-    assert place(build(poses=file)) == [4, 20, 0]
-    assert place(build(poses=file, sensor_pose=AHEAD)) == [4.5, 20, 0]
-    assert "`sensor_pose=" in refusal(build(poses=file, base_frame="base_link"))
-
-
-def test_a_trajectory_of_a_named_base_reaches_the_laser_from_there(tmp_path: Path) -> None:
-    mast = bolted("base_link", "mast", turned(0, y=1))
-    log = [*drive("odom", "base_link"), mast, bolted("mast", "laser", AHEAD)]
-    poser = build(*log, poses=write_tum(tmp_path), base_frame="mast")
-    assert place(poser) == [4.5, 20, 0]
-
-
-def test_a_trajectory_file_may_name_its_map(tmp_path: Path) -> None:
-    poser = build(poses=write_tum(tmp_path), map_frame="hall")
-    assert place(poser) == [4, 20, 0]
-    assert poser.fixed == "hall"
-
-
-def test_a_chosen_topic_goes_before_tf() -> None:
-    mocap = [at(t, "mocap", "", turned(0, y=t), "/mocap/pose") for t in range(11)]
-    poser = build(*drive("odom", "base_link"), MOUNT, *mocap, poses="/mocap/pose")
-    assert place(poser) == [0.5, 4, 0]
-    assert poser.fixed == "mocap"
-
-
-def test_a_chosen_odometry_topic_goes_before_tf() -> None:
-    fused = [at(t, "odom", "base_link", turned(0, y=t), "/fused") for t in range(11)]
-    log = [*drive("odom", "base_link"), *drive("map", "odom"), MOUNT, *fused]
-    poser = build(*log, poses="fused")
-    assert place(poser) == [0.5, 4, 0]
-    assert poser.fixed == "odom"
-    assert place(build(*log, poses="/fused", map_frame="map")) == [4.5, 4, 0]
-
-
-def test_a_chosen_odometry_topic_of_an_unconnected_body_needs_the_base_named() -> None:
-    log = [*drive("odom", "base_footprint", "/odom"), MOUNT]
-    assert "no transform from 'base_footprint' to 'laser'" in refusal(build(*log, poses="/odom"))
-    assert place(build(*log, poses="/odom", base_frame="base_link")) == [4.5, 0, 0]
+    poser = build(*samples, poses=str(path), **options)
+    assert place(poser) == expected
+    assert poser.fixed == fixed
+    assert f"poses from {path}, taken as those of" in poser.notes[0]
 
 
 def test_a_trajectory_that_does_not_exist_lists_those_that_do() -> None:
@@ -365,13 +338,19 @@ def test_a_trajectory_that_does_not_exist_lists_those_that_do() -> None:
     )
 
 
-def test_a_trajectory_file_without_a_usable_pose_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "error", "found"),
+    [
+        ("1 nan nan nan nan nan nan nan\n", PoseError, "holds no usable pose"),
+        ("1 2\n", LogError, r"lost.tum:1: 2 values"),
+    ],
+)
+def test_a_trajectory_file_without_a_usable_pose_is_refused(
+    tmp_path: Path, text: str, error: type[Exception], found: str
+) -> None:
     path = tmp_path / "lost.tum"
-    path.write_text("1 nan nan nan nan nan nan nan\n")
-    with pytest.raises(PoseError, match="holds no usable pose"):
-        build(poses=str(path))
-    path.write_text("1 2\n")
-    with pytest.raises(LogError, match=r"lost.tum:1: 2 values"):
+    path.write_text(text)
+    with pytest.raises(error, match=found):
         build(poses=str(path))
 
 
@@ -389,4 +368,5 @@ def test_of_many_static_transforms_that_change_a_few_are_named() -> None:
     old = [bolted("base_link", f"bumper{number}", turned(0)) for number in range(21)]
     new = [edge._replace(record_ns=5, pose=turned(0, y=2)) for edge in old]
     named = ", ".join(f"base_link -> bumper{number}" for number in (0, 1, 10))  # by name
-    assert notes_of(*old, *new) == [f"/tf_static changes {named} and 18 more: the last pose counts"]
+    told = f"/tf_static changes {named} and 18 more: the last pose counts"
+    assert build(*TF, *old, *new).notes == [told]
