@@ -13,25 +13,11 @@ import numpy as np
 from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
-from occmap.grid import CellBox, Lattice
+from occmap.grid import CellBox, Lattice, tiles
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, frame, paint
-from occmap.grid.tiles import (
-    LOG_ODDS_UNIT,
-    TILE,
-    EvidenceKind,
-    Key,
-    Tile,
-    TileGrid,
-    add_stack,
-    count_visits,
-    drop_empty,
-    find_unit,
-    refuse_large,
-    split_tiles,
-    unite,
-)
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor import models
-from occmap.sensor.models import RadialModel, SensorModel, find_decision, parse_model
+from occmap.sensor.models import SensorModel
 from occmap.types import Float64
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
@@ -47,7 +33,7 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
         Nothing was observed, or the map would be too large.
     """
     box = find_bounds(choose_tiles(grid, model))
-    refuse_large(box, grid.lattice, max_cells)
+    tiles.refuse_large(box, grid.lattice, max_cells)
     made = paint_box(grid, model, box)
     agreeing, hits = count_agreeing(grid, made.occupied, box)
     return replace(made, agreement=agreeing / hits if hits else None)
@@ -57,7 +43,7 @@ def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
     """Let a model say what the evidence means in a box of cells; the map knows no agreement."""
     painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
     x, y, _, _ = grid.lattice.measure(box)
-    return OccupancyMap(*painted, grid.lattice.resolution, (x, y), find_decision(model))
+    return OccupancyMap(*painted, grid.lattice.resolution, (x, y), models.find_decision(model))
 
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileGrid:
@@ -103,7 +89,7 @@ def read_model(evidence: Described) -> SensorModel:
         It is not installed, or another version of it is.
     """
     try:
-        return parse_model(evidence.manifest.model)
+        return models.parse_model(evidence.manifest.model)
     except OccmapError as error:
         found = f"its model {evidence.manifest.model!r} cannot be made ({error.found})"
         fix = "give another with `model`, or install what has it"
@@ -113,13 +99,13 @@ def read_model(evidence: Described) -> SensorModel:
 def to_grid(evidence: Evidence) -> TileGrid:
     """Make a grid of evidence, which more may be added to."""
     grid = make_empty(evidence.manifest)
-    add_stack(grid, evidence.tiles, evidence.cells)
+    tiles.add_stack(grid, evidence.tiles, evidence.cells)
     return grid
 
 
 def make_empty(manifest: Manifest) -> TileGrid:
     """Make a grid for such evidence, with no observations yet."""
-    unit = find_unit(manifest.update)
+    unit = tiles.find_unit(manifest.update)
     return TileGrid(Lattice(manifest.resolution), EvidenceKind(manifest.kind), unit)
 
 
@@ -183,12 +169,12 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
         return None
     shared = sorted(grid.tiles.keys() & others.keys())
     sample = shared[:: max(-(-len(shared) // MOST_TILES), 1)]
-    parts = [{key: tiles[key] for key in sample} for tiles in (grid.tiles, others)]
+    parts = [{key: whole[key] for key in sample} for whole in (grid.tiles, others)]
     both: dict[Key, Tile] = {
         key: np.sum([part[key] for part in parts], axis=0, dtype=np.int64) for key in sample
     }
-    sources = [choose_tiles(grid.like(tiles), model) for tiles in [*parts, both]]
-    log_odds, cut = weigh(model), to_log_odds(find_decision(model).occupied_above)
+    sources = [choose_tiles(grid.like(part), model) for part in [*parts, both]]
+    log_odds, cut = weigh(model), to_log_odds(models.find_decision(model).occupied_above)
     sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
     for key in sample:
         met = np.all([part[key].any(axis=0) for part in parts], axis=0)
@@ -229,14 +215,14 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
     if min_passes is None:
         return grid
     lasting = grid.like({})
-    for key, of_tile in split_tiles(unite(slices)):
+    for key, of_tile in tiles.split_tiles(tiles.unite(slices)):
         if key in grid.tiles:
-            (hits, misses), (hit, seen) = grid.tiles[key], count_visits(of_tile)
+            (hits, misses), (hit, seen) = grid.tiles[key], tiles.count_visits(of_tile)
             often = hit >= min_passes
             mostly = often & (2 * hit >= seen)
             kept = np.where(often, hits, 0), np.where(mostly, 0, misses)
             lasting.tiles[key] = np.stack(kept)
-    drop_empty(lasting)
+    tiles.drop_empty(lasting)
     return lasting
 
 
@@ -274,11 +260,10 @@ def render_lasting(
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
     """Say so if many cells are no longer occupied after hits and misses were forgotten."""
-    start = after.place - before.place
-    rows, cols = map(slice, start, start + after.shape)
+    inside = CellBox.of(after).within(CellBox.of(before))
+    still = int(np.count_nonzero(before.occupied[inside] & after.occupied))
     were = int(np.count_nonzero(before.occupied))
-    lost = were - int(np.count_nonzero(before.occupied[rows, cols] & after.occupied))
-    yield from describe_lost(were, lost)
+    yield from describe_lost(were, were - still)
 
 
 def describe_lost(were: int, lost: int) -> Iterator[str]:
@@ -302,7 +287,7 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
     if min_passes is None:
         return
     require(min_passes >= 1, f"`min_passes={min_passes}` is not possible", "give 1 or more")
-    if isinstance(model, RadialModel):
+    if isinstance(model, models.RadialModel):
         raise UsageError(
             f"`min_passes` counts the visits that hit a cell, while {model.name} sums up log-odds "
             "and knows no hits",

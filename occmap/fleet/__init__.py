@@ -20,16 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap import pipeline, writers
 from occmap.cells import Ground, Manifest
 from occmap.errors import OutputError, require
-from occmap.evidence.manifest import (
-    UNRECORDED,
-    describe_build,
-    list_doubts,
-    list_files,
-    plan_manifest,
-    write_value,
-)
+from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.tasks import BlockJob, Job, Piece, Setting
@@ -37,7 +31,6 @@ from occmap.grid import CellBox, Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
-from occmap.pipeline import build, list_inputs, make_report
 from occmap.report.results import MapFacts, Report, list_notes
 from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
@@ -45,7 +38,6 @@ from occmap.scans.tracing import Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
-from occmap.writers import check_outputs
 from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
 
 BASE_BYTES = 300 << 20
@@ -108,7 +100,7 @@ class Fleet:
         is_added = options.resume is not None or options.resume_if_there is not None
         if [each.suffix.lower() for each in outputs] == [".zarr"] and not (is_part or is_added):
             return self._build_store(paths, options, outputs[0], progress)
-        return build(paths, options, outputs, progress, self.observe).report
+        return pipeline.build(paths, options, outputs, progress, self.observe).report
 
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
@@ -131,7 +123,7 @@ class Fleet:
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
     ) -> Report:
         """Build a store of which this process never holds the map; raises as `build`."""
-        check_outputs([output], list_inputs(paths, options))
+        writers.check_outputs([output], pipeline.list_inputs(paths, options))
         options, unaligned = settle_align(paths, options)
         with self.work(paths, options, Keep(slices=True), progress) as work:
             tally, remarks, options = work.tally, work.remarks, work.setting.options
@@ -140,8 +132,8 @@ class Fleet:
             with tally.time("fold"):
                 hashed = work.cluster.run("hash", tasks.hash_log, work.jobs)
                 known = dict(zip(paths, hashed, strict=True))
-                made = describe_build(paths, options, tally.to_json(), known)
-                manifest = plan_manifest(options, [made])
+                made = manifests.describe_build(paths, options, tally.to_json(), known)
+                manifest = manifests.plan_manifest(options, [made])
                 store = open_target(work, output, manifest)
                 jobs = [replace(job, store=store) for job in work.list_reductions()]
                 records = work.cluster.run("reduce", tasks.store_block, jobs)
@@ -152,9 +144,9 @@ class Fleet:
                 finish_store(store, manifest, records, work.setting.keep.ground)
                 with refuse_unwritable(output):
                     publish_folder(store, follow_links(output))
-        remarks.notes += [*unaligned, *list_doubts(manifest)]
+        remarks.notes += [*unaligned, *manifests.list_doubts(manifest)]
         remarks.notes += list_notes(paths, options, [output], tally, facts)
-        return replace(make_report(options, tally, remarks, facts), files=(str(output),))
+        return replace(pipeline.make_report(options, tally, remarks, facts), files=(str(output),))
 
     @contextmanager
     def work(
@@ -238,10 +230,16 @@ def open_scratch(
     """
     poses = options.posing.poses
     inputs = [*paths, Path(poses)] if poses else paths
-    states = [file.stat() for path in inputs if path.exists() for file in list_files(path)]
+    states = [
+        file.stat() for path in inputs if path.exists() for file in manifests.list_files(path)
+    ]
     what = [
         version("occmap"),
-        {name: value for name, value in write_value(options).items() if name not in UNRECORDED},
+        {
+            name: value
+            for name, value in manifests.write_value(options).items()
+            if name not in manifests.UNRECORDED
+        },
         keep[:2],
         keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
         [str(path) for path in inputs],

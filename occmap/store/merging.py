@@ -11,15 +11,8 @@ from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError
 from occmap.evidence import Described, list_misfit, read_model, to_grid
 from occmap.evidence.manifest import MEANING
-from occmap.grid.tiles import (
-    EvidenceKind,
-    TileGrid,
-    add_stack,
-    drop_empty,
-    restrict,
-    stack_tiles,
-    view_tiles,
-)
+from occmap.grid import tiles
+from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, open_saved
 from occmap.store.layout import Block, BlockContent, join_contents
@@ -147,10 +140,10 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
         refuse_different(first.manifest, other)
         ground = join_grounds(ground, other.ground, other.where)
         if model is not None:
-            tiles = view_tiles(other.tiles, other.cells)
-            found = list_misfit(grid, tiles, model, "the evidence before it")
+            added = tiles.view_tiles(other.tiles, other.cells)
+            found = list_misfit(grid, added, model, "the evidence before it")
             notes += (f"{other.where}: {text}" for text in found)
-        add_stack(grid, other.tiles, other.cells)
+        tiles.add_stack(grid, other.tiles, other.cells)
         slices += other.slices
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
@@ -173,9 +166,9 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     """
     refuse_different(evidence.manifest, other)
     grid = to_grid(evidence)
-    add_stack(grid, other.tiles, -other.cells.astype(np.int64))
+    tiles.add_stack(grid, other.tiles, -other.cells.astype(np.int64))
     refuse_negative(grid, evidence, other)
-    drop_empty(grid)
+    tiles.drop_empty(grid)
     builds, slices = list(evidence.manifest.builds), list(evidence.slices)
     unknown = list(evidence.manifest.subtracted)
     for build in other.manifest.builds:
@@ -185,7 +178,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
         else:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
-    left = tuple(restrict(each, grid) for each in slices)
+    left = tuple(tiles.restrict(each, grid) for each in slices)
     return Evidence(manifest, *stack_tiles(grid.tiles), left, ground=evidence.ground)
 
 

@@ -4,57 +4,31 @@ A map is made block by block: memory is that of the map and of a few blocks.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from occmap import evidence, writers
 from occmap.cells import Box, CellClass, Decision, Evidence, Manifest, OccupancyMap, to_log_odds
 from occmap.choices import option
 from occmap.errors import UsageError
-from occmap.evidence import (
-    check_passes,
-    choose_tiles,
-    describe_lost,
-    keep_lasting,
-    paint_box,
-    read_model,
-    refuse_nothing_left,
-    refuse_other_profile,
-    render_lasting,
-    to_grid,
-)
 from occmap.evidence.manifest import BuildRecord, list_doubts
 from occmap.grid import CellBox, Lattice
 from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
-from occmap.report.results import (
-    Build,
-    MapFacts,
-    MapSummary,
-    Report,
-    count_cells,
-    describe_map,
-    list_disagreement,
-    list_unreached,
-)
+from occmap.report import results
+from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
 from occmap.store import Blocks, Saved, Store, read_all, read_part
 from occmap.store.layout import Block, list_blocks
 from occmap.types import Int64, UInt8
-from occmap.writers import (
-    Product,
-    WriteOptions,
-    check_outputs,
-    find_writer,
-    list_idle,
-    write_outputs,
-)
+from occmap.writers import WriteOptions
 from occmap.writers.npz import refuse_damage
 
 KEPT_BLOCKS = 18
@@ -63,6 +37,8 @@ STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
 EVERYTHING = Framing()
+Window: TypeAlias = tuple[slice, slice]
+"""Rows and columns of a part of a map"""
 
 CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
 """Of a pixel of each CellClass, of which nothing else is known"""
@@ -113,29 +89,45 @@ class BlockMap:
         made, _ = render_blocks(replace(self, box=box, is_part=True), box.cells)
         return made
 
-    def walk(self) -> Iterator[tuple[CellBox, OccupancyMap, Int64]]:
-        """Paint piece by piece, with the box of each; what is in none of them was not observed.
+    def paint(self, put: Callable[[Window, OccupancyMap], None]) -> tuple[float | None, list[str]]:
+        """Paint piece by piece; what is in none of the pieces was not observed.
 
-        With each come counts (2, 2): hits in cells called occupied, and all hits; cells that were
-        occupied before anything was forgotten, and those of them that are still.
+        Parameters
+        ----------
+        put
+            Takes each piece, and where in the map it lies.
+
+        Returns
+        -------
+        agreement, notes
+            That of a whole map: a part has none. Notes say where little of what was observed lasts.
+
+        Raises
+        ------
+        MapError
+            A block cannot be read.
         """
         blocks, model = self.source.blocks, self.model
         beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
         # Cells that were forgotten count as lost, and may lie beyond those that are left.
         counts_beyond = self.min_passes is not None and not self.is_part
+        agreed = hits = were = still = 0
         for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
             box = self.box.clip(block.box)
             area = block.box if counts_beyond else box
             if not area.cells:
                 continue
             grid, lasting = read_lasting(self.source, area, self.min_passes)
-            made = paint_box(lasting, model, box)
-            counts = np.array([count_agreeing(lasting, made.occupied, box), (0, 0)])
+            made = evidence.paint_box(lasting, model, box)
+            put(box.within(self.box), made)
+            right, total = count_agreeing(lasting, made.occupied, box)
+            agreed, hits = agreed + right, hits + total
             if lasting is not grid:
-                before = paint_box(grid, model, area).occupied
-                still = before[box.within(area)] & made.occupied
-                counts[1] = np.count_nonzero(before), np.count_nonzero(still)
-            yield box, made, counts
+                before = evidence.paint_box(grid, model, area).occupied
+                were += int(np.count_nonzero(before))
+                still += int(np.count_nonzero(before[box.within(area)] & made.occupied))
+        agreement = agreed / hits if hits and not self.is_part else None
+        return agreement, list(evidence.describe_lost(were, were - still))
 
 
 def open_map(
@@ -174,26 +166,25 @@ def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> C
                 break
             if block not in known:
                 _, lasting = read_lasting(source, block.box, min_passes)
-                known[block] = measure_bounds(choose_tiles(lasting, model))
+                known[block] = measure_bounds(evidence.choose_tiles(lasting, model))
             if box := known[block]:
                 found = found.join(box) if found else box
     if found is None:
-        refuse_nothing_left(min_passes if reach else None)
+        evidence.refuse_nothing_left(min_passes if reach else None)
     return found
 
 
 def read_lasting(source: Blocks, box: CellBox, min_passes: int | None) -> tuple[TileGrid, TileGrid]:
     """What was observed in a box of cells or beside it, and what of that lasts."""
-    evidence = read_part(source, box)
-    grid = to_grid(evidence)
-    return grid, keep_lasting(grid, evidence.slices, min_passes)
+    part = read_part(source, box)
+    grid = evidence.to_grid(part)
+    return grid, evidence.keep_lasting(grid, part.slices, min_passes)
 
 
 def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
     """Paint all of a map; notes say where little of what was observed lasts.
 
-    Cell by cell it is the map of `render_lasting`. The agreement is that of a whole map: a part
-    has none.
+    Cell by cell it is the map of `render_lasting`.
 
     Raises
     ------
@@ -204,14 +195,13 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
     prior, (x, y, _, _) = made.model.prior, made.extent
     log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
     observed = np.zeros(made.shape, np.bool_)
-    counts = np.zeros((2, 2), np.int64)
-    for box, piece, of_piece in made.walk():
-        window = box.within(made.box)
+
+    def put(window: Window, piece: OccupancyMap) -> None:
         log_odds[window], observed[window] = piece.log_odds, piece.observed
-        counts += of_piece
-    painted = OccupancyMap(log_odds, observed, made.resolution, (x, y), made.decision)
-    agreement, notes = sum_up(made, counts)
-    return replace(painted, agreement=agreement), notes
+
+    agreement, notes = made.paint(put)
+    where = made.resolution, (x, y), made.decision
+    return OccupancyMap(log_odds, observed, *where, agreement), notes
 
 
 def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
@@ -219,8 +209,11 @@ def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UI
     refuse_large(made.box, Lattice(made.resolution), max_cells)
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
-    for box, piece, _ in made.walk():
-        classes[box.within(made.box)] = replace(piece, decision=decision).classes
+
+    def put(window: Window, piece: OccupancyMap) -> None:
+        classes[window] = replace(piece, decision=decision).classes
+
+    made.paint(put)
     return classes
 
 
@@ -232,54 +225,12 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> MapFacts:
     MapError
         A block cannot be read.
     """
-    cells, counts = np.zeros(4, np.int64), np.zeros((2, 2), np.int64)
-    for _, piece, of_piece in made.walk():
-        cells += count_cells(piece, writing)
-        counts += of_piece
-    agreement, lost = sum_up(made, counts)
-    return MapFacts(made.resolution, made.extent, made.shape, cells, agreement, lost)
+    cells = np.zeros(4, np.int64)
 
+    def put(_: Window, piece: OccupancyMap) -> None:
+        cells[:] += results.count_cells(piece, writing)
 
-def sum_up(made: BlockMap, counts: Int64) -> tuple[float | None, list[str]]:
-    """The agreement of a map, and what its pieces lost."""
-    (agreed, hits), (were, still) = counts.tolist()
-    agreement = agreed / hits if hits and not made.is_part else None
-    return agreement, list(describe_lost(were, were - still))
-
-
-def read_overview(store: Store, side: int, framing: Framing, max_cells: int) -> OccupancyMap:
-    """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
-
-    Raises
-    ------
-    UsageError
-        The store has no picture of such squares.
-    MapError
-        Nothing was observed or lies in the extent, the map would be too large, or the picture
-        cannot be read.
-    """
-    with refuse_damage(store.path):
-        arrays = {int(name): array for name, array in store.root["classes"].arrays()}
-    if side not in arrays:
-        found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
-        fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
-        raise UsageError(found, where=store.path, fix=fix)
-    if not store.blocks:
-        refuse_nothing_left(None)
-    fine = Lattice(store.manifest.resolution)
-    coarse = Lattice(round(fine.resolution * side, 12))
-    observed = reduce(CellBox.join, store.blocks.values())
-    row, col = store.offset
-    box = choose_box(observed, framing, fine).move(-row, -col).align(side).shrink(side)
-    refuse_large(box, coarse, max_cells)
-    whole = CellBox(0, 0, *arrays[side].shape)
-    there = whole.clip(box)
-    classes = np.full((box.rows, box.cols), CellClass.NEITHER, np.uint8)
-    with refuse_damage(store.path):
-        classes[there.within(box)] = arrays[side][there.within(whole)]
-    origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
-    is_known = classes != CellClass.NEITHER
-    return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)
+    return MapFacts(made.resolution, made.extent, made.shape, cells, *made.paint(put))
 
 
 @dataclass(frozen=True)
@@ -308,9 +259,9 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     OccmapError
         As `render_kept`, or an output cannot be written.
     """
-    check_outputs(outputs)
-    writers = {path: find_writer(path) for path in outputs}
-    for path, writer in writers.items():
+    writers.check_outputs(outputs)
+    formats = [writers.find_writer(path) for path in outputs]
+    for path, writer in zip(outputs, formats, strict=True):
         if writer.needs_journey:
             found = "evidence does not say where the robot went, only the logs do"
             raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
@@ -320,16 +271,15 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
             raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
     model, manifest = choose_model(saved, options)
     blocks = None if isinstance(saved, Evidence) else replace(saved, manifest=manifest)
-    in_parts = all(writer.in_parts for writer in writers.values()) and options.overview is None
-    if blocks and in_parts:
+    if blocks and options.overview is None and all(writer.in_parts for writer in formats):
         grid: Any = open_map(blocks, model, options.framing, options.min_passes)
         facts = survey_blocks(grid, options.writing)
     else:
         grid, facts = paint_saved(saved, model, options)
     report = summarise(manifest, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
-    product = Product(grid, keep, report=report, blocks=blocks)
-    files = write_outputs(outputs, product, options.writing)
+    product = writers.Product(grid, keep, report=report, blocks=blocks)
+    files = writers.write_outputs(outputs, product, options.writing)
     return replace(report, files=tuple(files))
 
 
@@ -344,8 +294,8 @@ def render_kept(saved: Saved, options: RenderOptions) -> Build:
     """
     model, manifest = choose_model(saved, options)
     grid, facts = paint_saved(saved, model, options)
-    evidence = replace(read_all(saved), manifest=manifest)
-    return Build(grid, summarise(manifest, facts, options), to_grid(evidence), evidence)
+    whole = replace(read_all(saved), manifest=manifest)
+    return Build(grid, summarise(manifest, facts, options), evidence.to_grid(whole), whole)
 
 
 def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:
@@ -356,9 +306,9 @@ def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Man
     OccmapError
         The model cannot read the evidence or knows no visits.
     """
-    model = options.model or read_model(saved)
-    refuse_other_profile(saved, model)
-    check_passes(options.min_passes, model)
+    model = options.model or evidence.read_model(saved)
+    evidence.refuse_other_profile(saved, model)
+    evidence.check_passes(options.min_passes, model)
     return model, replace(saved.manifest, model=describe_model(model))
 
 
@@ -374,22 +324,55 @@ def paint_saved(
     """
     lost: Sequence[str] = ()
     if options.overview is not None:
-        if not isinstance(saved, Store):
-            raise UsageError("`overview` goes with a store", where=saved.where, fix="leave it out")
-        if options.model or options.min_passes:
-            found = (
-                "the pictures in a store show what its own model decided of all that was observed"
-            )
-            raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
-        side, most = options.overview, options.max_cells
-        shown = read_overview(saved, side, options.framing, most)
+        shown = read_overview(saved, options.overview, options)
     elif isinstance(saved, Evidence):
-        shown, lost = render_lasting(to_grid(saved), saved.slices, model, options)
+        grid = evidence.to_grid(saved)
+        shown, lost = evidence.render_lasting(grid, saved.slices, model, options)
         lost = [*saved.notes, *lost]
     else:
         made = open_map(saved, model, options.framing, options.min_passes)
         shown, lost = render_blocks(made, options.max_cells)
-    return shown, describe_map(shown, options.writing)._replace(lost=lost)
+    return shown, results.describe_map(shown, options.writing)._replace(lost=lost)
+
+
+def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyMap:
+    """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
+
+    Raises
+    ------
+    UsageError
+        It is no store, or has no picture of such squares or of what the user wants.
+    MapError
+        Nothing was observed or lies in the extent, the map would be too large, or the picture
+        cannot be read.
+    """
+    if not isinstance(store, Store):
+        raise UsageError("`overview` goes with a store", where=store.where, fix="leave it out")
+    if options.model or options.min_passes:
+        found = "the pictures in a store show what its own model decided of all that was observed"
+        raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
+    with refuse_damage(store.path):
+        arrays = {int(name): array for name, array in store.root["classes"].arrays()}
+    if side not in arrays:
+        found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
+        fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
+        raise UsageError(found, where=store.path, fix=fix)
+    if not store.blocks:
+        evidence.refuse_nothing_left(None)
+    fine = Lattice(store.manifest.resolution)
+    coarse = Lattice(round(fine.resolution * side, 12))
+    observed = reduce(CellBox.join, store.blocks.values())
+    row, col = store.offset
+    box = choose_box(observed, options.framing, fine).move(-row, -col).align(side).shrink(side)
+    refuse_large(box, coarse, options.max_cells)
+    whole = CellBox(0, 0, *arrays[side].shape)
+    there = whole.clip(box)
+    classes = np.full(box.shape, CellClass.NEITHER, np.uint8)
+    with refuse_damage(store.path):
+        classes[there.within(box)] = arrays[side][there.within(whole)]
+    origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
+    is_known = classes != CellClass.NEITHER
+    return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)
 
 
 def summarise(
@@ -407,13 +390,13 @@ def summarise(
         resumed=None,
         beams=ReturnCounts(**kinds),
         points={},
-        map=MapSummary.describe(facts, manifest, options.min_passes),
+        map=results.MapSummary.describe(facts, manifest, options.min_passes),
         notes=(
             *list_doubts(manifest),
-            *list_idle(outputs, options.writing),
-            *list_unreached(model, options.writing),
+            *writers.list_idle(outputs, options.writing),
+            *results.list_unreached(model, options.writing),
             *facts.lost,
-            *list_disagreement(facts),
+            *results.list_disagreement(facts),
         ),
     )
 
@@ -424,5 +407,4 @@ def sum_scans(builds: Sequence[BuildRecord]) -> ScanCounts:
     dropped: Counter[str] = Counter()
     for each in scans:
         dropped.update(each["dropped"])
-    read, used = (sum(each[name] for each in scans) for name in ("read", "used"))
-    return ScanCounts(read, used, dict(dropped))
+    return ScanCounts(sum(s["read"] for s in scans), sum(s["used"] for s in scans), dict(dropped))
