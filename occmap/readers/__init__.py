@@ -5,8 +5,7 @@ A reader is a class with a `name`, a one-line `description`, a `recognises(probe
 message, from the file to a scan or a pose. Nothing here imports rosbags or mcap: a reader is loaded
 on use.
 
-A probe holds the first bytes of a path, by which readers know it. Gzip is read so that everything
-before damage comes out, to the last byte that is certain.
+A probe holds the first bytes of a path, by which readers know it.
 """
 
 import shlex
@@ -18,7 +17,7 @@ from difflib import get_close_matches
 from enum import StrEnum
 from glob import has_magic
 from pathlib import Path
-from typing import BinaryIO, Protocol, cast, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 from occmap.choices import option
 from occmap.errors import LogError
@@ -28,13 +27,9 @@ from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 
 GZIP_MAGIC = b"\x1f\x8b"
-GUNZIP_ERRORS = (zlib.error, EOFError)
 
 _GZIP_BITS = 31
 """zlib's code for gzip with its header and checksum."""
-_STEP = 1 << 17
-_MOST_AT_ONCE = 1 << 18
-"""Bytes that are unpacked at once: a bomb comes out a piece at a time."""
 PROBE_BYTES = 4096
 SIMILAR = 0.85
 """How alike (0 to 1) a file must be named that is suggested for one that is not there."""
@@ -87,7 +82,12 @@ def probe_path(path: Path) -> Probe:
         raise _miss(path) from None
     except OSError as error:
         raise LogError(f"cannot be read ({error.strerror})", where=path) from None
-    return Probe(path, raw, _peek_gzip(path) if raw.startswith(GZIP_MAGIC) else raw)
+    content = raw
+    if raw.startswith(GZIP_MAGIC):
+        content = b""
+        with suppress(zlib.error):
+            content = zlib.decompressobj(_GZIP_BITS).decompress(raw, PROBE_BYTES)
+    return Probe(path, raw, content)
 
 
 def _miss(path: Path) -> LogError:
@@ -103,17 +103,6 @@ def _miss(path: Path) -> LogError:
     close = get_close_matches(path.name, there, n=1, cutoff=SIMILAR)
     fix = f"did you mean {path.parent / close[0]}?" if close else "check the path"
     return LogError("no such file or directory", where=path, fix=fix)
-
-
-def _peek_gzip(path: Path) -> bytes:
-    """Decompress the start of a gzip file: as much as there is, where it is damaged."""
-    content = b""
-    with suppress(OSError, *GUNZIP_ERRORS), path.open("rb") as file:
-        for piece in gunzip(file):
-            content += piece
-            if len(content) >= PROBE_BYTES:
-                break
-    return content[:PROBE_BYTES]
 
 
 def explain_unknown(probe: Probe, otherwise: str) -> LogError:
@@ -148,46 +137,6 @@ def _describe_folder(folder: Path) -> str:
     except OSError as error:
         return f"a folder that cannot be read ({error.strerror})"
     return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
-
-
-def gunzip(file: BinaryIO) -> Iterator[bytes]:
-    """Decompress a file piece by piece.
-
-    Where the data is corrupt, all before comes out first; the gzip module loses up to a block.
-
-    Raises
-    ------
-    zlib.error, EOFError
-        The data is corrupt, or the file ends within it.
-    """
-    inflater = zlib.decompressobj(_GZIP_BITS)
-    data = b""
-    while data := data or file.read(_STEP):
-        if inflater.eof:
-            data = data.lstrip(b"\0")  # padding, or one more member
-            inflater = zlib.decompressobj(_GZIP_BITS) if data else inflater
-            continue
-        before = inflater.copy()
-        try:
-            piece = inflater.decompress(data, _MOST_AT_ONCE)
-        except zlib.error:
-            yield _salvage(before, data)
-            raise
-        yield piece
-        data = inflater.unconsumed_tail or inflater.unused_data
-    while not inflater.eof:
-        piece = inflater.decompress(b"", _MOST_AT_ONCE)
-        if not piece:
-            raise EOFError("the file ends within the gzip data")
-        yield piece
-
-
-def _salvage(inflater: "zlib._Decompress", data: bytes) -> bytes:
-    """Decompress byte by byte up to the first that is wrong."""
-    pieces: list[bytes] = []
-    with suppress(zlib.error):
-        pieces.extend(inflater.decompress(data[at : at + 1]) for at in range(len(data)))
-    return b"".join(pieces)
 
 
 class Echo(StrEnum):

@@ -22,26 +22,20 @@ Every `parse_` function takes a whole line and raises ValueError where it is mal
 
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from occmap.readers import Probe, Role, Stream
 from occmap.readers.text_log import (
-    ANY,
-    NUMBER,
-    RANGE,
-    SAME,
-    SECONDS,
     Block,
     Line,
     LineTally,
     Pattern,
-    Table,
     TextLog,
     make_planar,
     read_blocks,
@@ -50,6 +44,9 @@ from occmap.readers.text_log import (
 from occmap.report import count
 from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
+
+if TYPE_CHECKING:
+    from occmap.readers.decimals import Words
 
 FRONT, REAR = "front_laser", "rear_laser"
 
@@ -87,63 +84,6 @@ class _Message(NamedTuple):
     """(N,) every number between the keyword and the time"""
     stamp_ns: int
     record_ns: int
-
-
-Split: TypeAlias = Callable[[str], _Message]
-"""Parts the numbers of a line from its time; raises ValueError where they are too few."""
-
-
-class CarmenForm:
-    """How the lines of one log become scans: all with a time, or all without."""
-
-    def __init__(self) -> None:
-        self._split: Split | None = None
-
-    def parse(self, text: str) -> Scan:
-        """Parse one of `SCAN_LINES`; the first shows whether all lines of the log have times."""
-        if self._split is None:
-            self._split = split_timed
-            with suppress(ValueError):
-                return _make_scan(split_timed(text))
-            with suppress(ValueError):
-                scan = _make_scan(split_untimed(text))
-                self._split = split_untimed
-                return scan
-        return _make_scan(self._split(text))
-
-    def find_pattern(self, line: Line) -> Pattern:
-        """Say what lines like one have in common: all but times, ranges and poses.
-
-        Raises
-        ------
-        ValueError
-            The lines state no times.
-        """
-        if self._split is not split_timed:
-            raise ValueError("the lines state no times")
-        words = line.raw.split()
-        before = SCAN_LINES[words[0].decode()].before
-        begin = 2 + before  # behind the keyword and the length of the list
-        end = begin + int(float(words[begin - 1]))
-        kinds = np.full(len(words), NUMBER, np.uint8)
-        # The keyword, the angles, the limit and the lengths of lists, by their places in a line.
-        kinds[[0, 2, 4, 5, begin - 1, end] if before else [0, begin - 1]] = SAME
-        kinds[begin:end] = RANGE
-        kinds[-3:] = SECONDS, ANY, SECONDS
-        return Pattern(words, b" ", kinds)
-
-    def make_run(self, first: Scan, table: Table) -> ScanRun:
-        """Make scans of lines like the first."""
-        stamp_ns, logged_ns = table.times[-3].copy(), table.times[-1]
-        behind = SCAN_LINES[first.topic].behind
-        return ScanRun(
-            first,
-            stamp_ns,
-            np.where(logged_ns, logged_ns, stamp_ns),
-            table.ranges,
-            np.zeros(len(table.rows)),
-            stack_planar(*table.values[-3 - behind :][:3]) if behind else None,
-        )
 
 
 def parse_odometry(text: str) -> PoseSample:
@@ -263,20 +203,15 @@ OTHER_WORDS = frozenset({
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
 MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
+COMMON_WORDS = ("FLASER", "RLASER", "ODOM")
+"""How most lines begin: these are told apart many at a time, by their first eight bytes."""
 MOST_LETTERS = 64
 """How much of a line is searched for its keyword; a longer word is cut."""
-LONGER = " "
-"""Stands for the keyword of a line that its first eight bytes do not tell."""
-MAX_KEPT_BYTES = 1 << 26
-"""The scans of a log that take no more memory are kept; larger logs are parsed once more."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
 """By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?![-+.\d])\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
-FIX = "correct or delete this line"
 NO_LINES: Int64 = np.zeros(0, np.int64)
-SCAN_BYTES = 700
-"""What a scan takes beside its ranges, as measured."""
 
 
 class CarmenReader:
@@ -306,22 +241,40 @@ class CarmenReader:
 
 
 class CarmenLog(TextLog):
-    """An opened CARMEN log; a stream is a keyword."""
+    """An opened CARMEN log; a stream is a keyword.
+
+    Raises
+    ------
+    LogError
+        The first scan line is malformed, or so many are that it is not damage.
+    """
+
+    fix = fix_all = "correct or delete this line"
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self.form = CarmenForm()
+        self._split: Callable[[str], _Message] | None = None
+        """Parts the numbers of a line from its time; all lines of a log have one, or none has"""
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
         self._front_offset: PoseSample | None = None
-        self._stamps: set[int] = set()
-        self._size = 0
-        self._kept = []
-        self._survey()
+        self._is_surveyed = False
+        stamps: set[int] = set()
+        for some in self._survey():
+            self._count_scans(some)
+            if len(stamps) < 2:
+                stamps.update(np.atleast_1d(some.stamp_ns).tolist())
+        self._is_surveyed = True
+        self._words = +self._words  # drops keywords of which no line was a scan
+        if len(stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
+            self.notes.add("all scans have one time: they are taken in their order")
         frames = {word: SCAN_LINES[word].frame for word in self._words if word in SCAN_LINES}
         posed = {frames[word] for word in frames.keys() & POSED}
         self._repeated = [word for word in frames if word not in POSED and frames[word] in posed]
         """RAWLASER streams whose scans are in the log once more, with their pose"""
+        for word in self._repeated:
+            text = f"{word} repeats scans that the log holds with their pose; it is left out"
+            self.notes.add(text)
         self._note_other_lines()
 
     @property
@@ -343,66 +296,86 @@ class CarmenLog(TextLog):
             for line in block.get_lines(_sort_lines(block).get("ODOM", NO_LINES)):
                 if sample := self._parse(line, parse_odometry, tally):
                     yield sample
-        tally.judge(self.path, self.notes, FIX)
+        tally.judge(self.path, self.notes, self.fix)
 
-    def _read(self) -> Iterator[Scan | ScanRun]:
-        """Yield all scans; they were judged when the log was opened."""
-        if self._kept is not None:
-            yield from self._kept
+    def pick_scans(self, block: Block) -> Mapping[str, Int64]:
+        """Find the lines of scans by their keywords; count all others when the log is opened."""
+        lines = _sort_lines(block)
+        if not self._is_surveyed:
+            self._survey_others(block, lines)
+        return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
+
+    def parse_scan(self, text: str) -> Scan:
+        """Parse one of `SCAN_LINES`; the first shows whether all lines of the log have times."""
+        if self._split is None:
+            self._split = split_timed
+            with suppress(ValueError):
+                return _make_scan(split_timed(text))
+            with suppress(ValueError):
+                scan = _make_scan(split_untimed(text))
+                self._split = split_untimed
+                return scan
+        return _make_scan(self._split(text))
+
+    def find_pattern(self, line: Line) -> Pattern:
+        """Say what lines like one have in common: all but times, ranges and poses.
+
+        Raises
+        ------
+        ValueError
+            The lines state no times.
+        """
+        from occmap.readers.decimals import NUMBER, OTHER, RANGE  # noqa: PLC0415  it brings numba
+
+        if self._split is not split_timed:
+            raise ValueError("the lines state no times")
+        words = line.raw.split()
+        before = SCAN_LINES[words[0].decode()].before
+        begin = 2 + before  # behind the keyword and the length of the list
+        end = begin + int(float(words[begin - 1]))
+        kinds = np.full(len(words), NUMBER, np.uint8)
+        kinds[0] = kinds[-3:] = OTHER
+        kinds[begin:end] = RANGE
+        # The keyword, the angles, the limit and the lengths of lists, by their places in a line.
+        return Pattern(b" ", kinds, [0, 2, 4, 5, begin - 1, end] if before else [0, begin - 1])
+
+    def make_run(self, first: Scan, words: "Words") -> ScanRun:
+        """Make scans of lines like the first."""
+        stamp_ns, logged_ns = words.read_times(-3, 9), words.read_times(-1, 9)
+        behind = SCAN_LINES[first.topic].behind
+        begin = len(words.numbers) - 3 - behind
+        return ScanRun(
+            first,
+            stamp_ns,
+            np.where(logged_ns, logged_ns, stamp_ns),
+            words.ranges,
+            np.zeros(len(stamp_ns)),
+            stack_planar(*words.numbers[begin : begin + 3]) if behind else None,
+        )
+
+    def _survey_others(self, block: Block, lines: Mapping[str, Int64]) -> None:
+        """Count the lines that hold no scan, and find the offset of the front laser."""
+        if not block.ended and _is_cut(line := block.get_line(0)):
+            self._note_cut(line)
             return
-        for block in read_blocks(self.path, self.notes):
-            yield from self._parse_block(block, _pick_scans(_sort_lines(block)), LineTally())
-
-    def _survey(self) -> None:
-        """Read the log once: count its lines, and keep its scans if they are few."""
-        tally = LineTally()
-        for block in read_blocks(self.path, self.notes):
-            if not block.ended and _is_cut(block.get_line(0)):
-                self._note_cut(block.get_line(0))
-                continue
-            lines = _sort_lines(block)
-            self._count_words(lines)
-            for line in block.get_lines(lines.get("PARAM", NO_LINES)):
-                if self._front_offset is None:
-                    self._front_offset = self._parse(line, parse_front_offset, tally)
-            for some in self._parse_block(block, _pick_scans(lines), tally):
-                self._survey_scans(some)
-        self._words = +self._words  # drops keywords of which no line was a scan
-        tally.judge(self.path, self.notes, FIX)
-        if len(self._stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
-            self.notes.add("all scans have one time: they are taken in their order")
-
-    def _count_words(self, lines: Mapping[str, Int64]) -> None:
-        """Count lines by their keyword; scans are counted when they have been parsed."""
         for word, rows in lines.items():
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
                 self._words[word[:40] if known else "other"] += len(rows)
+        for line in block.get_lines(lines.get("PARAM", NO_LINES)):
+            if self._front_offset is None:
+                self._front_offset = self._parse(line, parse_front_offset, self._tally)
 
-    def _survey_scans(self, some: Scan | ScanRun) -> None:
-        first, beams = some.first, some.first.ranges.size
-        if not beams:
-            self._words[f"{first.topic} without beams"] += some.scans
-            return
-        self._words[first.topic] += some.scans
-        if len(self._stamps) < 2:
-            self._stamps.update(np.atleast_1d(some.stamp_ns).tolist())
-        self._size += SCAN_BYTES * some.scans + some.ranges.nbytes
-        if self._size > MAX_KEPT_BYTES:
-            self._kept = None
-        if self._kept is not None:
-            self._kept.append(some)
-        if not SCAN_LINES[first.topic].before and beams not in USUAL_BEAMS:
+    def _count_scans(self, some: Scan | ScanRun) -> None:
+        topic, beams = some.first.topic, some.first.ranges.size
+        self._words[topic if beams else f"{topic} without beams"] += some.scans
+        if beams and not SCAN_LINES[topic].before and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
-            text = f"{first.topic} states no angles: {beams} beams are read as {spacing}"
-            self.notes.add(text)
+            self.notes.add(f"{topic} states no angles: {beams} beams are read as {spacing}")
 
     def _note_other_lines(self) -> None:
-        for word in self._repeated:
-            text = f"{word} repeats scans that the log holds with their pose; it is left out"
-            self.notes.add(text)
         used = {*SCAN_LINES, "ODOM"}
         others = Counter({word: n for word, n in self._words.items() if word not in used})
         if others:
@@ -413,35 +386,27 @@ class CarmenLog(TextLog):
 
 
 def _sort_lines(block: Block) -> dict[str, Int64]:
-    """Find the lines of each keyword: `#` for every comment, "" for a blank line."""
-    # The first eight bytes of nearly all lines tell the keyword, and few of them differ.
-    heads, which = np.unique(block.eights[block.starts[:-1]], return_inverse=True)
-    numbers = {LONGER: 0}
-    for_head = [numbers.setdefault(_find_short_word(head), len(numbers)) for head in heads.tolist()]
-    number = np.array(for_head)[which]
-    for row in np.flatnonzero(number == numbers[LONGER]).tolist():
-        start, end = block.starts[row : row + 2].tolist()
-        word = _find_word(block.text[start : min(end, start + MOST_LETTERS)])
-        number[row] = numbers.setdefault(word, len(numbers))
-    ends = np.cumsum(np.bincount(number, minlength=len(numbers)))
-    parts = np.split(np.argsort(number, kind="stable"), ends[:-1])
-    lines = [(word, rows) for word, rows in zip(numbers, parts, strict=True) if rows.size]
-    return dict(sorted(lines, key=lambda each: int(each[1][0])))  # as they appear
-
-
-def _find_short_word(head: int) -> str:
-    """Find the keyword in the first eight bytes of a line; `LONGER` where it may go on."""
-    start, is_ended, _ = head.to_bytes(8, "little").partition(b"\n")
-    return _find_word(start) if is_ended or b" " in start.lstrip() else LONGER
-
-
-def _find_word(line: bytes | bytearray) -> str:
-    word = b"".join(line.split(None, 1)[:1])
-    return "#" if word[:1] == b"#" else word.decode("utf-8", "replace")
-
-
-def _pick_scans(lines: Mapping[str, Int64]) -> dict[str, Int64]:
-    return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
+    """Find the lines of each keyword: `#` for every comment, "" for a line of blanks."""
+    text = np.frombuffer(block.text, np.uint8)
+    rows = np.flatnonzero(text[block.starts[:-1]] != ord("\n"))
+    places = block.starts[rows][:, None] + np.arange(8)
+    heads = text.take(places, mode="clip").view("<u8")[:, 0]
+    lines: dict[str, Int64] = {}
+    for word in COMMON_WORDS:
+        letters = f"{word} ".encode()
+        mask, number = (1 << 8 * len(letters)) - 1, int.from_bytes(letters, "little")
+        is_word = heads & np.uint64(mask) == number
+        lines[word] = rows[is_word]
+        rows, heads = rows[~is_word], heads[~is_word]
+    others: dict[str, list[int]] = defaultdict(list)
+    for row in rows.tolist():
+        line = block.get_line(row).raw[:MOST_LETTERS]
+        word = b"".join(line.split(None, 1)[:1]).decode("utf-8", "replace")
+        others["#" if word[:1] == "#" else word].append(row)
+    for word, more in others.items():
+        lines[word] = np.sort(np.append(lines.get(word, NO_LINES), more))
+    found = [(word, rows) for word, rows in lines.items() if rows.size]
+    return dict(sorted(found, key=lambda each: int(each[1][0])))  # in the order of appearance
 
 
 def _count_lines(word: str, lines: int) -> str:
@@ -453,5 +418,5 @@ def _count_lines(word: str, lines: int) -> str:
 
 def _is_cut(line: Line) -> bool:
     """Whether a last line without its end is cut; for a scan, parsing it tells."""
-    word = _find_word(line.raw)
+    word = "".join(line.text.split(None, 1)[:1])
     return word not in {"", *SCAN_LINES} and WHOLE_MESSAGE.fullmatch(line.text) is None

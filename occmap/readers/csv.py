@@ -10,35 +10,29 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from occmap.errors import LogError
 from occmap.readers import Probe, Role, Stream
 from occmap.readers.text_log import (
-    ANY,
-    NANOSECONDS,
-    NUMBER,
-    RANGE,
-    SAME,
-    SECONDS,
     Block,
     Line,
-    LineTally,
     Pattern,
-    Table,
     TextLog,
-    is_heading,
     make_planar,
     read_blocks,
     stack_planar,
 )
 from occmap.types import Float32, Float64, Int64, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
+
+if TYPE_CHECKING:
+    from occmap.readers.decimals import Words
 
 TOPIC = "scan"
 POSE_NAMES = ("x", "y", "yaw")
@@ -61,138 +55,6 @@ _ROSTOPIC_NAMES = {
     "field.header.frame_id": "frame",
     **{f"field.{name}": name for name in NUMBERS},
 }
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where the values of a scan stand."""
-
-    header: tuple[str, ...]
-    """The name of each cell of a row."""
-    columns: Mapping[str, int]
-    """The cell of each of `NAMES` that is a column."""
-    beams: tuple[int, ...]
-    """The cell of each beam, from r0 on."""
-    constants: Mapping[str, str]
-    """The text of each of `NAMES` that has a value for all rows and no column."""
-    parse_stamp: Callable[[str], int]
-    """Parses a time, as nanoseconds; raises ValueError."""
-
-    def parse(self, text: str) -> Scan:
-        """Parse a row; raises ValueError, naming the column."""
-        cells = split_cells(text)
-        if len(cells) != len(self.header):
-            raise ValueError(f"{len(cells)} cells where the header has {len(self.header)}")
-        texts = {**self.constants, **{name: cells[at] for name, at in self.columns.items()}}
-        try:
-            stamp_ns = self.parse_stamp(texts["stamp"])
-        except ValueError as error:
-            raise ValueError(f"stamp: {error}") from None
-        number = {name: read_number(name, texts[name]) for name in NUMBERS}
-        pose = None
-        if "x" in texts:
-            place = (read_number(name, texts[name].strip() or "nan") for name in POSE_NAMES)
-            pose = make_planar(*place)
-        return Scan(
-            stamp_ns=stamp_ns,
-            frame=texts["frame"].strip().lstrip("/"),
-            angle_min=number["angle_min"],
-            angle_increment=number["angle_increment"],
-            ranges=_read_beams([cells[at] for at in self.beams]),
-            # Rounded as the ranges are, so that a range at the limit compares as equal.
-            range_min=float(as_float32(number["range_min"])),
-            range_max=float(as_float32(number["range_max"])),
-            time_increment=number["time_increment"],
-            pose=pose,
-            topic=TOPIC,
-            record_ns=stamp_ns,
-        )
-
-    def find_pattern(self, line: Line) -> Pattern:
-        """Say what rows like one have in common: all but times, ranges and poses.
-
-        Raises
-        ------
-        ValueError
-            A quoted cell holds commas.
-        """
-        words = line.raw.split(b",")
-        if len(words) != len(self.header):
-            raise ValueError("there are commas within cells")
-        kinds = np.full(len(self.header), ANY, np.uint8)
-        for name, at in self.columns.items():
-            kinds[at] = NUMBER if name in MEASURED else SAME
-        if "stamp" in self.columns:
-            is_seconds = self.parse_stamp is parse_seconds
-            kinds[self.columns["stamp"]] = SECONDS if is_seconds else NANOSECONDS
-        kinds[list(self.beams)] = RANGE
-        return Pattern(words, b",", kinds)
-
-    def make_run(self, first: Scan, table: Table) -> ScanRun:
-        """Make scans of rows like the first; raises ValueError where one is malformed."""
-        scans = len(table.rows)
-
-        def take(name: str, constant: float) -> Float64:
-            at = self.columns.get(name)
-            return np.full(scans, constant) if at is None else table.values[at].copy()
-
-        increments = take("time_increment", first.time_increment)
-        if not np.isfinite(increments).all():
-            raise ValueError("time_increment is not a time")
-        stamp_ns = np.full(scans, first.stamp_ns)
-        if "stamp" in self.columns:
-            stamp_ns = table.times[self.columns["stamp"]].copy()
-        poses = None
-        if first.pose is not None:
-            poses = stack_planar(
-                *(take(n, float(self.constants.get(n, "nan"))) for n in POSE_NAMES)
-            )
-        ranges, in_order = table.ranges, sorted(self.beams)
-        if list(self.beams) != in_order:  # columns may stand in any order
-            ranges = ranges[:, np.searchsorted(in_order, self.beams)]
-        return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
-
-
-def read_layout(path: Path, header: Line, comments: Mapping[str, Line]) -> Layout:
-    """Make a layout of the header row and the comments that state constants, by name.
-
-    Raises
-    ------
-    LogError
-        A column is missing or stands twice, or a constant is not a number.
-    """
-    where = f"{path}:{header.number}"
-    try:
-        names = split_names(header.text)
-    except ValueError as error:
-        raise LogError(f"malformed header: {error}", where=where, fix="correct it") from None
-    if fault := _find_fault(names, {*names, *comments}):
-        found, fix = fault
-        raise LogError(found, where=where, fix=fix)
-    stated = {name: line for name, line in comments.items() if name not in names}
-    constants = {name: _read_constant(path, name, line) for name, line in stated.items()}
-    places = {name: at for at, name in enumerate(names)}
-    return Layout(
-        header=tuple(names),
-        columns={name: at for name, at in places.items() if name in NAMES},
-        beams=tuple(places[f"r{beam}"] for beam in range(sum(map(_is_beam, names)))),
-        constants={**DEFAULTS, **constants},
-        parse_stamp=parse_nanoseconds if header.text.startswith(ROSTOPIC) else parse_seconds,
-    )
-
-
-def _read_constant(path: Path, name: str, line: Line) -> str:
-    """Read the text that a comment gives for all rows; raises LogError where it is no number."""
-    _, text = split_comment(line.text)
-    try:
-        if name == "stamp":
-            parse_seconds(text)
-        elif name != "frame":
-            read_number(name, text)
-    except ValueError as error:
-        place, fix = f"{path}:{line.number}", f"write `# {name}: NUMBER`"
-        raise LogError(str(error), where=place, fix=fix) from None
-    return text
 
 
 def split_cells(text: str) -> list[str]:
@@ -223,6 +85,14 @@ def split_comment(text: str) -> tuple[str, str]:
     """Split a comment `# name: value` into both; "" where it has no colon."""
     name, colon, value = text.lstrip("# \t").partition(":")
     return (name.strip(), value.strip()) if colon else ("", "")
+
+
+def _is_unknown(name: str, value: str) -> bool:
+    """Whether a comment gives a number to a name that means nothing."""
+    with suppress(ValueError):
+        float(value)
+        return name.isidentifier() and name not in NAMES
+    return False
 
 
 def is_known(name: str) -> bool:
@@ -321,19 +191,43 @@ class CsvReader:
 
 
 class CsvLog(TextLog):
-    """An opened CSV log; its scans are the stream `scan`."""
+    """An opened CSV log; its scans are the stream `scan`.
 
-    form: Layout
+    Raises
+    ------
+    LogError
+        A column is missing or stands twice, a constant is not a number, or the first row is
+        malformed, or so many are that it is not damage.
+    """
+
+    fix = "correct or delete this row"
+    fix_all = "correct the header or these rows"
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._rows = 0
-        self._is_judged = False
-        self.form = self._survey()
-        unused = [name for name in self.form.header if name and not is_known(name)]
-        if unused:
-            text = f"columns that are not used: {', '.join(unused[:MAX_NAMES])}"
-            self.notes.add(text)
+        header, comments = self._find_header()
+        self._header_line = header.number
+        try:
+            self._names = split_names(header.text)
+        except ValueError as error:
+            found = f"malformed header: {error}"
+            raise LogError(found, where=f"{path}:{header.number}", fix="correct it") from None
+        if fault := _find_fault(self._names, {*self._names, *comments}):
+            raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
+        places = {name: at for at, name in enumerate(self._names)}
+        self._columns = {name: at for name, at in places.items() if name in NAMES}
+        """The cell of each of `NAMES` that is a column"""
+        self._beams = [places[f"r{beam}"] for beam in range(sum(map(_is_beam, self._names)))]
+        """The cell of each beam, from r0 on"""
+        self._stated = {*self._names, *comments}
+        stated = {name: line for name, line in comments.items() if name not in self._names}
+        constants = {name: _read_constant(path, name, line) for name, line in stated.items()}
+        self._constants = {**DEFAULTS, **constants}
+        """The text of each of `NAMES` that has a value for all rows and no column"""
+        self._is_in_ns = header.text.startswith(ROSTOPIC)
+        if unused := [name for name in self._names if name and not is_known(name)]:
+            self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
+        self._rows = sum(some.scans for some in self._survey())
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -344,80 +238,131 @@ class CsvLog(TextLog):
         """Give none: where the log has poses, each scan holds its own."""
         return iter(())
 
-    def _survey(self) -> Layout:
-        """Find the header, and the constants wherever they stand, and count the rows."""
-        header: Line | None = None
-        last: Line | None = None
-        constants: dict[str, Line] = {}
-        unused: dict[str, None] = {}
+    def _find_header(self) -> tuple[Line, dict[str, Line]]:
+        """Find the header, and the comments near it that state constants."""
+        headings: list[Line] = []
         for block in read_blocks(self.path, self.notes):
-            rows, headings = _sort_lines(block)
-            for line in headings:
-                _keep_comment(line, constants, unused)
-            if rows.size and header is None:
-                header, rows = block.get_line(int(rows[0])), rows[1:]
+            rows, more = _sort_lines(block)
+            headings += more
             if rows.size:
-                self._rows += len(rows)
-                last = block.get_line(int(rows[-1]))
-        if header is None:
-            found = "; ".join(["no header row", *(note.text for note in self.notes)])
-            raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
-        if unused:
-            self.notes.add(f"comments that are not used: {', '.join(unused)}")
-        layout = read_layout(self.path, header, constants)
-        if last is not None and not last.ended:
-            self._check_last(last, layout)
-        return layout
+                named = [(*split_comment(line.text), line) for line in headings]
+                unused = [name for name, value, _ in named if _is_unknown(name, value)]
+                if unused:
+                    names = ", ".join(dict.fromkeys(unused[:MAX_NAMES]))
+                    self.notes.add(f"comments that are not used: {names}")
+                # Of two comments about one name the first counts.
+                constants = {name: line for name, _, line in reversed(named) if name in NAMES}
+                return block.get_line(int(rows[0])), constants
+        found = "; ".join(["no header row", *(note.text for note in self.notes)])
+        raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 
-    def _check_last(self, line: Line, layout: Layout) -> None:
-        """See whether a last row is whole that has no line end."""
-        if self._parse(line, layout.parse, LineTally()) is None:
-            self._rows -= 1
-        else:
-            text = f"line {line.number}, the last, has no line end; it is taken as whole"
-            self.notes.add(text)
+    def pick_scans(self, block: Block) -> Mapping[str, Int64]:
+        """Find the rows behind the header; refuse a constant that comes too late for those before.
 
-    def _read(self) -> Iterator[Scan | ScanRun]:
-        tally = LineTally()
-        for scans in self._parse_rows(tally):
-            if tally.malformed and not self._is_judged:
-                self._judge()
-            yield from scans
+        Raises
+        ------
+        LogError
+            A comment states what neither a column nor a comment at the top of the file states.
+        """
+        rows, headings = _sort_lines(block)
+        for line in headings:
+            name, _ = split_comment(line.text)
+            if name in NAMES and name not in self._stated:
+                found = f"the comment states {name} for all rows, too far behind the header"
+                fix = "move it to the top of the file"
+                raise LogError(found, where=f"{self.path}:{line.number}", fix=fix)
+        rows = rows[rows > self._header_line - block.number]
+        return {TOPIC: rows} if rows.size else {}
 
-    def _parse_rows(self, tally: LineTally) -> Iterator[Sequence[Scan | ScanRun]]:
-        """Parse the rows of the file, a block at a time."""
-        header = 1
-        for block in read_blocks(self.path, self.notes):
-            rows, _ = _sort_lines(block)
-            yield self._parse_block(block, {TOPIC: rows[header:]}, tally)
-            header = 0 if rows.size else header
+    def parse_scan(self, text: str) -> Scan:
+        """Parse a row; raises ValueError, naming the column."""
+        cells = split_cells(text)
+        if len(cells) != len(self._names):
+            raise ValueError(f"{len(cells)} cells where the header has {len(self._names)}")
+        texts = {**self._constants, **{name: cells[at] for name, at in self._columns.items()}}
+        try:
+            parse = parse_nanoseconds if self._is_in_ns else parse_seconds
+            stamp_ns = parse(texts["stamp"])
+        except ValueError as error:
+            raise ValueError(f"stamp: {error}") from None
+        number = {name: read_number(name, texts[name]) for name in NUMBERS}
+        pose = None
+        if "x" in texts:
+            place = (read_number(name, texts[name].strip() or "nan") for name in POSE_NAMES)
+            pose = make_planar(*place)
+        return Scan(
+            stamp_ns=stamp_ns,
+            frame=texts["frame"].strip().lstrip("/"),
+            angle_min=number["angle_min"],
+            angle_increment=number["angle_increment"],
+            ranges=_read_beams([cells[at] for at in self._beams]),
+            # Rounded as the ranges are, so that a range at the limit compares as equal.
+            range_min=float(as_float32(number["range_min"])),
+            range_max=float(as_float32(number["range_max"])),
+            time_increment=number["time_increment"],
+            pose=pose,
+            topic=TOPIC,
+            record_ns=stamp_ns,
+        )
 
-    def _judge(self) -> None:
-        """Tell damage from a file that is not a log, by all its rows."""
-        tally = LineTally()
-        for _ in self._parse_rows(tally):
-            pass
-        self._rows = tally.total - tally.malformed
-        fix = "correct or delete this row" if self._rows else "correct the header or these rows"
-        tally.judge(self.path, self.notes, fix)
-        self._is_judged = True
+    def find_pattern(self, _line: Line) -> Pattern:
+        """Say what rows have in common: all but times, ranges and poses."""
+        from occmap.readers.decimals import NUMBER, OTHER, RANGE  # noqa: PLC0415  it brings numba
+
+        kinds = np.full(len(self._names), OTHER, np.uint8)
+        kinds[self._beams] = RANGE
+        kinds[[at for name, at in self._columns.items() if name in MEASURED]] = NUMBER
+        varying = MEASURED | {"stamp"}
+        return Pattern(b",", kinds, [at for n, at in self._columns.items() if n not in varying])
+
+    def make_run(self, first: Scan, words: "Words") -> ScanRun:
+        """Make scans of rows like the first; raises ValueError where one is malformed."""
+        scans = len(words.ranges)
+
+        def take(name: str, constant: float) -> Float64:
+            at = self._columns.get(name)
+            return np.full(scans, constant) if at is None else words.numbers[at].copy()
+
+        increments = take("time_increment", first.time_increment)
+        if not np.isfinite(increments[words.is_sound]).all():
+            raise ValueError("time_increment is not a time")
+        stamp_ns = np.full(scans, first.stamp_ns)
+        if "stamp" in self._columns:
+            stamp_ns = words.read_times(self._columns["stamp"], 0 if self._is_in_ns else 9)
+        poses = None
+        if first.pose is not None:
+            poses = stack_planar(
+                *(take(n, float(self._constants.get(n, "nan"))) for n in POSE_NAMES)
+            )
+        ranges, in_order = words.ranges, sorted(self._beams)
+        if self._beams != in_order:  # columns may stand in any order
+            ranges = ranges[:, np.searchsorted(in_order, self._beams)]
+        return ScanRun(first, stamp_ns, stamp_ns, ranges, increments, poses)
 
 
 def _sort_lines(block: Block) -> tuple[Int64, list[Line]]:
-    """Tell rows, by their indices, from the lines that are comments or blank."""
+    """Tell rows, by their indices, from the lines that are comments or blank; give the comments."""
     first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
-    maybe = np.flatnonzero(first <= ord("#"))  # blanks and line ends are below it
-    headings = [line for line in block.get_lines(maybe) if is_heading(line.raw)]
-    rows = np.delete(np.arange(len(block)), [line.number - block.number for line in headings])
-    return rows, headings
+    is_row = first > ord("#")  # blanks and line ends are below it
+    comments = []
+    for row in np.flatnonzero(~is_row & (first != ord("\n"))).tolist():
+        line = block.get_line(row)
+        start = line.raw.lstrip()[:1]
+        is_row[row] = start not in {b"", b"#"}
+        if start == b"#":
+            comments.append(line)
+    return np.flatnonzero(is_row), comments
 
 
-def _keep_comment(line: Line, constants: dict[str, Line], unused: dict[str, None]) -> None:
-    """Keep the first comment that states a constant, and the names of some that mean nothing."""
-    name, value = split_comment(line.text)
-    if name in NAMES:
-        constants.setdefault(name, line)
-    elif name.isidentifier() and len(unused) < MAX_NAMES:
-        with suppress(ValueError):
-            float(value)
-            unused[name] = None
+def _read_constant(path: Path, name: str, line: Line) -> str:
+    """Read the text that a comment gives for all rows; raises LogError where it is no number."""
+    _, text = split_comment(line.text)
+    try:
+        if name == "stamp":
+            parse_seconds(text)
+        elif name != "frame":
+            read_number(name, text)
+    except ValueError as error:
+        place, fix = f"{path}:{line.number}", f"write `# {name}: NUMBER`"
+        raise LogError(str(error), where=place, fix=fix) from None
+    return text

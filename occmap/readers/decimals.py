@@ -1,8 +1,8 @@
-"""Decimal numbers and times in text, parsed many at a time.
+"""Decimal numbers in lines of text, parsed many at a time.
 
 A number of up to 15 digits is an integer divided by a power of ten. Both are exact in the 53 bits
 of a float and their quotient is rounded once, so it is what Python's `float` gives. Every other
-word is left to the caller.
+word is parsed by `float` itself.
 
 Offsets are unsigned: numba need not look whether one of them counts from the end of an array.
 """
@@ -13,56 +13,54 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.readers.text_log import ANY, NUMBER, RANGE, SAME, SECONDS, Block, Pattern, Table
 from occmap.types import Bool, Float32, Float64, Int64, UInt8
-from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
+from occmap.values import as_float32, shorten
 
+OTHER, NUMBER, RANGE = range(3)
+"""What a word of a line is: a number, the range of a beam, or something that is not a number."""
 NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
 """What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
-MOST_TIME_DIGITS = 19
-"""Whole nanoseconds of this many digits fit 64 bits where the first is not 9."""
+MOST_WHOLE_DIGITS = 19
+"""An integer of this many digits that does not fit 64 bits becomes negative where it overflows."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
-_ZERO, _NINE, _DOT, _MINUS, _BLANK, _QUOTE, _END = map(ord, '09.- "\n')
+_ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = map(ord, "09.- \n")
 _INF, _NAN = (np.frombuffer(word, np.uint8) for word in (b"inf", b"nan"))
 _NONE, _ONE = np.uint64(0), np.uint64(1)
-_READ, _LEFT, _UNLIKE = range(3)
-"""What becomes of a word: it is left to the caller, or its line is not like the others."""
 
 
-class Lines(NamedTuple):
-    """Lines to parse, and what their words are."""
-
-    text: UInt8
-    """(L,) bytes: lines, each with its end, and `PADDING`"""
-    starts: Int64
-    """(S,) where the lines begin that are parsed"""
-    separator: int
-    """What stands between two words: one comma, or any number of blanks"""
-    kinds: UInt8
-    """(N,) what each word of a line is"""
-    words: UInt8
-    """The words of a line like these, one behind the other"""
-    ends: Int64
-    """(N,) where each of them ends"""
-    places: Int64
-    """(N,) which beam each word is, counted from 0, where it is one"""
-
-
-class Filled(NamedTuple):
-    """What is filled with the words of S lines that hold N each."""
+class Words(NamedTuple):
+    """The words of S lines, N in each."""
 
     ranges: Float32
     """(S, B); NaN where nothing stands between two commas"""
-    values: Float64
-    """(N, S) other numbers, likewise"""
-    times: Int64
-    """(N, S) ns"""
-    alike: Bool
-    """(S,) whether a line has N words, each parsed or left to the caller"""
+    numbers: Float64
+    """(N, S) other numbers, likewise; by word, since few words of a line are no ranges"""
+    digits: Int64
+    """(N, S) the number that all digits of a word make; a hash of a word that is no decimal"""
+    decimals: Int64
+    """(N, S) how many of the digits stand behind the dot; -1 for a word that is no decimal"""
+    is_sound: Bool
+    """(S,) whether a line has N words, and each of them can be read as what it is"""
     left: Int64
-    """(M, 4) row, column, start and end of each word that is left to the caller"""
+    """(M, 4) row, column, start and end of each word that the kernel leaves to Python"""
+
+    def refuse_others(self, columns: list[int]) -> None:
+        """Let only those lines be sound that have the same words as the first in some columns."""
+        for part in (self.digits[columns], self.decimals[columns]):
+            self.is_sound[:] &= (part == part[:, :1]).all(axis=0)
+
+    def read_times(self, column: int, places: int) -> Int64:
+        """Read times (S,) in ns, which are written in units of 10 ** `places` ns.
+
+        A line with a time that is not a plain decimal of at most 64 bits is not sound.
+        """
+        more = places - self.decimals[column]
+        scale = 10 ** np.clip(more, 0, places)
+        is_small = np.abs(self.digits[column]) <= (2**63 - 1) // scale
+        self.is_sound[:] &= is_small & (more >= 0) & (more <= places)
+        return np.asarray(self.digits[column] * scale)
 
 
 class Word(NamedTuple):
@@ -78,50 +76,39 @@ class Word(NamedTuple):
     """How many of the digits stand behind the dot"""
 
 
-def parse_table(block: Block, rows: Int64, pattern: Pattern) -> Table:
-    """Parse those of some lines, by their indices (S,), that are of a pattern."""
-    words, separator, kinds = pattern
-    rows = rows[: len(block.text) // len(kinds)]  # no more lines can have so many words
-    values = np.empty((len(kinds), len(rows)))
-    filled = Filled(
-        ranges=np.empty((len(rows), np.count_nonzero(kinds == RANGE)), np.float32),
-        values=values,
-        times=values.view(np.int64),
-        alike=np.zeros(len(rows), np.bool_),
-        # With more words than this for the caller, lines are parsed as quickly one by one.
-        left=np.empty((values.size // 8 + 64, 4), np.int64),
-    )
-    lines = Lines(
-        text=np.frombuffer(block.text, np.uint8),
-        starts=block.starts[rows],
-        separator=ord(separator),
-        kinds=kinds,
-        words=np.frombuffer(b"".join(words), np.uint8),
-        ends=np.cumsum([len(word) for word in words]),
-        places=np.cumsum(kinds == RANGE) - 1,
-    )
-    left = parse_rows(lines, filled)
-    _parse_left(block.text, lines, filled, left)
-    alike, ranges = filled.alike, filled.ranges
-    if not alike.all():
-        rows, ranges, values = rows[alike], ranges[alike], values[:, alike]
-    return Table(rows, ranges, values, values.view(np.int64))
+def parse_words(text: bytes, starts: Int64, separator: bytes, kinds: UInt8) -> Words:
+    """Parse lines that begin at some places of a text.
 
-
-def _parse_left(text: bytearray, lines: Lines, filled: Filled, left: int) -> None:
-    """Parse the words that the kernel left, so many; a line with a malformed one is not alike."""
-    for row, col, start, end in filled.left[:left].tolist():
-        word, kind = bytes(text[start:end]), lines.kinds[col]
+    Parameters
+    ----------
+    separator
+        What stands between two words: one comma, or any number of blanks.
+    kinds
+        (N,) what each word of a line is.
+    """
+    shape = len(kinds), len(starts)
+    words = Words(
+        ranges=np.empty((len(starts), np.count_nonzero(kinds == RANGE)), np.float32),
+        numbers=np.empty(shape),
+        digits=np.empty(shape, np.int64),
+        decimals=np.empty(shape, np.int64),
+        is_sound=np.zeros(len(starts), np.bool_),
+        # With more words than this for Python, lines are parsed as quickly one by one.
+        left=np.empty((shape[0] * shape[1] // 8 + 64, 4), np.int64),
+    )
+    lefts = parse_rows(np.frombuffer(text, np.uint8), starts, ord(separator), kinds, words)
+    beams = np.cumsum(kinds == RANGE) - 1
+    for row, col, start, end in words.left[:lefts].tolist():
         try:
-            if kind == RANGE:
-                filled.ranges[row, lines.places[col]] = as_float32(_parse_number(word))
-            elif kind == NUMBER:
-                filled.values[col, row] = _parse_number(word)
-            else:
-                parse = parse_seconds if kind == SECONDS else parse_nanoseconds
-                filled.times[col, row] = parse(word.decode("utf-8", "replace"))
+            number = _parse_number(text[start:end])
         except ValueError:
-            filled.alike[row] = False
+            words.is_sound[row] = False
+            continue
+        if kinds[col] == RANGE:
+            words.ranges[row, beams[col]] = as_float32(number)
+        else:
+            words.numbers[col, row] = number
+    return words
 
 
 @lru_cache(maxsize=64)
@@ -133,54 +120,41 @@ def _parse_number(word: bytes) -> float:
 
 
 @kernel
-def parse_rows(lines: Lines, filled: Filled) -> int:
-    """Parse the words of lines; a line that holds more or fewer words than others is unlike them.
+def parse_rows(text: UInt8, starts: Int64, separator: int, kinds: UInt8, words: Words) -> int:
+    """Parse the words of lines; one that holds more or fewer words than others is not sound.
 
     So is one for whose words `left` has no more room.
 
     Returns
     -------
     int
-        How many words are left to the caller.
+        How many words are left to Python.
     """
-    text, separator, left, lefts = lines.text, lines.separator, filled.left, 0
-    for row in range(len(lines.starts)):
-        at = _skip_blanks(text, np.uint64(lines.starts[row]), separator)
-        for col in range(len(lines.kinds)):
-            word = _scan_word(text, at, separator)
-            outcome = _read_word(lines, filled, word, row, col)
-            if outcome == _UNLIKE or (outcome == _LEFT and lefts == len(left)):
-                break
-            if outcome == _LEFT:
-                left[lefts, 0], left[lefts, 1] = row, col
-                left[lefts, 2], left[lefts, 3] = word.start, word.end
+    lefts, last = 0, len(kinds) - 1
+    for row in range(len(starts)):
+        at, beam = _skip_blanks(text, np.uint64(starts[row]), separator), 0
+        for col in range(len(kinds)):
+            word, kind = _scan_word(text, at, separator), kinds[col]
+            is_read, value = _to_float(text, word)
+            if kind == RANGE:
+                words.ranges[row, beam] = value
+                beam += 1
+            else:
+                words.numbers[col, row] = value
+                words.digits[col, row], words.decimals[col, row] = _to_whole(text, word)
+            if kind != OTHER and not is_read:
+                if lefts == len(words.left):
+                    break
+                words.left[lefts, 0], words.left[lefts, 1] = row, col
+                words.left[lefts, 2], words.left[lefts, 3] = word.start, word.end
                 lefts += 1
-            if text[word.end] == _END:
-                filled.alike[row] = col == len(lines.kinds) - 1
+            at = word.end
+            if text[at] != _END:
+                at = _skip_blanks(text, at + _ONE, separator)
+            if text[word.end] == _END or (separator == _BLANK and text[at] == _END):
+                words.is_sound[row] = col == last
                 break
-            at = _skip_blanks(text, word.end + _ONE, separator)
-        else:
-            filled.alike[row] = separator == _BLANK and text[at] == _END
     return lefts
-
-
-@step
-def _read_word(lines: Lines, filled: Filled, word: Word, row: int, col: int) -> int:
-    """Put a word where its line and its kind say; tell whether it is read."""
-    text, kind, is_read = lines.text, lines.kinds[col], True
-    if word.start == word.end and lines.separator == _BLANK:
-        return _UNLIKE  # the line has no more words
-    if kind == RANGE:
-        is_read, filled.ranges[row, lines.places[col]] = _to_float(text, word)
-    elif kind == NUMBER:
-        is_read, filled.values[col, row] = _to_float(text, word)
-    elif kind == SAME:
-        return _READ if _is_same(lines, word, col) else _UNLIKE
-    elif kind == ANY:
-        return _UNLIKE if _has_quote(text, word) else _READ  # it may hold a separator
-    else:
-        is_read, filled.times[col, row] = _to_ns(text, word, kind)
-    return _READ if is_read else _LEFT
 
 
 @step
@@ -218,56 +192,38 @@ def _scan_digits(text: UInt8, at: np.uint64, number: np.int64) -> tuple[np.uint6
 
 
 @step
-def _is_same(lines: Lines, word: Word, col: int) -> bool:
-    """Whether a word is the one of every line."""
-    start, end = np.uint64(lines.ends[col - 1] if col else 0), np.uint64(lines.ends[col])
-    size = end - start
-    at = _NONE
-    while at < size and lines.text[word.start + at] == lines.words[start + at]:
-        at += _ONE
-    return bool(at == size and word.end - word.start == size)
-
-
-@step
-def _has_quote(text: UInt8, word: Word) -> bool:
-    at = word.start
-    while at < word.end and text[at] != _QUOTE:
-        at += _ONE
-    return bool(at < word.end)
-
-
-@step
 def _to_float(text: UInt8, word: Word) -> tuple[bool, float]:
     """Whether a word is a number that is read here, and which."""
     is_negative = text[word.start] == _MINUS
-    value = np.nan
+    start, value = word.start + np.uint64(is_negative), np.nan
     if _NONE < word.digits <= MOST_DIGITS:
         value = word.number / POWERS[word.decimals]
-    elif _is_name(text, word, is_negative, _INF):
+    elif _is_name(text, start, word.end, _INF):
         value = np.inf
-    elif word.start < word.end and not _is_name(text, word, is_negative, _NAN):
+    elif word.start < word.end and not _is_name(text, start, word.end, _NAN):
         return False, value
     return True, -value if is_negative else value
 
 
 @step
-def _is_name(text: UInt8, word: Word, is_negative: bool, name: UInt8) -> bool:
-    """Whether a word is a name such as inf, behind a minus or without."""
-    at, size = word.start + np.uint64(is_negative), 0
-    while size < len(name) and text[at + np.uint64(size)] == name[size]:
-        size += 1
-    return bool(size == len(name) and word.end - at == size)
+def _is_name(text: UInt8, start: np.uint64, end: np.uint64, name: UInt8) -> bool:
+    """Whether a word is a name of three letters."""
+    size = _NONE
+    while start + size < end and size < 3 and text[start + size] == name[size]:
+        size += _ONE
+    return bool(size == 3 and start + size == end)
 
 
 @step
-def _to_ns(text: UInt8, word: Word, kind: int) -> tuple[bool, np.int64]:
-    """Whether a word is a time that is read here, and which (ns)."""
-    number, size = word.number, np.int64(word.digits)
-    more = 9 - np.int64(word.decimals) if kind == SECONDS else 0
-    has_sign = text[word.start] == _MINUS
-    is_whole = kind == SECONDS or word.end - word.start == word.digits
-    most = MOST_TIME_DIGITS - more - (text[word.start] == _NINE)
-    is_read = bool(is_whole and not has_sign and more >= 0 and 0 < size <= most)
-    for _ in range(more if is_read else 0):
-        number *= 10
-    return is_read, number
+def _to_whole(text: UInt8, word: Word) -> tuple[np.int64, np.int64]:
+    """Give the whole number that a word's digits make, and its decimals.
+
+    For what is no decimal it is a hash, by which equal words are known, and -1.
+    """
+    if 0 < word.digits <= MOST_WHOLE_DIGITS and word.number >= 0:
+        sign = -1 if text[word.start] == _MINUS else 1
+        return sign * word.number, np.int64(word.decimals)
+    number = np.int64(0)
+    for at in range(word.start, word.end):
+        number = number * 1_000_003 + text[at]
+    return number, np.int64(-1)

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Probe, Role, StackingScans, Stream, carmen, probe_path
+from occmap.readers import (
+    Log,
+    Note,
+    Probe,
+    Role,
+    StackingScans,
+    Stream,
+    carmen,
+    probe_path,
+    text_log,
+)
 from occmap.readers.carmen import CarmenReader
 from occmap.sensor import RangeLimits, ReturnOptions
 from occmap.types import Pose, PoseSample, ScanRun
@@ -185,7 +195,7 @@ def test_a_large_log_is_streamed_with_the_same_result(
 ) -> None:
     content = "".join(flaser(stamp, "1.5 81.91") for stamp in range(20)) + "FLASER 2 1"
     kept = open_text(tmp_path, content)
-    monkeypatch.setattr(carmen, "MAX_KEPT_BYTES", 5000)
+    monkeypatch.setattr(text_log, "MAX_KEPT_BYTES", 5000)
     streamed = open_text(tmp_path, content)
     for one, other in zip(kept.scans(["FLASER"]), streamed.scans(["FLASER"]), strict=True):
         np.testing.assert_array_equal(one.ranges, other.ranges)

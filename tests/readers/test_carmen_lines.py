@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 import numpy as np
 import pytest
@@ -9,24 +11,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.carmen import (
-    CarmenForm,
+    CarmenLog,
     imply_increment,
     parse_front_offset,
     parse_odometry,
 )
-from occmap.readers.decimals import parse_table
-from occmap.readers.text_log import PADDING, Block
+from occmap.readers.text_log import make_block
 from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
 """type start_angle fov resolution maximum_range accuracy remission_mode"""
 
 
+TIMED = "FLASER 0 1 2 0 7 8 9 5 robot 5"
+
+
+def open_timed() -> CarmenLog:
+    """A log that states times."""
+    with NamedTemporaryFile("w") as file:
+        file.write(f"{TIMED}\n")
+        file.flush()
+        return CarmenLog(Path(file.name))
+
+
 def parse_scan(line: str) -> Scan:
     """Parse a line of a log that states times."""
-    form = CarmenForm()
-    form.parse("FLASER 0 1 2 0 7 8 9 5 robot 5")
-    return form.parse(line)
+    return open_timed().parse_scan(line)
 
 
 def expect_equal(scan: Scan, expected: Scan) -> None:
@@ -163,12 +173,11 @@ RAW_LINES = [
 
 def parse_together(*lines: str) -> tuple[list[int], ScanRun]:
     """Parse those lines that are like the first, and say which they are."""
-    text = "".join(f"{line}\n" for line in lines).encode()
-    block = Block.of(1, bytearray(text + PADDING), len(text))
-    form = CarmenForm()
-    first = form.parse(lines[0])
-    table = parse_table(block, np.arange(len(lines)), form.find_pattern(block.get_line(0)))
-    return table.rows.tolist(), form.make_run(first, table)
+    block = make_block(1, "".join(f"{line}\n" for line in lines).encode())
+    found = open_timed()._parse_together(block, np.arange(len(lines)))
+    assert found is not None
+    rows, run = found
+    return rows.tolist(), run
 
 
 @pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])

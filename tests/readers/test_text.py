@@ -1,7 +1,6 @@
 """Lines of text logs: line ends, damage, times to the nanosecond."""
 
 import gzip
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,21 +29,6 @@ def test_lines_have_numbers_and_no_ends(tmp_path: Path) -> None:
         Line(3, b"two", ended=True),
         Line(4, b"last", ended=False),
     ]
-    assert notes == []
-
-
-@pytest.mark.parametrize("pack", [bytes, gzip.compress], ids=["plain", "gzip"])
-@pytest.mark.parametrize("size", [1 << 20, 15])
-def test_lines_of_an_old_mac_are_lines(
-    pack: Callable[[bytes], bytes], size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(text_log, "BLOCK_BYTES", size)
-    path = tmp_path / "log"
-    path.write_bytes(pack(b"one\r\rtwo\r" + b"more\r" * 9 + b"last"))
-    lines, notes = read(path)
-    assert [line.raw for line in lines] == [b"one", b"", b"two", *[b"more"] * 9, b"last"]
-    assert [line.number for line in lines] == list(range(1, 14))
-    assert [line.ended for line in lines] == [True] * 12 + [False]
     assert notes == []
 
 
