@@ -45,7 +45,6 @@ from occmap.scans.logs import choose_topics
 from occmap.scans.mounts import estimate_agreement, find_better, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tracing import find_ground
-from occmap.sensor import RangeLimits
 from occmap.sensor.models import Spreading
 
 SHARE_OF_NOTE = 0.05
