@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from occmap.readers import Echo, ReaderOptions, Role
+from occmap.readers import Echo, Role
 from occmap.readers.cloud_messages import (
     FOXGLOVE_KINDS,
     Camera,
@@ -38,28 +38,24 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
+from occmap.readers.messages import Parse
 from occmap.types import IDENTITY, Cloud, Pose, PoseSample, Scan
 from occmap.values import as_number
 
-ToScan: TypeAlias = Callable[[ReaderOptions, Any, str, int], Scan]
-"""From what the user chose, a decoded message, its topic and its record time in ns."""
-Parse: TypeAlias = Callable[[memoryview, str], Any]
-ToCloud: TypeAlias = Callable[[Any, str, int], Cloud]
-ToDepth: TypeAlias = Callable[[Camera, Any, str, int], Cloud]
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
+"""From a decoded message, its topic and its record time in ns"""
 
 
 class MessageType(NamedTuple):
     """What messages of a type are for, and what reads them."""
 
     role: Role
-    to_scan: ToScan | None = None
+    convert: Callable[..., Any] | None = None
+    """Makes a scan or a cloud of what `needs` says, and of what `to_poses` takes"""
     to_poses: ToPoses | None = None
-    to_cloud: ToCloud | None = None
-    to_depth: ToDepth | None = None
-    """In place of `to_cloud`, for images: what makes clouds of them needs their camera"""
     parse: Parse | None = None
-    """Decodes a message of an encoding, in place of a library that would take too long"""
+    """Decodes a message, in place of a library that would take too long"""
+    needs: type[Echo | Camera] | None = None
 
 
 class PoseFields(NamedTuple):
@@ -100,17 +96,17 @@ class PoseFields(NamedTuple):
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
 
 
-def convert_laser_scan(_options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
+def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a sensor_msgs/LaserScan."""
     return _make_scan(message, get_row(message, "ranges"), topic, record_ns)
 
 
-def convert_multi_echo(options: ReaderOptions, message: Any, topic: str, record_ns: int) -> Scan:
+def convert_multi_echo(echo: Echo, message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a sensor_msgs/MultiEchoLaserScan, taking one echo of each beam.
 
     A beam without an echo becomes +inf: nothing came back (REP 117).
     """
-    at = 0 if options.echo is Echo.FIRST else -1
+    at = 0 if echo is Echo.FIRST else -1
     beams = [get_row(beam, "echoes") for beam in get_list(message, "ranges")]
     ranges = [echoes[at] if len(echoes) else math.inf for echoes in beams]
     return _make_scan(message, np.array(ranges, np.float64), topic, record_ns)
@@ -131,9 +127,7 @@ def _make_scan(message: Any, ranges: ArrayLike, topic: str, record_ns: int) -> S
     )
 
 
-def convert_foxglove_scan(
-    _options: ReaderOptions, message: Any, topic: str, record_ns: int
-) -> Scan:
+def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:
     """Convert a foxglove.LaserScan, which has no range limits.
 
     Where it states an origin other than its frame's, it gets a frame of its own, whose pose
@@ -187,22 +181,20 @@ _TF = PoseFields(
     items="transforms",
 )
 
+_LIVOX = MessageType(Role.CLOUD, convert_livox, parse=parse_livox)
+
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan),
-    "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, to_cloud=convert_cloud),
-    **{
-        f"livox_ros_driver{version}/msg/CustomMsg": MessageType(
-            Role.CLOUD, to_cloud=convert_livox, parse=parse_livox
-        )
-        for version in ("", "2")
-    },
-    "sensor_msgs/msg/Image": MessageType(Role.CLOUD, to_depth=convert_depth),
-    "sensor_msgs/msg/CompressedImage": MessageType(Role.CLOUD, to_depth=convert_compressed_depth),
-    "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
-    "foxglove.PointCloud": MessageType(
-        Role.CLOUD, to_cloud=convert_foxglove_cloud, to_poses=convert_origin
+    "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo, needs=Echo),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
+    "livox_ros_driver/msg/CustomMsg": _LIVOX,
+    "livox_ros_driver2/msg/CustomMsg": _LIVOX,
+    "sensor_msgs/msg/Image": MessageType(Role.CLOUD, convert_depth, needs=Camera),
+    "sensor_msgs/msg/CompressedImage": MessageType(
+        Role.CLOUD, convert_compressed_depth, needs=Camera
     ),
+    "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
+    "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
 } | {
     name: MessageType(Role.POSE, to_poses=fields.read)
     for name, fields in {

@@ -27,9 +27,11 @@ from occmap.types import Bool, Int64, PoseBatch, PoseSample, Scan, ScanRun, UInt
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
 """From a message's bytes and its record time in ns; it raises DamageError."""
+Parse: TypeAlias = Callable[[memoryview, str], Any]
+"""From a message's bytes, and how they are written, to its fields."""
 _Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], bool]
 """From a message's bytes to its fields, what it raises on bytes that are not well formed, and
-whether a message is as ROS itself defines it."""
+whether messages are of the types that a log holds most of, laid out as ROS does"""
 
 # What rosbags raises on definitions and on bytes that are not well formed.
 _DEFINITION_ERRORS = (
@@ -52,8 +54,6 @@ _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types but the older of these, and of ROS 1 neither."""
-_PLAIN_TYPES = ("sensor_msgs/msg/LaserScan", *_TF_TYPES)
-"""The types of most messages of a log."""
 _PLAIN_HASHES = {
     "cdr": {
         "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
@@ -65,14 +65,12 @@ _PLAIN_HASHES = {
         "RIHS01_3a251e86098111cc45383f1ebaf07d69f5e1fd4484fabd9081da7148cf7eb5be",
     },
 }
-"""The hashes (REP 2016) of these types as ROS defines them. They tell without loading all its
-types, which takes a build 5 to 8% of its time, that a log defines one as ROS does."""
+"""The hashes (REP 2016) of LaserScan and of transforms as ROS defines them: most messages of a log
+are of these types, and little-endian ones can be stacked and read many at once"""
 
 
 def make_reader(
-    channel: Channel,
-    convert: Callable[[Any, str, int], T],
-    parse_whole: Callable[[memoryview, str], Any] | None = None,
+    channel: Channel, convert: Callable[[Any, str, int], T], parse_whole: Parse | None = None
 ) -> tuple[FromBytes[T], bool]:
     """Build the function that reads a channel's messages: decodes and converts them.
 
@@ -81,13 +79,12 @@ def make_reader(
     convert
         Takes a decoded message, its topic and its record time in ns.
     parse_whole
-        Decodes a message of an encoding, in place of what the log's definition says.
+        Decodes a message in place of what the log's definition says.
 
     Returns
     -------
     read, is_plain
-        Whether the messages are of the types that a log holds most of, and laid out as is usual:
-        little-endian ones can then be stacked, and read many at once.
+        Whether `read_scan_run` or `read_transforms` can read many of the messages at once.
 
     Raises
     ------
@@ -100,7 +97,7 @@ def make_reader(
         parser = lambda data: parse_whole(data, channel.encoding), (), False
     else:
         parser = _PARSERS[channel.encoding](channel)
-    parse, errors, is_standard = parser
+    parse, errors, is_plain = parser
 
     def read(data: memoryview, record_ns: int) -> T:
         try:
@@ -109,29 +106,36 @@ def make_reader(
             raise DamageError(f"is not a {kind} ({type(error).__name__})") from error
         return convert(message, topic, record_ns)
 
-    return read, is_standard and kind in _PLAIN_TYPES
+    return read, is_plain
 
 
-def _make_ros_parser(channel: Channel) -> _Parser:
+@lru_cache(maxsize=64)
+def _make_ros_parser(text: str, kind: str, encoding: str) -> _Parser:
     """Make what reads a message by the log's definition of it, or by ROS's where it has none.
+
+    Cached, since all logs of a robot have the same definitions.
 
     Raises
     ------
     LogError
         The definition cannot be understood, or asks for more than any message needs.
     """
-    store, is_standard = _make_store(channel.definition, channel.type, channel.encoding)
-    name = channel.kind
+    name = normalise_type(kind)
     try:
+        store = _make_store(text, name) if text else _load_standard(encoding)
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
-        raise _refuse(channel.type, error) from error
-    deserialise = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
-    return lambda data: deserialise(data, name), _DECODE_ERRORS, is_standard
+        raise _refuse(kind, error) from error
+    is_plain = False
+    with suppress(LookupError):  # of a type that has no hash
+        is_plain = store.hash_rihs01(name) in _PLAIN_HASHES[encoding]
+    deserialise = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
+    return lambda data: deserialise(data, name), _DECODE_ERRORS, is_plain
 
 
-def _refuse(kind: str, why: str | Exception) -> LogError:
-    reason = why if isinstance(why, str) else type(why).__name__
+def _refuse(kind: str, why: Exception) -> LogError:
+    reason = f"{type(why).__name__}: {why}"
+    reason = reason if len(reason) <= 99 else f"{reason[:96]}..."
     return LogError(f"the definition of {kind} cannot be understood ({reason})")
 
 
@@ -145,45 +149,24 @@ def _load_standard(encoding: str) -> Typestore:
     return store
 
 
-@lru_cache(maxsize=64)
-def _make_store(text: str, kind: str, encoding: str) -> tuple[Typestore, bool]:
-    """Make the types of a definition. Cached, since all logs of a robot have the same ones."""
-    if not text:
-        return _load_standard(encoding), True
-    own, name = _parse_definition(text, kind), normalise_type(kind)
-    store = get_typestore(Stores.EMPTY)
-    try:
-        store.register(own)
-    except _DEFINITION_ERRORS as error:
-        raise _refuse(kind, error) from error
-    with suppress(LookupError):  # of a type that has no hash
-        if store.hash_rihs01(name) in _PLAIN_HASHES[encoding]:
-            return store, True
-    standard = _load_standard(encoding)
-    known = standard.fielddefs
-    if all(part in known and known[part][1] == fields for part, (_, fields) in own.items()):
-        return standard, True
-    return store, False
+def _make_store(text: str, name: str) -> Typestore:
+    """Make the types of a definition and those appended to it: what one needs, without constants.
 
-
-def _parse_definition(text: str, kind: str) -> Typesdict:
-    """Parse a definition and those appended to it; keep what the type needs, without constants."""
-    name = normalise_type(kind)
+    Raises
+    ------
+    _DEFINITION_ERRORS
+        The definition is damaged, or asks for too much.
+    """
     if len(text) > MAX_DEFINITION:
-        raise _refuse(kind, f"it has {len(text)} characters")
-    try:
-        # Bags from before 2011 call the header by the package that it then was in.
-        types = get_types_from_msg(text.replace("MSG: roslib/Header", "MSG: std_msgs/Header"), name)
-    except _DEFINITION_ERRORS as error:
-        raise _refuse(kind, error) from error
-    types = {**get_typestore(Stores.EMPTY).fielddefs, **types}  # ROS 1 has a time of its own
+        raise ValueError(f"it has {len(text)} characters")
+    store = get_typestore(Stores.EMPTY)
+    # Bags from before 2011 call the header by the package that it then was in.
+    types = get_types_from_msg(text.replace("MSG: roslib/Header", "MSG: std_msgs/Header"), name)
+    types = {**store.fielddefs, **types}  # ROS 1 has a time of its own
     counts: dict[str, int] = {}
-    try:
-        _count_values(types, name, counts)
-    except ValueError as error:
-        flaw = str(error)
-        raise _refuse(kind, flaw if len(flaw) <= 99 else f"{flaw[:96]}...") from None
-    return {part: ([], types[part][1]) for part in counts}
+    _count_values(types, name, counts)
+    store.register({part: ([], types[part][1]) for part in counts})
+    return store
 
 
 def _count_values(types: Typesdict, name: str, counts: dict[str, int]) -> int:
@@ -255,8 +238,8 @@ def _load_message(channel: Channel) -> Any:
 
 
 _PARSERS: Mapping[str, Callable[[Channel], _Parser]] = {
-    "cdr": _make_ros_parser,
-    "ros1": _make_ros_parser,
+    "cdr": lambda channel: _make_ros_parser(channel.definition, channel.type, "cdr"),
+    "ros1": lambda channel: _make_ros_parser(channel.definition, channel.type, "ros1"),
     "json": _make_json_parser,
     "protobuf": _make_protobuf_parser,
 }

@@ -6,7 +6,7 @@ The way of a message:
 2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
    (`message_types`).
 3. Scans of one laser, and transforms, are laid out alike. So most are not read one by one, but
-   gathered by channel and length (`_stack`) and read many at once (`stacks`).
+   gathered by channel and length (`_stack`) and read many at once.
 """
 
 from collections import Counter
@@ -18,20 +18,11 @@ from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.readers import DEFAULT_OPTIONS, ReaderOptions, Role, Stream
-from occmap.readers.cloud_messages import is_depth, read_camera, tell_clouds
+from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
+from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
-from occmap.readers.message_types import (
-    PACKETS,
-    TYPES,
-    MessageType,
-    Parse,
-    ToCloud,
-    ToDepth,
-    ToScan,
-    find_type,
-)
-from occmap.readers.messages import Stacked, make_reader, read_scan_run, read_transforms
+from occmap.readers.message_types import PACKETS, TYPES, MessageType, find_type
+from occmap.readers.messages import Parse, Stacked, make_reader, read_scan_run, read_transforms
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
@@ -71,18 +62,21 @@ class RosLog:
     def __init__(self, source: Source, options: ReaderOptions = DEFAULT_OPTIONS) -> None:
         self.path = source.path
         self.notes = source.notes
-        self._options = options
         self._source = source
-        self._types = {channel: find_type(channel) for channel in source.channels}
-        for channel, kind in self._types.items():
+        self._types: dict[Channel, MessageType | None] = {}
+        for channel in source.channels:
+            kind, name = find_type(channel), f"{channel.count} messages on {channel.topic}"
             if channel.count and kind is None and channel.kind in TYPES:
-                found = f"{channel.count} messages on {channel.topic} are {channel.type}"
-                self.notes.add_damage(f"{found} in {channel.encoding!r}: they are not used")
+                found = f"{name} are {channel.type} in {channel.encoding!r}"
+                self.notes.add_damage(f"{found}: they are not used")
             if channel.count and (node := PACKETS.get(channel.kind)):
-                found = f"{channel.count} messages on {channel.topic} are packets of a lidar"
+                found = f"{name} are packets of a lidar"
                 self.notes.add(f"{found}: record the clouds that {node} makes of them")
-            if kind and kind.to_depth:
-                self._types[channel] = self._find_camera(channel, kind.to_depth)
+            if kind and kind.convert and kind.needs is Echo:
+                kind = kind._replace(convert=partial(kind.convert, options.echo))
+            if kind and kind.needs is Camera:
+                kind = self._bind_camera(channel, kind)
+            self._types[channel] = kind
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -102,26 +96,31 @@ class RosLog:
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
-        return self._read(self._make_scan_readers(topics))
+        return self._read(self._make_sensor_readers(Role.SCAN, topics))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        return self._read_stacked(self._make_scan_readers(topics), read_scan_run, 1)
+        readers = self._make_sensor_readers(Role.SCAN, topics)
+        return self._read_stacked(readers, read_scan_run, 1)
 
-    def _find_camera(self, channel: Channel, to_depth: ToDepth) -> MessageType | None:
-        """Find how images become clouds; None where they are not depths, or of no known camera."""
-        if not channel.count or not self._take_first(channel, is_depth):
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds of points of these topics, in file order."""
+        clouds = self._read(self._make_sensor_readers(Role.CLOUD, topics))
+        return tell_clouds(clouds, self.path, self.notes)
+
+    def _bind_camera(self, channel: Channel, kind: MessageType) -> MessageType | None:
+        """Let a type know its camera; None where images are not depths, or of no known camera."""
+        if not channel.count or not kind.convert or not self._take_first(channel, is_depth):
             return None
         place = channel.topic.removesuffix("/compressedDepth").rpartition("/")[0]
         name = f"{place}/camera_info"
         infos = (each for each in self._source.channels if each.topic == name)
         cameras = (self._take_first(each, read_camera) for each in infos)
-        camera = next((each for each in cameras if each), None)
-        if camera is None:
-            found = f"{channel.count} depth images on {channel.topic} are not used"
-            self.notes.add(f"{found}: no CameraInfo comes on {name}; record it with them")
-            return None
-        return MessageType(Role.CLOUD, to_cloud=partial(to_depth, camera))
+        if camera := next((each for each in cameras if each), None):
+            return kind._replace(convert=partial(kind.convert, camera))
+        found = f"{channel.count} depth images on {channel.topic} are not used"
+        self.notes.add(f"{found}: no CameraInfo comes on {name}; record it with them")
+        return None
 
     def _take_first(self, channel: Channel, read: Callable[[Any], T]) -> T | None:
         """Read the first message of a channel that can be read."""
@@ -133,40 +132,23 @@ class RosLog:
                     return found[0]
         return None
 
-    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
-        """The clouds of points of these topics, in file order."""
-
-        def make_convert(to_cloud: ToCloud) -> Convert[Cloud]:
-            return lambda *message: [to_cloud(*message)]
-
-        readers = self._make_readers(
-            (channel, make_convert(kind.to_cloud))
-            for channel, kind in self._types.items()
-            if kind and kind.to_cloud and channel.topic in topics
-        )
-        return tell_clouds(self._read(readers), self.path, self.notes)
-
     def _make_pose_readers(self) -> "_Readers[PoseSample]":
+        kinds = self._types.items()
+        return self._make_readers((channel, kind.to_poses) for channel, kind in kinds if kind)
+
+    def _make_sensor_readers(self, role: Role, topics: Collection[str]) -> "_Readers[Any]":
         return self._make_readers(
-            (channel, kind.to_poses)
+            (channel, kind.convert and partial(_list_one, kind.convert))
             for channel, kind in self._types.items()
-            if kind and kind.to_poses
+            if kind and kind.role is role and channel.topic in topics
         )
 
-    def _make_scan_readers(self, topics: Collection[str]) -> "_Readers[Scan]":
-        def make_convert(to_scan: ToScan) -> Convert[Scan]:
-            return lambda *message: [to_scan(self._options, *message)]
-
-        return self._make_readers(
-            (channel, make_convert(kind.to_scan))
-            for channel, kind in self._types.items()
-            if kind and kind.to_scan and channel.topic in topics
-        )
-
-    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T]]]) -> "_Readers[T]":
+    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T] | None]]) -> "_Readers[T]":
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
         for channel, convert in wanted:
+            if convert is None:
+                continue
             try:
                 kind = self._types[channel]
                 readers[channel] = _ChannelReader(channel, convert, kind and kind.parse)
@@ -192,7 +174,7 @@ class RosLog:
         `read_alike` gives what it read, and the messages that it leaves to be read one by one.
         """
         for channel, stack in self._stack(readers, most_kinds):
-            yield from _read_stack(readers[channel], stack, read_alike)
+            yield from readers[channel].read_many(stack, read_alike)
         self._note_damage(readers)
 
     def _stack(
@@ -238,54 +220,45 @@ class RosLog:
 class _ChannelReader(Generic[T]):
     """Reads the messages of a channel by the log's own definition of their type.
 
-    Where that is damaged, the standard definition stands in; the first message that can be read
-    decides between the two.
+    Where that cannot be understood, the standard definition stands in.
     """
 
     def __init__(self, channel: Channel, convert: Convert[T], parse: Parse | None = None) -> None:
         self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
-        self._is_settled = not channel.definition
-        self._make_standard = partial(make_reader, replace(channel, definition=""), convert, parse)
         try:
             self.decode, self.is_plain = make_reader(channel, convert, parse)
         except LogError:
-            if self._is_settled:
+            if not channel.definition:
                 raise
-            self.decode, self.is_plain = self._make_standard()
-            self._is_settled = self.uses_standard = True
+            standard = replace(channel, definition="")
+            self.decode, self.is_plain = make_reader(standard, convert, parse)
+            self.uses_standard = True
 
     def read(self, data: Buffer, record_ns: int) -> Sequence[T]:
         """Read what a message holds. One that is damaged is counted, and gives nothing."""
-        view = memoryview(data)
         with suppress(DamageError):
-            items = self.decode(view, record_ns)
-            self._is_settled = True
-            return items
-        if not self._is_settled:
-            standard, is_plain = self._make_standard()
-            with suppress(DamageError):
-                items = standard(view, record_ns)
-                self.decode, self.is_plain = standard, is_plain
-                self._is_settled = self.uses_standard = True
-                return items
+            return self.decode(memoryview(data), record_ns)
         self.failures += 1
         return ()
+
+    def read_many(
+        self,
+        stack: Sequence[Stacked],
+        read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
+    ) -> Iterator[T | Many]:
+        """Read messages of one length; one by one those that are damaged or not alike."""
+        if self.is_plain:
+            with suppress(DamageError):  # of the first; one by one it is counted
+                together, stack = read_alike(stack, self.encoding, self.decode)
+                yield from together
+        for data, record_ns in stack:
+            yield from self.read(data, record_ns)
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader[T]]
 
 
-def _read_stack(
-    reader: _ChannelReader[T],
-    stack: Sequence[Stacked],
-    read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
-) -> Iterator[T | Many]:
-    """Read messages of one length together; one by one those that are damaged or not alike."""
-    if reader.is_plain:
-        with suppress(DamageError):  # of the first; one by one it is counted
-            together, stack = read_alike(stack, reader.encoding, reader.decode)
-            yield from together
-    for data, record_ns in stack:
-        yield from reader.read(data, record_ns)
+def _list_one(convert: Callable[..., T], message: Any, topic: str, record_ns: int) -> list[T]:
+    return [convert(message, topic, record_ns)]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.readers import ReaderOptions, message_types, open_log, read_recorded
+from occmap.readers import message_types, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud
 from occmap.readers.containers import Channel
 from occmap.readers.fields import get_row
@@ -151,9 +151,9 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     kind: str, read: Callable[[RosLog], Iterator[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def convert(*given: Any) -> Any:
-        return given[-3].anlge_min  # before it the options, behind it topic and record time
+        return given[0].anlge_min
 
-    faulty = message_types.TYPES[kind]._replace(to_scan=convert, to_poses=convert)
+    faulty = message_types.TYPES[kind]._replace(convert=convert, to_poses=convert)
     monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
@@ -161,21 +161,4 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
 
     with pytest.raises(AttributeError, match="anlge_min"):
         list(read(log))
-    assert log.notes == []
-
-
-def test_a_fault_of_a_foxglove_converter_is_no_damage_of_the_log(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def convert(_options: ReaderOptions, message: Any, _topic: str, _record_ns: int) -> Any:
-        return message.anlge_min
-
-    kind = "foxglove.LaserScan"
-    monkeypatch.setitem(
-        message_types.TYPES, kind, message_types.TYPES[kind]._replace(to_scan=convert)
-    )
-    log = open_log(write_json(tmp_path / "log.mcap", SCANS))
-
-    with pytest.raises(AttributeError, match="anlge_min"):
-        list(log.scans({"/scan"}))
     assert log.notes == []

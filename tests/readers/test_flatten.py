@@ -74,7 +74,7 @@ def cloud(store: Typestore, points: list[tuple[float, float, float]], form: str 
 def test_one_echo_of_each_beam(store: Typestore, echo: Echo, expected: list[float]) -> None:
     message = echoes(store, [[1.0, 1.5, 2.0], [3.0], []])
 
-    found = convert_multi_echo(ReaderOptions(echo=echo), message, "/echo", 7)
+    found = convert_multi_echo(echo, message, "/echo", 7)
 
     np.testing.assert_array_equal(found.ranges, np.array(expected, np.float32))
     assert (found.frame, found.stamp_ns, found.range_max, found.record_ns) == (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rosbags.typesys.store import Typestore
 
-from occmap.readers import ReaderOptions, Role
+from occmap.readers import Role
 from occmap.readers.containers import Channel, normalise_type
 from occmap.readers.message_types import TYPES, convert_laser_scan, find_type
 from occmap.readers.ros_log import RosLog
@@ -28,7 +28,7 @@ def store(request: pytest.FixtureRequest) -> Typestore:
 
 
 def test_laser_scan_becomes_a_scan(store: Typestore) -> None:
-    result = convert_laser_scan(ReaderOptions(), scan(store, STAMP, "//robot/laser"), "/scan", 42)
+    result = convert_laser_scan(scan(store, STAMP, "//robot/laser"), "/scan", 42)
 
     np.testing.assert_array_equal(result.ranges, RANGES)
     assert result.ranges.dtype == np.float32
@@ -40,7 +40,7 @@ def test_laser_scan_becomes_a_scan(store: Typestore) -> None:
 def test_ranges_are_a_copy(store: Typestore) -> None:
     message = scan(store, STAMP)
 
-    ranges = convert_laser_scan(ReaderOptions(), message, "/scan", 42).ranges
+    ranges = convert_laser_scan(message, "/scan", 42).ranges
     assert not np.shares_memory(ranges, message.ranges)
 
 
@@ -137,7 +137,7 @@ def test_the_type_decides_the_role(name: str, role: Role) -> None:
 
 
 def test_only_foxglove_states_the_pose_of_a_scan_in_it() -> None:
-    both = {name for name, each in TYPES.items() if each.to_scan and each.to_poses}
+    both = {name for name, each in TYPES.items() if each.role is Role.SCAN and each.to_poses}
     assert both == {"foxglove.LaserScan"}
     assert all(normalise_type(name) == name for name in TYPES)
 

@@ -371,13 +371,10 @@ def test_a_message_that_does_not_decode_is_counted_and_passed_over(tmp_path: Pat
     assert log.notes == [Note(text, damage=True)]
 
 
-@pytest.mark.parametrize("damaged", [b"flaot32 angle_min\n", b"float32 angle_mon\n"])
-def test_where_a_definition_is_damaged_the_standard_one_is_used(
-    tmp_path: Path, damaged: bytes
-) -> None:
+def test_where_a_definition_is_damaged_the_standard_one_is_used(tmp_path: Path) -> None:
     path = write_bag1(tmp_path / "drive.bag", drive(ROS1))
     data = path.read_bytes()
-    path.write_bytes(data.replace(b"float32 angle_min\n", damaged))
+    path.write_bytes(data.replace(b"float32 angle_min\n", b"flaot32 angle_min\n"))
 
     log = open_log(path)
 
