@@ -173,19 +173,15 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
     both: dict[Key, Tile] = {
         key: np.sum([part[key] for part in parts], axis=0, dtype=np.int64) for key in sample
     }
-    sources = [choose_tiles(grid.like(part), model) for part in [*parts, both]]
-    log_odds, cut = weigh(model), to_log_odds(models.find_decision(model).occupied_above)
+    grids = [grid.like(each) for each in (*parts, both)]
     sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
     for key in sample:
+        box = CellBox.at(*key).scale(TILE)
+        *alone, together = (paint_box(each, model, box).occupied for each in grids)
         met = np.all([part[key].any(axis=0) for part in parts], axis=0)
-        *each, together = (source.read(CellBox.at(*key).scale(TILE)) for source in sources)
-        for row, (part, alone) in enumerate(zip(parts, each, strict=True)):
-            where = met & (part[key][0] > 0)
-            hits = part[key][0][where]
-            sums[row, 0] += hits.sum()
-            for column, (first, second) in enumerate((alone, together), start=1):
-                occupied = log_odds(first[where], second[where]) > cut
-                sums[row, column] += hits[occupied].sum()
+        for row, (part, occupied) in enumerate(zip(parts, alone, strict=True)):
+            hits = np.where(met, part[key][0], 0)
+            sums[row] += hits.sum(), hits[occupied].sum(), hits[together].sum()
     if sums[:, 0].min() < FEWEST_HITS * grid.unit:
         return None
     shares = (sums[:, 1:] / sums[:, :1]).mean(axis=0)

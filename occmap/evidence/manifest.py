@@ -49,7 +49,7 @@ def describe_build(
     LogError
         A file cannot be read any more.
     """
-    chosen = {name: value for name, value in write_value(options).items() if name not in UNRECORDED}
+    chosen = write_options(options)
     if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
         del chosen["clouds"]
     poses = options.posing.poses
@@ -63,6 +63,11 @@ def describe_build(
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
     }
+
+
+def write_options(options: Any) -> dict[str, Any]:
+    """Write the options that change what is observed."""
+    return {name: value for name, value in write_value(options).items() if name not in UNRECORDED}
 
 
 def describe_files(path: Path) -> Iterator[dict[str, Any]]:

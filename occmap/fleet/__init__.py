@@ -14,7 +14,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
-from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,15 +56,8 @@ class Work(NamedTuple):
     """One for each log"""
     tally: Tally
     remarks: Remarks
-    blocks: dict[Block, dict[int, list[Piece]]]
-    """Of each block of the map, by the places of logs on the command line"""
-
-    def list_reductions(self) -> list[BlockJob]:
-        """List the blocks that are to be added up, each with all that was observed in it."""
-        return [
-            replace(BlockJob.of(self.setting, block), pieces=tuple(chain(*found.values())))
-            for block, found in sorted(self.blocks.items())
-        ]
+    reductions: list[BlockJob]
+    """One for each block that is to be added up, with all that was observed in it"""
 
 
 @dataclass(frozen=True)
@@ -113,8 +105,7 @@ class Fleet:
             As there, or the workers cannot do it.
         """
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
-            pieces = work.cluster.run("reduce", tasks.reduce_block, work.list_reductions())
-            work.remarks.notes += work.cluster.list_losses()
+            pieces = work.cluster.run("reduce", tasks.reduce_block, work.reductions)
             seen = tasks.add_up(work.setting, pieces)
             settled = work.setting.keep.ground, work.setting.options
             return Observed(*seen, work.tally, work.remarks, *settled)
@@ -128,18 +119,17 @@ class Fleet:
         with self.work(paths, options, Keep(slices=True), progress) as work:
             tally, remarks, options = work.tally, work.remarks, work.setting.options
             refuse_unused(paths, tally)
-            refuse_unseen(paths, tally, work.blocks)
+            refuse_unseen(paths, tally, work.reductions)
             with tally.time("fold"):
                 hashed = work.cluster.run("hash", tasks.hash_log, work.jobs)
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
                 manifest = manifests.plan_manifest(options, [made])
                 store = open_target(work, output, manifest)
-                jobs = [replace(job, store=store) for job in work.list_reductions()]
+                jobs = [replace(job, store=store) for job in work.reductions]
                 records = work.cluster.run("reduce", tasks.store_block, jobs)
             with tally.time("render"):
                 facts = paint_blocks(work, store, records)
-            remarks.notes += work.cluster.list_losses()
             with tally.time("write"):
                 finish_store(store, manifest, records, work.setting.keep.ground)
                 with refuse_unwritable(output):
@@ -180,9 +170,11 @@ class Fleet:
             with tally.time("open"):
                 counts, settled = zip(*cluster.run("open", tasks.survey_log, jobs), strict=True)
             total = sum(counts)
-            found = "some of the logs hold laser scans, others clouds of points"
-            fix = "map one kind at a time: choose with `topics`"
-            require(len({each.update for each in settled}) == 1, found, fix)
+            require(
+                len({each.update for each in settled}) == 1,
+                "some of the logs hold laser scans, others clouds of points",
+                "map one kind at a time: choose with `topics`",
+            )
             setting = replace(setting, options=settled[0], scans=total)
             jobs = [replace(job, setting=setting) for job in jobs]
             if settled[0].update is Update.CLOUD and settled[0].clouds.file is None:
@@ -194,13 +186,17 @@ class Fleet:
             traced = cluster.run(
                 "trace", tasks.trace_log, jobs, lambda one: progress(one.tally.scans_read, total)
             )
-            blocks: dict[Block, dict[int, list[Piece]]] = defaultdict(dict)
-            for place, (path, log) in enumerate(zip(paths, traced, strict=True)):
+            blocks: dict[Block, list[Piece]] = defaultdict(list)
+            for path, log in zip(paths, traced, strict=True):
                 remarks.note(path, log.log_notes, log.notes)
                 tally.add(log.tally)
                 for block, pieces in log.pieces.items():
-                    blocks[block][place] = pieces
-            yield Work(cluster, setting, jobs, tally, remarks, blocks)
+                    blocks[block] += pieces
+            reductions = [
+                replace(BlockJob.of(setting, block), pieces=tuple(pieces))
+                for block, pieces in sorted(blocks.items())
+            ]
+            yield Work(cluster, setting, jobs, tally, remarks, reductions)
 
 
 def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> tuple[Ground, list[str]]:
@@ -230,16 +226,11 @@ def open_scratch(
     """
     poses = options.posing.poses
     inputs = [*paths, Path(poses)] if poses else paths
-    states = [
-        file.stat() for path in inputs if path.exists() for file in manifests.list_files(path)
-    ]
+    files = [file for path in inputs if path.exists() for file in manifests.list_files(path)]
+    states = [file.stat() for file in files]
     what = [
         version("occmap"),
-        {
-            name: value
-            for name, value in manifests.write_value(options).items()
-            if name not in manifests.UNRECORDED
-        },
+        manifests.write_options(options),
         keep[:2],
         keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
         [str(path) for path in inputs],
@@ -267,7 +258,7 @@ def open_target(work: Work, output: Path, manifest: Manifest) -> Path:
         shutil.rmtree(store, ignore_errors=True)
         for done in folder.glob(f"*.{tasks.store_block.__name__}"):
             done.unlink()
-        create_store(store, manifest, work.blocks)
+        create_store(store, manifest, [job.block for job in work.reductions])
         begun.touch()
     return store
 

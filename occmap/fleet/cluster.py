@@ -3,13 +3,13 @@
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.tasks import AnyJob, Job, Result
+from occmap.fleet.tasks import AnyJob, Result
 from occmap.plugins import need_extra
 from occmap.report import count
 
@@ -49,7 +49,6 @@ class Cluster:
         """What the smallest worker may take (bytes); None: no limit"""
         link = client.dashboard_link
         self._crew = f"{count(self.workers, 'worker')}{link and f', {link}'}"
-        self._keys: set[str] = set()
 
     def run(
         self,
@@ -75,11 +74,15 @@ class Cluster:
         from distributed.comm.core import CommClosedError  # noqa: PLC0415  late: an extra
 
         try:
-            if self._client.status == "running":  # else it would wait for ever
-                return self._follow(phase, task, jobs, tell)
-        except (CancelledError, CommClosedError):  # it was lost while a result was fetched
-            pass
-        raise self._explain_loss(phase, task, jobs)
+            if self._client.status != "running":  # it would be waited for for ever
+                raise CancelledError
+            return self._follow(phase, task, jobs, tell)
+        except (CancelledError, CommClosedError):  # maybe it was lost while a result was fetched
+            folder = jobs[0].setting.folder
+            done = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
+            found = f"the scheduler is gone; {done} of {len(jobs)} tasks of {phase!r} are done"
+            fix = f"start it again, and type the same command: it goes on from {folder}"
+            raise FleetError(found, where=self._address, fix=fix) from None
 
     def _follow(
         self,
@@ -89,11 +92,10 @@ class Cluster:
         tell: Callable[[Result], None],
     ) -> list[Result]:
         """Hand out jobs and take their results; raises as `run`, or what closed connections do."""
-        from distributed import as_completed  # noqa: PLC0415  late: an extra
+        from distributed import KilledWorker, as_completed  # noqa: PLC0415  late: an extra
 
         # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
         futures = self._client.map(task, jobs, pure=False, retries=0)
-        self._keys.update(str(future.key) for future in futures)
         places = {future: place for place, future in enumerate(futures)}
         results: dict[int, Result] = {}
         failed: dict[int, BaseException] = {}
@@ -103,47 +105,21 @@ class Cluster:
                 results[place] = future.result()
                 tell(results[place])
             elif future.status == "cancelled" and not failed:
-                raise self._explain_loss(phase, task, jobs)
+                raise CancelledError
             elif future.status == "error":
                 failed[place] = future.exception()
                 # What comes later does not matter any more; what comes earlier may fail, too.
                 self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
             future.release()
             self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
-        for place in sorted(failed):
-            raise self._explain(failed[place], jobs[place])
+        if failed:
+            place, error = min(failed.items(), key=lambda each: each[0])
+            if not isinstance(error, KilledWorker):
+                raise error
+            limit = f", which had {self.memory >> 20} MiB of memory" if self.memory else ""
+            found = f"killed its workers {error.allowed_failures + 1} times{limit}"
+            raise FleetError(found, where=jobs[place].where, fix="give workers more memory")
         return [results[place] for place in range(len(jobs))]
-
-    def _explain(self, error: BaseException, job: Job) -> BaseException:
-        """Say why a job failed, where that is not the error itself: its workers died."""
-        from distributed import KilledWorker  # noqa: PLC0415  late: an extra
-
-        if not isinstance(error, KilledWorker):
-            return error
-        limit = f", which had {self.memory >> 20} MiB of memory" if self.memory else ""
-        found = f"killed its workers {error.allowed_failures + 1} times{limit}"
-        return FleetError(found, where=job.where, fix="give workers more memory")
-
-    def _explain_loss(
-        self, phase: str, task: Callable[[AnyJob], Result], jobs: Sequence[AnyJob]
-    ) -> FleetError:
-        """Say that the scheduler is gone, what is done, and how to go on."""
-        folder = jobs[0].setting.folder
-        done = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
-        found = f"the scheduler is gone; {done} of {len(jobs)} tasks of phase {phase!r} are done"
-        fix = f"start it again, and type the same command: it goes on from {folder}"
-        return FleetError(found, where=self._address, fix=fix)
-
-    def list_losses(self) -> Iterator[str]:
-        """Say how often a worker was lost, and how many tasks ran again for it."""
-        events: list[Any] = []
-        with suppress(OSError):  # the scheduler is gone, and all is done
-            if self._client.status == "running":
-                events += [event for _, event in self._client.get_events("all")]
-        lost = [each for each in events if each["action"] == "remove-worker"]
-        held = ({*each["processing-tasks"], *each["lost-computed-tasks"]} for each in lost)
-        if again := sum(len(tasks & self._keys) for tasks in held):
-            yield f"{count(again, 'task')} ran again, since workers were lost"
 
     def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
         """Ask every worker; an error is an answer."""

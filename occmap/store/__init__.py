@@ -39,9 +39,6 @@ class Blocks:
 class Store(Blocks):
     """A store that is whole, as its attributes and its table say; blocks are checked when read."""
 
-    path: Path
-    offset: tuple[int, int]
-    """Row and column of the lattice that its arrays begin with"""
     root: Any
     """The group of Zarr"""
     digest: str
@@ -96,7 +93,6 @@ def open_store(path: Path) -> Store:
         reach = [CellBox(*edges) for edges in table["reach"].tolist()]
         digests = [digest.tobytes().hex() for digest in table["sha256"]]
         digest_of = dict(zip(blocks, digests, strict=True))
-        row, col = head["offset"]
 
     def read_block(block: Block) -> BlockContent:
         with refuse_damage(path):
@@ -112,8 +108,6 @@ def open_store(path: Path) -> Store:
         blocks=dict(zip(blocks, reach, strict=True)),
         read_block=read_block,
         read_ground=lambda: unpack_ground(below),
-        path=path,
-        offset=(row, col),
         root=root,
         digest=head["digest"],
     )

@@ -22,7 +22,7 @@ from occmap.grid import CellBox
 from occmap.grid.tiles import INT32_LIMIT, TILE, Key, Tile, stack_tiles, take, unite, view_tiles
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8
-from occmap.writers.npz import compute_checksum, pack_slices, refuse_other_version, unpack_slices
+from occmap.writers.npz import compute_checksum, refuse_other_version, unpack_slices
 
 BLOCK = 1024
 """Cells along the side of a block"""
@@ -205,13 +205,6 @@ def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
         raise MapError(found, where=path, fix="build it again")
     if head["checksum"] != compute_checksum(head, {}):
         raise MapError("its attributes were altered", where=path, fix="build it again")
-
-
-def pack_layers(content: BlockContent) -> tuple[UInt8, list[dict[str, Any]]]:
-    """Lay the slices of a block end to end as bytes, and say how to take them apart."""
-    builds = list_builds(content)
-    packed = pack_slices([content.slices[build] for build in builds])
-    return pack_arrays({"builds": np.array(builds, "<i8"), **packed})
 
 
 def unpack_layers(

@@ -16,7 +16,7 @@ from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, open_saved
 from occmap.store.layout import Block, BlockContent, join_contents
-from occmap.types import Bool, Int64
+from occmap.types import Int64
 
 UNEVEN_MM = 50
 """Columns whose ground differs by more were not traced alike."""
@@ -191,19 +191,16 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         Saying in how many cells too much was taken away.
     """
     _, cells = stack_tiles(grid.tiles)
-    if wrong := np.count_nonzero(find_unseen(cells, grid.kind)):
+    first, second = cells[:, 0], cells[:, 1]
+    lacking = second < 0
+    if grid.kind is EvidenceKind.COUNTS:
+        lacking |= first < 0
+    else:  # log-odds may be negative, but not without an observation
+        lacking |= (second == 0) & (first != 0)
+    if wrong := np.count_nonzero(lacking):
         minuend = evidence.where or "the sum"
         found = f"holds observations of {wrong} cells that {minuend} lacks"
         raise MapError(found, where=other.where, fix="subtract only what was merged before")
-
-
-def find_unseen(cells: Int64, kind: EvidenceKind) -> Bool:
-    """(T, 64, 64): where two numbers (T, 2, 64, 64) are such as no observation makes."""
-    first, second = cells[:, 0], cells[:, 1]
-    if kind is EvidenceKind.COUNTS:
-        return np.asarray((first | second) < 0)
-    # Log-odds may be negative, but not without an observation.
-    return np.asarray((second < 0) | ((second == 0) & (first != 0)))
 
 
 def refuse_different(manifest: Manifest, other: Described) -> None:

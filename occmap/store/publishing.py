@@ -351,24 +351,24 @@ def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyM
     if options.model or options.min_passes:
         found = "the pictures in a store show what its own model decided of all that was observed"
         raise UsageError(found, fix="leave out `overview`, or the model and `min_passes`")
-    with refuse_damage(store.path):
+    with refuse_damage(Path(store.where)):
         arrays = {int(name): array for name, array in store.root["classes"].arrays()}
     if side not in arrays:
         found = f"`overview={side}`: there is no picture of squares of {side} x {side} cells"
         fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
-        raise UsageError(found, where=store.path, fix=fix)
+        raise UsageError(found, where=store.where, fix=fix)
     if not store.blocks:
         evidence.refuse_nothing_left(None)
     fine = Lattice(store.manifest.resolution)
     coarse = Lattice(round(fine.resolution * side, 12))
     observed = reduce(CellBox.join, store.blocks.values())
-    row, col = store.offset
+    row, col = store.root.attrs["occmap"]["offset"]
     box = choose_box(observed, options.framing, fine).move(-row, -col).align(side).shrink(side)
     refuse_large(box, coarse, options.max_cells)
     whole = CellBox(0, 0, *arrays[side].shape)
     there = whole.clip(box)
     classes = np.full(box.shape, CellClass.NEITHER, np.uint8)
-    with refuse_damage(store.path):
+    with refuse_damage(Path(store.where)):
         classes[there.within(box)] = arrays[side][there.within(whole)]
     origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
     is_known = classes != CellClass.NEITHER

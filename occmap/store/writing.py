@@ -18,7 +18,7 @@ from occmap.store.layout import BLOCK, Block, BlockContent, BlockRecord, gather_
 from occmap.types import Int64
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
-from occmap.writers.npz import compute_checksum, pack_ground
+from occmap.writers.npz import compute_checksum, pack_ground, pack_slices
 
 CHUNK = 256
 """Cells along the side of what is read at once; with 64, reading takes seven times as long"""
@@ -125,7 +125,9 @@ def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    data, arrays = layout.pack_layers(content)
+    builds = layout.list_builds(content)
+    packed = pack_slices([content.slices[build] for build in builds])
+    data, arrays = layout.pack_arrays({"builds": np.array(builds, "<i8"), **packed})
     with edit_store(path) as root:
         head = root.attrs["occmap"]
         place = layout.find_place(block, head["offset"])
@@ -151,24 +153,19 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
     """
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        grid = read_around(root, head, block.box)
+        row, col = head["offset"]
+        numbers = [root[name] for name in layout.LAYERS[head["kind"]]]
+        rows, cols = numbers[0].shape
+        whole = CellBox(row, col, row + rows, col + cols)
+        near = whole.clip(block.box.grow(TILE))
+        cells: Int64 = np.stack([array[near.within(whole)] for array in numbers])
+        tiles = gather_tiles(cells, near.row // TILE, near.col // TILE)
+        grid = to_grid(Evidence(Manifest.from_json(head), *tiles))
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
             place = layout.find_place(block, head["offset"], side)
             root["classes"][str(side)][place] = keep_largest(made.classes, side)
     return grid, made
-
-
-def read_around(root: Any, head: dict[str, Any], box: CellBox) -> TileGrid:
-    """Read the tiles of a box, which begins and ends with tiles, and those beside it."""
-    row, col = head["offset"]
-    first, second = (root[name] for name in layout.LAYERS[head["kind"]])
-    whole = CellBox(row, col, row + first.shape[0], col + first.shape[1])
-    part = whole.clip(box.grow(TILE))
-    place = part.within(whole)
-    cells: Int64 = np.stack([first[place], second[place]])
-    tiles = gather_tiles(cells, part.row // TILE, part.col // TILE)
-    return to_grid(Evidence(Manifest.from_json(head), *tiles))
 
 
 def finish_store(

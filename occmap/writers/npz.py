@@ -218,11 +218,8 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     cells = np.zeros((len(arrays["tiles"]), 2, SIDE, SIDE), f"<i{width}")
     cells[:, 0][seen] = arrays["first"]
     cells[:, 1][seen] = arrays["second"]
+    slices, ground = unpack_slices(arrays), unpack_ground(arrays)
     manifest = Manifest.from_json(head)
-    slices = unpack_slices(arrays)
-    if len(slices) != len(manifest.builds):
-        raise ValueError("layers")
-    ground = unpack_ground(arrays)
     return Evidence(manifest, arrays["tiles"], cells, slices, str(path), ground=ground)
 
 
@@ -236,13 +233,11 @@ def pack_ground(ground: Ground | None) -> Arrays:
 
 
 def unpack_ground(arrays: Arrays) -> Ground | None:
-    """Read the ground, where there is one; raises ValueError where its arrays do not fit."""
+    """Read the ground, where there is one."""
     if GROUND[0] not in arrays:
         return None
     blocks, height, bits = (arrays[name] for name in GROUND)
     measured = np.unpackbits(bits, axis=1).astype(np.bool_)
-    if blocks.shape != (len(height), 2) or height.shape != measured.shape:
-        raise ValueError("ground")
     return Ground(blocks.astype(np.int64), height.astype(np.int32), measured)
 
 
@@ -271,22 +266,10 @@ def unpack_slices(arrays: Arrays) -> tuple[Slices, ...]:
         The arrays do not fit each other.
     """
     tiles, parts, changes = np.cumsum(arrays["layers"], axis=0).T  # where each layer ends
-    keys, bits = ([arrays[name] for name in names] for names in (SLICES[:2], SLICES[2:]))
-    whole = (*(each.astype(np.int64) for each in keys), *bits)
-    columns = map(np.split, whole, (tiles, tiles, tiles, parts, changes))
-    *layers, rest = (Slices(*layer) for layer in zip(*columns, strict=True))
-    if not all(map(is_whole, (*layers, rest))) or len(rest.tiles):
-        raise ValueError("layers")
-    return tuple(layers)
-
-
-def is_whole(slices: Slices) -> bool:
-    """Whether there are as many numbers, parts and changes as tiles, rows and parts ask for."""
-    size, bits = len(slices.tiles), (slices.rows, slices.parts, slices.changes)
-    return (
-        {each.dtype for each in bits} == {np.dtype(np.uint8)}
-        and slices.numbers.shape == (size,)
-        and slices.rows.shape == (size, 16)
-        and slices.parts.shape == (np.bitwise_count(slices.rows).sum(dtype=np.int64),)
-        and slices.changes.shape == (np.bitwise_count(slices.parts).sum(dtype=np.int64),)
-    )
+    ends = tiles, tiles, tiles, parts, changes
+    columns = [np.split(arrays[name], end) for name, end in zip(SLICES, ends, strict=True)]
+    layers = [
+        Slices(of_tiles.astype(np.int64), numbers.astype(np.int64), *bits)
+        for of_tiles, numbers, *bits in zip(*columns, strict=True)
+    ]
+    return tuple(layers[:-1])  # what is behind the last layer is empty

@@ -47,8 +47,23 @@ def hold_equal(expected: Made, options: BuildOptions, fleet: Fleet, folder: Path
     assert not fleet.scratch.exists()
 
 
+PLAIN = BuildOptions(jobs=1)
+
+
 @pytest.mark.parametrize(
-    "options", [BuildOptions(jobs=1), BuildOptions(jobs=1, posing=PosingOptions(align=None))]
+    "options",
+    [
+        PLAIN,
+        replace(PLAIN, posing=PosingOptions(align=None)),
+        *(
+            replace(PLAIN, selection=selection, min_passes=2, pass_gap_s=1.0)
+            for selection in (
+                Selection(stride=7),
+                Selection(start_s=3.3, end_s=21.7),
+                Selection(start_s=5.0, stride=4),
+            )
+        ),
+    ],
 )
 def test_the_files_and_the_report_are_those_of_one_process(
     address: str, alone: Callable[[BuildOptions], Made], tmp_path: Path, options: BuildOptions
@@ -59,19 +74,7 @@ def test_the_files_and_the_report_are_those_of_one_process(
 def test_a_worker_of_its_own_makes_the_same(
     alone: Callable[[BuildOptions], Made], tmp_path: Path
 ) -> None:
-    options = BuildOptions(jobs=1)
-    hold_equal(alone(options), options, Fleet("local", tmp_path / "scratch"), tmp_path)
-
-
-@pytest.mark.parametrize(
-    "selection",
-    [Selection(stride=7), Selection(start_s=3.3, end_s=21.7), Selection(start_s=5.0, stride=4)],
-)
-def test_a_part_of_the_scans_is_the_same_part(
-    address: str, alone: Callable[[BuildOptions], Made], tmp_path: Path, selection: Selection
-) -> None:
-    options = BuildOptions(jobs=1, selection=selection, min_passes=2, pass_gap_s=1.0)
-    hold_equal(alone(options), options, Fleet(address, tmp_path / "scratch"), tmp_path)
+    hold_equal(alone(PLAIN), PLAIN, Fleet("local", tmp_path / "scratch"), tmp_path)
 
 
 def test_clouds_of_several_logs_are_traced_over_one_ground(address: str, tmp_path: Path) -> None:

@@ -179,7 +179,6 @@ def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path
         time.sleep(1)  # by then, the client knows
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
             found.run("trace", die, [job])
-        assert list(found.list_losses()) == []
 
 
 @pytest.mark.parametrize("error", [CommClosedError, CancelledError])

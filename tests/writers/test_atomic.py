@@ -18,13 +18,6 @@ def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
     assert (tmp_path / "map.pgm").read_bytes() == b"new"
 
 
-def test_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
-    with open_atomic(tmp_path / "a") as (file,):
-        file.write(b"")
-    (tmp_path / "b").write_bytes(b"")
-    assert (tmp_path / "a").stat().st_mode == (tmp_path / "b").stat().st_mode
-
-
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError])
 def test_an_interrupted_write_keeps_the_old_file(
     tmp_path: Path, failure: type[BaseException]
@@ -51,28 +44,27 @@ def test_a_full_disk_is_one_sentence(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_check_passes_for_a_new_and_an_existing_file(tmp_path: Path) -> None:
-    check_target(tmp_path / "new.pgm")
-    (tmp_path / "old.pgm").write_bytes(b"")
-    check_target(tmp_path / "old.pgm")
-
-
-def test_missing_folder(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"does not exist; create it: mkdir -p .*nowhere"):
-        check_target(tmp_path / "nowhere" / "map.pgm")
-    with pytest.raises(OutputError), open_atomic(tmp_path / "nowhere" / "map.pgm"):
-        pytest.fail("the block must not run")
-
-
-def test_folder_that_is_a_file(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("nowhere/map.pgm", r"does not exist; create it: mkdir -p .*nowhere"),
+        ("file/map.pgm", "is a file, not a folder"),
+        (".", "is a folder, not a file"),
+        ("new.pgm", None),
+        ("file", None),
+    ],
+)
+def test_what_cannot_be_a_file_is_refused_before_the_work(
+    tmp_path: Path, name: str, found: str | None
+) -> None:
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(OutputError, match="is a file, not a folder"):
-        check_target(tmp_path / "file" / "map.pgm")
-
-
-def test_target_that_is_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="is a folder, not a file"):
-        check_target(tmp_path)
+    if found is None:
+        check_target(tmp_path / name)
+        return
+    with pytest.raises(OutputError, match=found):
+        check_target(tmp_path / name)
+    with pytest.raises(OutputError), open_atomic(tmp_path / name):
+        pytest.fail("the block must not run")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write into any folder")

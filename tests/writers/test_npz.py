@@ -19,9 +19,7 @@ from occmap.writers.npz import (
     NpzWriter,
     add_array,
     narrow,
-    pack_slices,
     read_evidence,
-    unpack_slices,
 )
 
 SELECTION = {"topics": [], "start_s": "-inf", "end_s": 2.5, "stride": 1}
@@ -92,35 +90,6 @@ def test_slices_of_any_number_of_builds(tmp_path: Path) -> None:
     nothing = replace(SMALL, manifest=replace(MANIFEST, builds=()), slices=())
     nothing = replace(nothing, tiles=nothing.tiles[:0], cells=nothing.cells[:0])
     assert read_evidence(write(tmp_path / "m.npz", nothing)).slices == ()
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"slices": ()},
-        {"slices": (NO_SLICES,) * 3},
-        *(
-            {
-                "slices": (
-                    replace(SMALL.slices[0], **{name: getattr(SMALL.slices[0], name)[cut]}),
-                    NO_SLICES,
-                )
-            }
-            for name in Slices.__dataclass_fields__
-            for cut in (slice(1, None), [0, *range(len(getattr(SMALL.slices[0], name)))])
-        ),
-        {"slices": (replace(NO_SLICES, parts=np.zeros(1, np.uint8)), SMALL.slices[0])},
-    ],
-)
-def test_slices_that_do_not_fit_are_refused(tmp_path: Path, change: dict[str, Any]) -> None:
-    path = write(tmp_path / "m.npz", replace(SMALL, **change))
-    assert "it is cut or altered; build it again" in damage(path, path.read_bytes())
-
-
-def test_slices_behind_those_of_all_builds_are_refused() -> None:
-    arrays = pack_slices(SMALL.slices[:1])
-    with pytest.raises(ValueError, match="layers"):
-        unpack_slices({**arrays, "layers": np.zeros((1, 3), np.int64)})
 
 
 def test_numpy_alone_reads_it(tmp_path: Path) -> None:

@@ -68,19 +68,25 @@ def test_golden_yaml(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["12.pgm", "a: b.pgm", "grüße.PGM", "v1.2.pgm", "x " * 60 + ".pgm"]
+    ("name", "is_plain"),
+    [
+        *(
+            ("12.pgm", False),
+            ("a: b.pgm", False),
+            ("grüße.PGM", False),
+            ("x " * 60 + ".pgm", False),
+        ),
+        *(("map-0.05.pgm", True), ("v1.2.pgm", True), ("no.pgm", True)),
+    ],
 )
-def test_yaml_names_the_image_whatever_it_is_called(tmp_path: Path, name: str) -> None:
+def test_yaml_names_the_image_whatever_it_is_called(
+    tmp_path: Path, name: str, is_plain: bool
+) -> None:
+    """Names with dots and words alone need no quotes."""
     image, yaml = PgmWriter().write(tmp_path / name, map_of([[0.5]]), TRINARY)
-    assert YAML(typ="safe").load(yaml)["image"] == name
-    assert image.name == name
+    assert YAML(typ="safe").load(yaml)["image"] == image.name == name
     assert yaml.stem == image.stem
-
-
-@pytest.mark.parametrize("name", ["map-0.05.pgm", "v1.2.pgm", "no.pgm"])
-def test_a_name_with_dots_has_no_quotes(tmp_path: Path, name: str) -> None:
-    _, yaml = PgmWriter().write(tmp_path / name, map_of([[0.5]]), TRINARY)
-    assert yaml.read_text().splitlines()[0] == f"image: {name}"
+    assert (yaml.read_text().splitlines()[0] == f"image: {name}") == is_plain
 
 
 def test_numbers_are_python_floats_in_full() -> None:
@@ -195,38 +201,38 @@ def test_scale_classes_survive_both_loaders(
     assert np.abs(occupancy - grid.probability).max() < (0.5 + 1) / 255 + 0.005 + 0.005
 
 
-def test_scale_has_nav2s_greys(tmp_path: Path) -> None:
-    # nav2: grey = (100 - per cent) / 100 of 255 = 229.5, 206.55, 127.5, 25.5, rounded by its image
-    # library, halves down; unknown is half, for PGM has no transparency.
-    yaml = write(tmp_path, map_of([[0.1, 0.19, 0.5, 0.9, np.nan]]), WriteOptions(MapMode.SCALE))
-    pixels = read_pgm(yaml.with_suffix(".pgm"))[0].tolist()
-    assert pixels == [229, 207, 127, 25, 127]
-    assert load_nav2(yaml)[0].tolist() == [0, 0, 67, 100, 67]
-
-
-def test_scale_goes_as_near_to_a_threshold_as_greys_allow(tmp_path: Path) -> None:
-    # By 0.65 and 0.196 occupied is below 255 * 0.35 = 89.25 and free above 255 * 0.804 = 205.02;
-    # nav2 takes half a per cent of the span between, 0.58, to either side. Rounded to per cents,
-    # 0.646 and 0.1955 are 65 and 20, whose greys 89 and 204 are of the next class.
-    grid = map_of([[0.6505, 0.646, 0.197, 0.1955]])
-    yaml = write(tmp_path, grid, WriteOptions(MapMode.SCALE))
-    assert read_pgm(yaml.with_suffix(".pgm")).tolist() == [[89, 90, 204, 206]]
-
-
-def test_scale_with_thresholds_at_the_ends(tmp_path: Path) -> None:
-    options = WriteOptions(MapMode.SCALE, 1 - 1e-9, 1e-9)
-    yaml = write(tmp_path, map_of([[0.002, 0.5, 0.998]]), options)
-    assert read_pgm(yaml.with_suffix(".pgm")).tolist() == [[253, 127, 2]]
-    assert load_nav2(yaml).tolist() == [[1, 50, 99]]  # 254 and 1 would load as 0 and 100
-
-
-def test_scale_leaves_out_the_greys_that_only_single_precision_decides(tmp_path: Path) -> None:
-    # By 0.8 and 4/255 the span is from grey 51 to grey 251, and half a per cent of it is 1 grey. So
-    # 52 and 250 lie where nav2 rounds 99.5 and 0.5 per cent, whichever way that goes.
-    grid = map_of([[0.799, 0.0167]])
-    yaml = write(tmp_path, grid, WriteOptions(MapMode.SCALE, 0.8, 4 / 255))
-    assert read_pgm(yaml.with_suffix(".pgm")).tolist() == [[53, 249]]
-    assert load_nav2(yaml).tolist() == [[99, 1]]
+@pytest.mark.parametrize(
+    ("probabilities", "thresholds", "greys", "loaded"),
+    [
+        # nav2: grey = (100 - per cent) / 100 of 255 = 229.5, 206.55, 127.5, 25.5, rounded by its
+        # image library, halves down; unknown is half, for PGM has no transparency.
+        (
+            [0.1, 0.19, 0.5, 0.9, np.nan],
+            (0.65, 0.196),
+            [229, 207, 127, 25, 127],
+            [0, 0, 67, 100, 67],
+        ),
+        # By 0.65 and 0.196 occupied is below 255 * 0.35 = 89.25 and free above 255 * 0.804 =
+        # 205.02; nav2 takes half a per cent of the span between, 0.58, to either side. Rounded to
+        # per cents, 0.646 and 0.1955 are 65 and 20, whose greys 89 and 204 are of the next class.
+        ([0.6505, 0.646, 0.197, 0.1955], (0.65, 0.196), [89, 90, 204, 206], [100, 99, 1, 0]),
+        # At the ends, 254 and 1 would load as 0 and 100.
+        ([0.002, 0.5, 0.998], (1 - 1e-9, 1e-9), [253, 127, 2], [1, 50, 99]),
+        # By 0.8 and 4/255 the span is from grey 51 to grey 251, and half a per cent of it is 1
+        # grey. So 52 and 250 lie where nav2 rounds 99.5 and 0.5 per cent, whichever way that goes.
+        ([0.799, 0.0167], (0.8, 4 / 255), [53, 249], [99, 1]),
+    ],
+)
+def test_scale_has_nav2s_greys_but_never_those_of_another_class(
+    tmp_path: Path,
+    probabilities: list[float],
+    thresholds: tuple[float, float],
+    greys: list[int],
+    loaded: list[int],
+) -> None:
+    yaml = write(tmp_path, map_of([probabilities]), WriteOptions(MapMode.SCALE, *thresholds))
+    assert read_pgm(yaml.with_suffix(".pgm"))[0].tolist() == greys
+    assert load_nav2(yaml)[0].tolist() == loaded
 
 
 @pytest.mark.parametrize("free", [0.55, 0.05])
