@@ -220,15 +220,6 @@ def compose_build(
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
 
 
-def chain_builds(lines: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
-    """Let each of several `occmap build` lines add to what the lines before it observed."""
-    saved = Path(lines[0][-1]).with_suffix(".npz").name
-    kept: tuple[str, ...] = ()
-    for line in lines:
-        yield (*line[:-2], *kept, "-o", saved, *line[-2:])
-        kept = (spell_flag("resume"), saved)
-
-
 def name_map(path: str) -> str:
     """Name a map after its log: the base name without what it is packed and written in."""
     stem = Path(Path(path).resolve().name.removesuffix(".gz")).stem
