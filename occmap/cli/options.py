@@ -27,11 +27,11 @@ from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
 from occmap.options import (
+    FLAGS,
     OPTIONS,
     BuildOptions,
     Selection,
     name_map,
-    spell_flag,
 )
 from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
@@ -153,7 +153,7 @@ WRITING = [
     *THRESHOLDS,
     Option(
         FILES,
-        spell_flag("shade"),
+        FLAGS["shade"],
         "shade",
         is_flag=True,
         callback=lambda _ctx, _param, is_light: Shade("light" if is_light else "dark"),
@@ -166,7 +166,7 @@ JOBS = field(RUN, "jobs", show_default="one for each core")
 def list_model(usual: str) -> list[Option]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
     parameters = [
-        Option(MODEL, spell_flag(name), type=float, metavar=metavar, help=text)
+        Option(MODEL, FLAGS[name], type=float, metavar=metavar, help=text)
         for name, (metavar, text) in PARAMETERS.items()
     ]
     return [field(MODEL, "model", type=None, show_default=usual), *parameters]
@@ -191,8 +191,8 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     known = [each.name for each in list_fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
     for key in given:
         if key not in known:
-            found = f"{spell_flag(key)} does not go with the model {name}"
-            flags = ", ".join(spell_flag(key) for key in PARAMETERS if key in known)
+            found = f"{FLAGS[key]} does not go with the model {name}"
+            flags = ", ".join(FLAGS[key] for key in PARAMETERS if key in known)
             raise UsageError(found, fix=f"it has {flags}; see `occmap models` for --model")
     pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
     return parse_model(f"{name}:{','.join(filter(None, pairs))}")

@@ -16,31 +16,17 @@ from pathlib import Path
 from occmap.errors import LogError, MapError, OccmapError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
-from occmap.inspection.findings import (
-    Inspection,
-    LogFindings,
-    MapFindings,
-    MountFindings,
-    ScanFindings,
-)
-from occmap.inspection.poses import (
-    Posing,
-    list_coverage,
-    list_floor_concerns,
-    prepare,
-    suggest_stamps,
-    sum_up_poses,
-    tell_slope,
-)
+from occmap.inspection import poses
+from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
-from occmap.options import BuildOptions, compose_build, spell_flag
+from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import choose_topics
-from occmap.scans.mounts import estimate_agreement, find_better, warn_of_misfit
+from occmap.scans.mounts import estimate_agreement, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tracing import find_ground
 from occmap.sensor import RangeLimits
@@ -77,7 +63,7 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     )
 
     command, differing = ((), ()) if too_large else recommend(logs, options)
-    if unseen and spell_flag("no_return") not in command:
+    if unseen and FLAGS["no_return"] not in command:
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
@@ -261,13 +247,13 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     try:
         log = open_log(path, options.reading)
         known = replace(known, streams=tuple(log.streams), notes=tuple(log.notes))
-        posing = prepare(log, choose_topics(log, options.selection.topics), options)
+        posing = poses.prepare(log, choose_topics(log, options.selection.topics), options)
     except OccmapError as error:
         return replace(known, problem=str(error.placed(path)))
     return inspect_log(log, posing, options)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
+def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
     poser = survey.drive.poser
@@ -285,10 +271,10 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         below, posed = None, replace(options, posing=poser.options)
         try:
             below, ground = find_ground([log], posed, None)
-            ground += tell_slope(below)
+            ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
-        against = list(list_floor_concerns(log, poser, posed, below))
+        against = list(poses.list_floor_concerns(log, poser, posed, below))
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits = survey.drive.limits.list_notes()
@@ -296,7 +282,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         str(log.path),
         streams=tuple(log.streams),
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
-        coverage=tuple(list_coverage(poser.sources)),
+        coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes()),
         box=survey.extent.box,
         longest=survey.extent.longest,
@@ -331,16 +317,12 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
 
 
 def sum_up(
-    log: Log, stream: Stream, topic: TopicSurvey, posing: Posing, options: BuildOptions
+    log: Log, stream: Stream, topic: TopicSurvey, posing: poses.Posing, options: BuildOptions
 ) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    mount, stance = None, posing.poser.courses[topic.topic].stance
-    if stance is not None:  # of no scan where none has a pose
-        better = find_better(posing.poser, topic.sample.parts, options.returns)
-        mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(
         topic=topic.topic,
         type=stream.type,
@@ -351,8 +333,8 @@ def sum_up(
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
-        times=topic.stamps.sum_up(suggest_stamps(log, posing, topic), moving_ns),
-        poses=sum_up_poses(topic, posing),
-        mount=mount,
+        times=topic.stamps.sum_up(poses.suggest_stamps(log, posing, topic), moving_ns),
+        poses=poses.sum_up_poses(topic, posing),
+        mount=poses.describe_mount(topic, posing, options),
         agreement=estimate_agreement(topic.sample.parts, options),
     )
