@@ -59,10 +59,7 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
             "--scan-topic /a --scan-topic /b --start 1 --end 2.5 --stride 3",
             {"selection": Selection(("/a", "/b"), 1.0, 2.5, 3)},
         ),
-        (
-            "--mode raw --light-occupied",
-            {"writing": WriteOptions(MapMode.RAW, shade=Shade.LIGHT_OCCUPIED)},
-        ),
+        ("--light-occupied", {"writing": WriteOptions(shade=Shade.LIGHT_OCCUPIED)}),
         ("--model simple:p_hit=0.8", {"model": SimpleModel(p_hit=0.8)}),
         ("--model simple --p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
         ("--prior 0.4", {"model": CountingModel(0.4)}),
