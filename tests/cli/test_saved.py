@@ -155,11 +155,11 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
             1,
             "no cell of the map lies in",
         ),
-        (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "--epsilon does not go with"),
+        (["render", "a.npz", "-o", "m.pgm", "--epsilon", "1"], 2, "has no parameter 'epsilon'"),
         (
             ["render", "a.npz", "-o", "m.pgm", "--model", "counting", "--p-hit", "0.8"],
             2,
-            "model counting; it has --prior, --cut, --spread, --clamp-min, --clamp-max; see",
+            "the model counting has no parameter 'p_hit'; it has prior, strength",
         ),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 1, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 1, "no other can read it"),
