@@ -13,7 +13,7 @@ from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_exhaustion
 from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
-from occmap.options import BuildOptions
+from occmap.options import OF_ONE_MAP, BuildOptions
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.report.results import Build, Report
@@ -123,11 +123,6 @@ class Map(OccupancyMap):
 
 
 AnyPath = str | Path
-OF_ONE_MAP = (
-    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there", "fit"),
-    *("extent", "margin", "align"),
-)
-"""Options of a single map: what inspects logs, or makes several maps of them, does not take them"""
 
 
 @refuse_exhaustion()
@@ -335,7 +330,7 @@ def read_request(
         No log is given, or an option is unknown, out of its range, or concerns one map alone.
     """
     for name in options:
-        if name in OF_ONE_MAP or name in WriteOptions.__dataclass_fields__:
+        if name in {*OF_ONE_MAP, "extent", "margin", "align"}:
             raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
     paths = list_logs(logs, call)
     common = read_options(BuildOptions, options, call)

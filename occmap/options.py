@@ -161,21 +161,17 @@ OTHER_FLAGS = {
     "outputs": "-o",
 }
 """How what is no option of a build is typed, where texts name it"""
+FLAGS = {name: option.flag for name, option in OPTIONS.items()} | OTHER_FLAGS
+"""How all of them are typed: `max_pose_gap_s` as --max-pose-gap"""
 
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 """An option in a text, as libraries write it: `max_range`, `max_range=6`, `transform=(1,2,0)`"""
 
-NOT_WRITTEN = (
-    *("jobs", "update", "model", "min_passes", "pass_gap_s"),
-    *("resume", "resume_if_there", "fit"),
+OF_ONE_MAP = (
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there", "fit"),
     *list_options(WriteOptions),
 )
-"""Options that do not change how logs are read, or that a caller names itself"""
-
-
-def spell_flag(name: str) -> str:
-    """Spell an option as it is typed: `max_pose_gap_s` as --max-pose-gap."""
-    return OTHER_FLAGS.get(name) or OPTIONS[name].flag
+"""Options of a single map, which do not change how logs are read"""
 
 
 def spell_flags(text: str) -> str:
@@ -183,11 +179,11 @@ def spell_flags(text: str) -> str:
 
     def spell(mark: re.Match[str]) -> str:
         name, value = mark.groups()
-        if name not in OPTIONS and name not in OTHER_FLAGS:
+        if name not in FLAGS:
             return mark[0]
         if value is not None and value.startswith("("):  # a tuple, as Python has it
             value = value.strip("()")
-        return spell_flag(name) if value is None else f"{spell_flag(name)} {value}"
+        return FLAGS[name] if value is None else f"{FLAGS[name]} {value}"
 
     return MARK.sub(spell, text)
 
@@ -207,7 +203,7 @@ def compose_build(
     given = {
         name: [OPTIONS[name].none[0]] if value is None else write_values(value)
         for name, value in list_values(options).items()
-        if value != OPTIONS[name].default and name not in NOT_WRITTEN
+        if value != OPTIONS[name].default and name not in {*OF_ONE_MAP, "jobs"}
     }
     for name, text in changes.items():
         kept = []
@@ -215,18 +211,9 @@ def compose_build(
             child = text.split(",")[1]
             kept = [each for each in given.get(name, []) if each.split(",")[1] != child]
         given[name] = [*kept, text]
-    words = [w for name, texts in given.items() for text in texts for w in (spell_flag(name), text)]
+    words = [w for name, texts in given.items() for text in texts for w in (FLAGS[name], text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
-
-
-def chain_builds(lines: Sequence[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
-    """Let each of several `occmap build` lines add to what the lines before it observed."""
-    saved = Path(lines[0][-1]).with_suffix(".npz").name
-    kept: tuple[str, ...] = ()
-    for line in lines:
-        yield (*line[:-2], *kept, "-o", saved, *line[-2:])
-        kept = (spell_flag("resume"), saved)
 
 
 def name_map(path: str) -> str:

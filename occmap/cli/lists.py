@@ -2,10 +2,11 @@
 
 import inspect
 import json
-import re
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from enum import Enum
+from enum import EnumType
+from functools import reduce
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -153,61 +154,45 @@ def make_schema(name: str, *kinds: Any) -> Schema:
         Dataclasses, NamedTuples or TypedDicts, whose fields follow each other; the first says what
         the result is.
     """
-    defs: dict[str, Schema] = {}
-    whole, *others = (describe_fields(kind, defs) for kind in kinds)
     version = {
         "description": "What this is, and the version of its schema",
         "const": f"occmap/{name}/{RESULT_VERSION}",
     }
-    properties = {"schema": version, **whole["properties"]}
-    for other in others:
-        properties |= other["properties"]
-    whole |= {"properties": properties, "required": list(properties)}
+    wholes = [describe_fields(kind) for kind in kinds]
+    properties = reduce(operator.or_, (each["properties"] for each in wholes), {"schema": version})
     draft = "https://json-schema.org/draft/2020-12/schema"
-    schema = {"$schema": draft, "title": f"occmap {name} --json", **whole}
-    return schema | ({"$defs": defs} if defs else {})
+    schema = {"$schema": draft, "title": f"occmap {name} --json", **wholes[0]}
+    return schema | {"properties": properties, "required": list(properties)}
 
 
-def make_part(hint: Any, defs: dict[str, Schema]) -> Schema:
-    """Make the schema of a type; what has fields goes to `defs`, and is referred to."""
+def make_part(hint: Any) -> Schema:
+    """Make the schema of a type."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return make_part(parts[0], defs) | dict(parts[1:])
-    if origin is Literal:
-        return {"enum": list(parts)}
+        return make_part(parts[0]) | dict(parts[1:])
+    if origin is Literal or isinstance(hint, EnumType):
+        return {"enum": list(parts) or [member.name.lower() for member in hint]}
     if origin in (UnionType, Union):
-        return {"anyOf": [make_part(part, defs) for part in parts]}
+        return {"anyOf": [make_part(part) for part in parts]}
     if origin is dict:
-        return {"type": "object", "additionalProperties": make_part(parts[1], defs)}
+        return {"type": "object", "additionalProperties": make_part(parts[1])}
     if origin in (list, tuple):
-        items = {"type": "array", "items": make_part(parts[0], defs)}
+        items = {"type": "array", "items": make_part(parts[0])}
         is_sized = len(parts) > 1 and parts[1] is not Ellipsis  # so many items of one type
         return items | ({"minItems": len(parts), "maxItems": len(parts)} if is_sized else {})
-    return PLAIN[hint] if hint in PLAIN else refer_to(hint, defs)
+    return PLAIN[hint] if hint in PLAIN else describe_fields(hint)
 
 
-def refer_to(hint: Any, defs: dict[str, Schema]) -> Schema:
-    """Make the schema of an enum, or refer to that of a type with fields."""
-    if issubclass(hint, Enum):
-        return {"enum": [member.name.lower() for member in hint]}
-    name = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", hint.__name__).lower()
-    if name not in defs:
-        defs[name] = {}  # its place, ahead of what it holds
-        defs[name] = describe_fields(hint, defs)
-    return {"$ref": f"#/$defs/{name}"}
-
-
-def describe_fields(kind: Any, defs: dict[str, Schema]) -> Schema:
+def describe_fields(kind: Any) -> Schema:
     """Make the schema of a type with fields; all are there, and no others."""
     texts, hints = read_texts(kind), get_type_hints(kind, include_extras=True)
     names = list_printed(kind) if is_dataclass(kind) else {name: name for name in hints}
     properties: Schema = {}
     for name, printed in names.items():
         if printed == "*":
-            properties |= describe_fields(hints[name], defs)["properties"]
+            properties |= describe_fields(hints[name])["properties"]
         else:
-            part = make_part(hints[name], defs)
-            properties[printed] = part | {"description": texts.get(name, "")}
+            properties[printed] = make_part(hints[name]) | {"description": texts.get(name, "")}
     return {
         "type": "object",
         "description": (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " "),

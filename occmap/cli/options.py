@@ -11,7 +11,6 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields as list_fields
 from dataclasses import replace
 from enum import EnumType
 from pathlib import Path
@@ -27,11 +26,11 @@ from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
 from occmap.options import (
+    FLAGS,
     OPTIONS,
     BuildOptions,
     Selection,
     name_map,
-    spell_flag,
 )
 from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
@@ -153,7 +152,7 @@ WRITING = [
     *THRESHOLDS,
     Option(
         FILES,
-        spell_flag("shade"),
+        FLAGS["shade"],
         "shade",
         is_flag=True,
         callback=lambda _ctx, _param, is_light: Shade("light" if is_light else "dark"),
@@ -166,7 +165,7 @@ JOBS = field(RUN, "jobs", show_default="one for each core")
 def list_model(usual: str) -> list[Option]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
     parameters = [
-        Option(MODEL, spell_flag(name), type=float, metavar=metavar, help=text)
+        Option(MODEL, FLAGS[name], type=float, metavar=metavar, help=text)
         for name, (metavar, text) in PARAMETERS.items()
     ]
     return [field(MODEL, "model", type=None, show_default=usual), *parameters]
@@ -185,17 +184,9 @@ def collect_model(values: Values, usual: SensorModel) -> SensorModel:
     UsageError
         No such model, or a parameter that it does not have or allow.
     """
-    text = values["model"] or describe_model(usual)
-    name = text.partition(":")[0]
-    given = {key: values[key] for key in PARAMETERS if values[key] is not None}
-    known = [each.name for each in list_fields(parse_model(name))]  # type: ignore[arg-type]  # a dataclass
-    for key in given:
-        if key not in known:
-            found = f"{spell_flag(key)} does not go with the model {name}"
-            flags = ", ".join(spell_flag(key) for key in PARAMETERS if key in known)
-            raise UsageError(found, fix=f"it has {flags}; see `occmap models` for --model")
-    pairs = [text.partition(":")[2], *(f"{key}={value!r}" for key, value in given.items())]
-    return parse_model(f"{name}:{','.join(filter(None, pairs))}")
+    name, _, stated = (values["model"] or describe_model(usual)).partition(":")
+    given = [f"{key}={values[key]!r}" for key in PARAMETERS if values[key] is not None]
+    return parse_model(f"{name}:{','.join(filter(None, [stated, *given]))}")
 
 
 def choose_saved_model(evidence: Described, values: Values) -> SensorModel | None:

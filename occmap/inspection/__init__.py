@@ -7,7 +7,6 @@ missing are the scans read twice, for the mount is then guessed from them.
 is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
-import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -17,32 +16,17 @@ from pathlib import Path
 from occmap.errors import LogError, MapError, OccmapError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
-from occmap.inspection.findings import (
-    Inspection,
-    LogFindings,
-    MapFindings,
-    MountFindings,
-    ScanFindings,
-)
-from occmap.inspection.poses import (
-    Posing,
-    list_coverage,
-    list_floor_concerns,
-    prepare,
-    suggest_stamps,
-    sum_up_poses,
-    tell_slope,
-)
+from occmap.inspection import poses
+from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
 from occmap.inspection.survey import Extent, Survey, TopicSurvey
-from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
+from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
-from occmap.posing.course import Stance
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import choose_topics
-from occmap.scans.mounts import estimate_agreement, find_better, warn_of_misfit
+from occmap.scans.mounts import estimate_agreement, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tracing import find_ground
 from occmap.sensor.models import Spreading
@@ -60,41 +44,35 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     """Judge logs by what was found in them, and by the size of the map that they would make."""
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
-    too_large = find_size_problem(box, max((log.longest for log in logs), default=0.0), options)
-    topics = [topic for log in logs for topic in log.scans]
-    is_unseen = not box and any(each.poses.posed and not each.is_of_clouds for each in topics)
-    unseen = "no beam of any scan observes a cell: see the ranges" if is_unseen else ""
-
+    found, too_large, unseen = None, "", ""
+    if box is not None:
+        size = box.cols, box.rows, box.cells, box.cells * BYTES_PER_CELL
+        found = MapFindings(lattice.resolution, lattice.measure(box), *size)
+        try:
+            refuse_large(box, lattice, options.max_cells)
+            refuse_long(max(log.longest for log in logs), lattice.resolution)
+        except MapError as error:
+            too_large = str(error)
+    elif any(it.poses.posed and not it.is_of_clouds for log in logs for it in log.scans):
+        unseen = "no beam of any scan observes a cell: see the ranges"
     problems = [log.problem for log in logs if log.problem]
-    if no_poses := list_pose_problems(logs, options.posing.stamps):
-        problems += no_poses  # and that is why nothing is seen
-    elif no_map := too_large or unseen:
-        problems.append(no_map)
+    # That no scan has a pose is why nothing is seen.
+    problems += list_pose_problems(logs, options.posing.stamps) or list(
+        filter(None, [too_large or unseen])
+    )
 
     command, differing = ((), ()) if too_large else recommend(logs, options)
-    if unseen and spell_flag("no_return") not in command:
+    if unseen and FLAGS["no_return"] not in command:
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
     return Inspection(
         logs=tuple(logs),
-        map=box and sum_up_map(box, lattice),
+        map=found,
         problems=tuple(problems),
         warnings=(*damage, *concerns, *differing),
         command=command,
         buildable=not problems,
-    )
-
-
-def sum_up_map(box: CellBox, lattice: Lattice) -> MapFindings:
-    """Sum up the map of a box of cells."""
-    return MapFindings(
-        resolution=lattice.resolution,
-        extent=lattice.measure(box),
-        columns=box.cols,
-        rows=box.rows,
-        file_bytes=box.cells,
-        memory_bytes=box.cells * BYTES_PER_CELL,
     )
 
 
@@ -129,18 +107,6 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
 
 
-def find_size_problem(box: CellBox | None, longest: float, options: BuildOptions) -> str:
-    """Say why no map can be made for its size, or that of its longest beam (m); "" where it can."""
-    lattice = Lattice(options.resolution)
-    try:
-        if box is not None:
-            refuse_large(box, lattice, options.max_cells)
-        refuse_long(longest, options.resolution)
-    except MapError as error:
-        return str(error)
-    return ""
-
-
 def recommend(
     logs: Sequence[LogFindings], options: BuildOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -148,9 +114,8 @@ def recommend(
 
     Returns
     -------
-    command, differing
-        The words of the line, none where it takes more than one; and what it leaves out, or which
-        lines it takes.
+    command, remarks
+        The words of the line, none where the logs need several; and what there is to say of it.
     """
     stamps = options.posing.stamps
     mapped = [  # with poses, or with a hint that the other of the two times gives some
@@ -158,12 +123,14 @@ def recommend(
         for log in logs
         if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
     ]
-    differing = tuple(list_apart(mapped, options))
-    command = compose_command(mapped, options) if mapped and not differing else ()
+    lines = {compose_command([log], options)[3:-2] for log in mapped}
+    if len(lines) > 1:
+        return (), ("the logs need different options: check them one by one",)
+    command = compose_command(mapped, options) if mapped else ()
     left = [log.path for log in logs if log not in mapped]
-    if left and (command or differing):
-        differing += (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
-    return command, differing
+    if command and left:
+        return command, (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
+    return command, ()
 
 
 def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
@@ -184,18 +151,6 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     if all(ASK_TUNE in concern.text for concern in hopeless):
         return ("occmap", "tune", *command[2:-2]) if hopeless else command
     return ()
-
-
-def list_apart(logs: Sequence[LogFindings], options: BuildOptions) -> Iterator[str]:
-    """Say which lines build logs that need different options, each added to those before."""
-    lines = [compose_command([log], options) for log in logs]
-    if len({(*line[:2], *line[3:-2]) for line in lines}) < 2:
-        return
-    if any(line[1:2] != ("build",) for line in lines):
-        yield "the logs need different options: check them one by one"
-        return
-    yield "the logs need different options: build one after the other"
-    yield from map(shlex.join, chain_builds(lines))
 
 
 def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
@@ -287,47 +242,46 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
 
 def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     """Look into one log."""
-    log = None
+    known = LogFindings(str(path))
     try:
         log = open_log(path, options.reading)
-        posing = prepare(log, choose_topics(log, options.selection.topics), options)
+        known = replace(known, streams=tuple(log.streams), notes=tuple(log.notes))
+        posing = poses.prepare(log, choose_topics(log, options.selection.topics), options)
     except OccmapError as error:
-        known = describe_log(log) if log else LogFindings(str(path))
         return replace(known, problem=str(error.placed(path)))
     return inspect_log(log, posing, options)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
+def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
+    poser = posing.poser
     streams = {stream.topic: stream for stream in reversed(log.streams)}
-    topics = choose_topics(log, options.selection.topics)
-    seen = [survey.topics[topic] for topic in topics if topic in survey.topics]
-    scans = tuple(
-        sum_up(log, streams[topic.topic], topic, posing, options) for topic in seen if topic.shapes
-    )
-    spoilers = list(posing.poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
+    seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
+    scans = tuple(sum_up(log, streams[it.topic], it, posing, options) for it in seen if it.shapes)
+    spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {found}"
-    known, ground = describe_log(log), list[str]()
+    ground = list[str]()
     if not problem and any(topic.is_of_clouds for topic in scans):
-        below, posed = None, replace(options, posing=posing.poser.options)
+        below, posed = None, replace(options, posing=poser.options)
         try:
             below, ground = find_ground([log], posed, None)
-            ground += tell_slope(below)
+            ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
-        against = list(list_floor_concerns(log, posing.poser, posed, below))
+        against = list(poses.list_floor_concerns(log, poser, posed, below))
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
-    notes = *ground, *posing.poser.notes, *survey.drive.limits.list_notes(), *survey.list_notes()
-    findings = replace(
-        known,
+    limits = survey.drive.limits.list_notes()
+    findings = LogFindings(
+        str(log.path),
+        streams=tuple(log.streams),
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
-        coverage=tuple(list_coverage(posing.poser.sources)),
-        notes=known.notes + notes,
+        coverage=tuple(poses.list_coverage(poser.sources)),
+        notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes()),
         box=survey.extent.box,
         longest=survey.extent.longest,
         problem=problem,
@@ -359,28 +313,13 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     return survey, problem
 
 
-def describe_log(log: Log) -> LogFindings:
-    """Describe a log by what its reader says of it."""
-    return LogFindings(
-        str(log.path),
-        streams=tuple(log.streams),
-        notes=tuple(log.notes),
-    )
-
-
 def sum_up(
-    log: Log, stream: Stream, topic: TopicSurvey, posing: Posing, options: BuildOptions
+    log: Log, stream: Stream, topic: TopicSurvey, posing: poses.Posing, options: BuildOptions
 ) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    courses = (each for (name, _), each in posing.poser.courses.items() if name == topic.topic)
-    track, mount = next((course.build() for course in courses), None), None
-    if track is not None:  # it is of no scan where none has a pose
-        stance = Stance.measure(track)
-        better = find_better(posing.poser, topic.sample.parts, options.returns)
-        mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(
         topic=topic.topic,
         type=stream.type,
@@ -391,8 +330,8 @@ def sum_up(
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
-        times=topic.stamps.sum_up(suggest_stamps(log, posing, topic), moving_ns),
-        poses=sum_up_poses(topic, posing),
-        mount=mount,
+        times=topic.stamps.sum_up(poses.suggest_stamps(log, posing, topic), moving_ns),
+        poses=poses.sum_up_poses(topic, posing),
+        mount=poses.describe_mount(topic, posing, options),
         agreement=estimate_agreement(topic.sample.parts, options),
     )

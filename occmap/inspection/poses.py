@@ -15,16 +15,24 @@ from occmap.cells import Ground
 from occmap.choices import format_mount, format_static
 from occmap.clouds.mounting import find_seat
 from occmap.errors import MountError, PoseError
-from occmap.inspection.findings import Coverage, PoseFindings
+from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
 from occmap.inspection.survey import TopicSurvey
 from occmap.options import BuildOptions
 from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status, Transforms
+from occmap.posing.course import Stance
 from occmap.posing.sources import Sources
 from occmap.readers import Log, get_moments, read_poses
 from occmap.scans.logs import count_scans, refuse_shared_mount, take_first
-from occmap.scans.mounts import guess_place, mount_scans, open_drive, sample_scans, turn_mount
+from occmap.scans.mounts import (
+    find_better,
+    guess_place,
+    mount_scans,
+    open_drive,
+    sample_scans,
+    turn_mount,
+)
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans
 
@@ -136,6 +144,19 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
         assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
         is_guess=posing.is_guess and bool(faults),
     )
+
+
+def describe_mount(
+    topic: TopicSurvey, posing: Posing, options: BuildOptions
+) -> MountFindings | None:
+    """Say how the sensor of a topic sits; None where no scan has a pose."""
+    courses = (each for (name, _), each in posing.poser.courses.items() if name == topic.topic)
+    track = next((course.build() for course in courses), None)
+    if track is None:
+        return None
+    stance = Stance.measure(track)
+    better = find_better(posing.poser, topic.sample.parts, options.returns)
+    return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
 SAMPLED = 60

@@ -9,7 +9,7 @@ from occmap.choices import Option, take
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
-from occmap.options import OPTIONS, OTHER_FLAGS, BuildOptions, spell_flag, spell_flags
+from occmap.options import FLAGS, OPTIONS, OTHER_FLAGS, BuildOptions, spell_flags
 from tests.cli.runner import find_command
 
 
@@ -40,7 +40,7 @@ def test_a_flag_is_what_the_rule_says(name: str) -> None:
     flags = {
         each.name: each.opts for each in options if each.name in OPTIONS or each.name in OTHER_FLAGS
     }
-    assert all(spell_flag(option) in flags[option] for option in flags)
+    assert all(FLAGS[option] in flags[option] for option in flags)
 
 
 def test_every_option_can_be_typed() -> None:
@@ -48,7 +48,7 @@ def test_every_option_can_be_typed() -> None:
     commands = [find_command(name) for name in names]
     typed = {option for command in commands for each in command.params for option in each.opts}
     positional = {"update"}  # the first word of a build
-    assert {spell_flag(name) for name in {*OPTIONS, *OTHER_FLAGS} - positional} <= typed
+    assert {FLAGS[name] for name in {*OPTIONS, *OTHER_FLAGS} - positional} <= typed
 
 
 def test_whatever_is_printed_is_spelled(capsys: pytest.CaptureFixture[str]) -> None:

@@ -32,14 +32,8 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("limits")
     log = write_csv(folder / "log.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, float("inf")], 0.3)
     # In the second, one miss takes a cell from a prior of 0.6 to even odds: undecided.
-    half = [
-        "--model",
-        "simple:p_miss=0.5,prior=0.6,spread=0",
-        "--end",
-        1,
-        "-o",
-        folder / "half.npz",
-    ]
+    model = "simple:p_miss=0.5,prior=0.6,spread=0"
+    half = ["--model", model, "--end", 1, "-o", folder / "half.npz"]
     for words in (["-o", folder / "log.npz"], half):
         assert occmap("build", *PLAIN_WORDS, log, *words).code == 0
     return folder
@@ -78,28 +72,16 @@ def test_all_that_is_measured_is_a_number_and_fails_where_it_is_told_to(
 
 
 @by_command
-def test_a_limit_that_is_kept_changes_nothing(
+def test_names_are_in_the_help_and_wrong_ones_are_refused_before_anything_is_read(
     command: str, words: list[str], measures: Measures
 ) -> None:
-    limit = f"{measures[0].name} < 0"
-    result = occmap(command, *words, "--fail-if", limit, "--json")
-    assert (result.code, json.loads(result.out)["failed"]) == (0, [])
-
-
-@by_command
-def test_a_name_of_nothing_is_refused_before_anything_is_read(
-    command: str, words: list[str], measures: Measures
-) -> None:
+    kept = occmap(command, *words, "--fail-if", f"{measures[0].name} < 0", "--json")
+    assert (kept.code, json.loads(kept.out)["failed"]) == (0, [])
     gone = [word.replace("log.", "no.").replace("half.", "no.") for word in words]
     error = read_error(occmap(command, *gone, "--fail-if", "nothing > 1"), 2)
-    assert error.endswith(f"there are {', '.join(each.name for each in measures)}")
-
-
-@by_command
-def test_the_names_are_in_the_help(command: str, words: list[str], measures: Measures) -> None:
-    assert words
-    text = " ".join(occmap(command, "--help").out.split())
-    assert f"Names: {', '.join(each.name for each in measures)}." in text
+    names = ", ".join(each.name for each in measures)
+    assert error.endswith(f"there are {names}")
+    assert f"Names: {names}." in " ".join(occmap(command, "--help").out.split())
 
 
 def measure(command: str, name: str, *more: str) -> float:

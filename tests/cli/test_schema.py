@@ -86,8 +86,6 @@ def test_a_schema_is_sound_and_strict_and_describes_every_field(name: str) -> No
             assert part["additionalProperties"] is False
             assert part["required"] == list(fields)
             assert all(field["description"] for field in fields.values())
-    used = {part["$ref"].removeprefix("#/$defs/") for part in walk(schema) if "$ref" in part}
-    assert used == set(schema.get("$defs", {}))
 
 
 @pytest.mark.parametrize("name", NAMES)
