@@ -37,7 +37,6 @@ from occmap.inspection.survey import Extent, Survey, TopicSurvey, measure_crossi
 from occmap.options import BuildOptions, chain_builds, compose_build, spell_flag
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
-from occmap.posing.course import Stance
 from occmap.readers import Log, Role, Stream, open_log, read_recorded
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
@@ -378,10 +377,8 @@ def sum_up(
     crossed = measure_crossing(topic.sample.parts, options.returns)
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    courses = (each for (name, _), each in posing.poser.courses.items() if name == topic.topic)
-    track, mount = next((course.build() for course in courses), None), None
-    if track is not None:  # it is of no scan where none has a pose
-        stance = Stance.measure(track)
+    mount, stance = None, posing.poser.find_stance(topic.topic)
+    if stance is not None:  # of no scan where none has a pose
         better = find_better(posing.poser, topic.sample.parts, options.returns)
         mount = MountFindings(stance.upside_down, stance.tilt, stance.height, better)
     return ScanFindings(

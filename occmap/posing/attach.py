@@ -267,6 +267,11 @@ class Poser:
             return Attached(batch, None, dropped)
         return Attached(batch, place_beams(batch, posed, self._above.then(found)), dropped)
 
+    def find_stance(self, topic: str) -> Stance | None:
+        """Find how the sensor of a topic sat; None where no scan had a pose."""
+        tracks = [each.build() for (name, _), each in self.courses.items() if name == topic]
+        return next((Stance.measure(track) for track in tracks if track), None)
+
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.
 

@@ -214,7 +214,10 @@ class Drive:
         return self.settle()
 
     def read(
-        self, tally: Tally, wants: Callable[[int, int], bool] | None = None
+        self,
+        tally: Tally,
+        wants: Callable[[int, int], bool] | None = None,
+        selector: Selector | None = None,
     ) -> Iterator[Attached]:
         """Read the scans that are used, holding no more than a batch; count what becomes of all.
 
@@ -223,10 +226,12 @@ class Drive:
         wants
             Says of each cloud, by its stamp and its number of points, whether it is posed; None:
             all are.
+        selector
+            Says which scans are used; None: a new one, by the options.
         """
         self.poser.start_over()
         stamps = self._options.posing.stamps
-        selector = Selector(self._options.selection, stamps)
+        selector = selector or Selector(self._options.selection, stamps)
         chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         if wants is not None:
             chosen = (
