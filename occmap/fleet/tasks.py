@@ -24,19 +24,17 @@ from occmap.grid.tiles import TileGrid, stack_tiles, unite, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
-from occmap.scans import make_cloud_engine, make_engine, make_grid
+from occmap.scans import choose_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import AddRays, Keep, count_ground, trace_logs
 from occmap.store.layout import Block, BlockContent, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
-from occmap.types import Int64, Update
+from occmap.types import Int64
 from occmap.writers.atomic import open_atomic
 
 if TYPE_CHECKING:  # these bring numba
-    from occmap.clouds.engine import CloudEngine
     from occmap.clouds.ground import Counted
-    from occmap.grid.engine import GridEngine
 
 AnyJob = TypeVar("AnyJob", bound="Job")
 Result = TypeVar("Result")
@@ -195,12 +193,10 @@ class RunWriter:
 
     def _renew(self) -> None:
         setting = self._job.setting
-        keep, options = setting.keep, setting.options
-        self._engine: GridEngine | CloudEngine
-        if options.update is Update.CLOUD and keep.ground is not None:
-            self._engine = make_cloud_engine(options, keep.ground, keep.slices)
-        else:
-            self._engine = make_engine(options, keep.slices, setting.window_cells)
+        keep = setting.keep
+        self._engine = choose_engine(
+            setting.options, keep.slices, keep.ground, setting.window_cells
+        )
 
     def add(self, seen: Any) -> None:
         """Observe rays, or posed clouds."""

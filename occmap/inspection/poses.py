@@ -21,7 +21,6 @@ from occmap.options import BuildOptions
 from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status, Transforms
-from occmap.posing.course import Stance
 from occmap.posing.sources import Sources
 from occmap.readers import Log, get_moments, read_poses
 from occmap.scans.logs import count_scans, refuse_shared_mount, take_first
@@ -150,11 +149,9 @@ def describe_mount(
     topic: TopicSurvey, posing: Posing, options: BuildOptions
 ) -> MountFindings | None:
     """Say how the sensor of a topic sits; None where no scan has a pose."""
-    courses = (each for (name, _), each in posing.poser.courses.items() if name == topic.topic)
-    track = next((course.build() for course in courses), None)
-    if track is None:
+    stance = posing.poser.find_stance(topic.topic)
+    if stance is None:
         return None
-    stance = Stance.measure(track)
     better = find_better(posing.poser, topic.sample.parts, options.returns)
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 

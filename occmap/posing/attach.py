@@ -34,7 +34,6 @@ from occmap.types import (
     Moments,
     Pose,
     PoseBatch,
-    PosedScans,
     PoseSample,
     ScanBatch,
 )
@@ -144,45 +143,28 @@ class Poser:
         leads to are dropped and counted, and so are those that are known to leap away.
         """
         for batch in batches:
-            for attached in self._look_up(batch):
-                yield attached if attached.posed is None else self._sift(attached, attached.posed)
-
-    def _sift(self, attached: Attached, posed: PosedScans) -> Attached:
-        """Leave out the scans that leap away, and take note of where the others were."""
-        batch, dropped = posed.batch, attached.dropped
-        laser = batch.topic, batch.frame
-        stamp_ns = self._convert(batch.stamp_ns)
-        if (leaps := self.leaps.get(laser)) is not None:
-            stays = ~np.isin(stamp_ns, leaps)
-            lost = int(np.count_nonzero(~stays))
-            dropped = {**dropped, DropReason.LEAP: lost} if lost else dropped
-            if lost == len(stays):
-                return Attached(attached.batch, None, dropped)
-            posed, stamp_ns = posed.take(stays), stamp_ns[stays]
-        if laser not in self.courses:
-            self.courses[laser] = Course(None if self._is_stated(batch) else self.chains[laser[1]])
-        self.courses[laser].see(posed, stamp_ns)
-        return Attached(attached.batch, posed, dropped)
+            if len(batch.stamp_ns):
+                yield from self._look_up(batch)
 
     def start_over(self) -> None:
         """Forget the scans that were seen, since they are about to come once more."""
         self.courses.clear()
 
     def settle(self) -> bool:
-        """Look for leaps, once all scans were seen. Where there are some, say that this was wrong.
+        """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
 
-        From then on the scans that leap away are left out, and no others are looked for.
+        From then on those that leap away are left out, and no others are looked for.
         """
         if self._is_settled:
             return True
         self._is_settled = True
+        max_speed = self.options.max_speed
         for laser, course in sorted(self.courses.items()):
             track = course.build()
-            outliers = None if track is None else find_outliers(track, self.options.max_speed)
-            if track is None or outliers is None or not outliers.any():
+            if track is None or not (outliers := find_outliers(track, max_speed)).any():
                 continue
             outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
-            if self.options.max_speed < math.inf:
+            if max_speed < math.inf:
                 self.leaps[laser] = track.stamp_ns[outliers]
                 scans = count(len(self.leaps[laser]), "scan")
                 outcome = f"{scans} left out for such leaps; `max_speed=inf` keeps all"
@@ -194,15 +176,9 @@ class Poser:
         """Convert stamps of scans (S,) to the clock of the poses."""
         return np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
 
-    def _is_stated(self, batch: ScanBatch) -> bool:
-        """Whether the poses beside scans count, since the user named no others."""
-        return batch.pose is not None and self.sources.trajectory is None
-
     def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
         """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
-        if not len(batch.stamp_ns):
-            return
-        if batch.pose is not None and self._is_stated(batch):
+        if batch.pose is not None and self.sources.trajectory is None:
             yield self._keep(batch, self._read_stated(batch.pose))
             return
         if batch.frame not in self.chains:
@@ -213,7 +189,7 @@ class Poser:
             return
         stamp_ns = self._convert(batch.stamp_ns)
         if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
-            yield self._place_registered(batch, way.at(stamp_ns), carrier.at(stamp_ns))
+            yield self._keep(batch, way.at(stamp_ns), way, carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         deskew = Deskew.AUTO if batch.clouds else self.options.deskew
@@ -222,9 +198,9 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + list_moments(part)
-            yield self._keep(part, way.at(moment_ns.ravel()))
+            yield self._keep(part, way.at(moment_ns.ravel()), way)
         if not deskewed.all():
-            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]))
+            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way)
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -245,27 +221,46 @@ class Poser:
                 return carrier
         return None
 
-    def _place_registered(
-        self, batch: ScanBatch, found: Transforms, seen_from: Transforms
+    def _keep(
+        self,
+        batch: ScanBatch,
+        found: Transforms,
+        way: Chain | None = None,
+        seen_from: Transforms | None = None,
     ) -> Attached:
-        """Place clouds that are in the map already; they were seen from where a body was."""
-        attached = self._keep(batch, found._replace(status=seen_from.status))
-        if attached.posed is None:
-            return attached
-        origin = self._above.then(seen_from).position[seen_from.status == Status.POSED]
-        return attached._replace(posed=replace(attached.posed, origin=origin))
+        """Keep the scans (S) that have a pose at all of their K moments; count the others.
 
-    def _keep(self, batch: ScanBatch, found: Transforms) -> Attached:
-        """Keep the scans (S) that have a pose at all of their K moments, and count the others."""
-        status = found.status.reshape(len(batch.stamp_ns), -1).max(axis=1)
-        lost = Counter(status[status != Status.POSED].tolist())
+        Parameters
+        ----------
+        found
+            Where the frame of the scans was.
+        way
+            What it was looked up in; None: it stands beside the scans.
+        seen_from
+            Where the sensor was, if clouds are in another frame than its own.
+        """
+        laser, stamp_ns = (batch.topic, batch.frame), self._convert(batch.stamp_ns)
+        places = found if seen_from is None else seen_from
+        status = places.status.reshape(len(stamp_ns), -1).max(axis=1)
+        if laser in self.leaps:
+            status[np.isin(stamp_ns, self.leaps[laser])] = Status.LEAP
+        kept = status == Status.POSED
+        lost = Counter(status[~kept].tolist())
         dropped: dict[str, int] = {
             DropReason[Status(code).name]: lost[code] for code in sorted(lost)
         }
-        posed = status == Status.POSED
-        if not posed.any():
+        if not kept.any():
             return Attached(batch, None, dropped)
-        return Attached(batch, place_beams(batch, posed, self._above.then(found)), dropped)
+        posed = place_beams(batch, kept, self._above.then(found))
+        if seen_from is not None:
+            posed = replace(posed, origin=self._above.then(seen_from).position[kept])
+        self.courses.setdefault(laser, Course(way)).see(posed, stamp_ns[kept])
+        return Attached(batch, posed, dropped)
+
+    def find_stance(self, topic: str) -> Stance | None:
+        """Find how the sensor of a topic sat; None where no scan had a pose."""
+        tracks = [each.build() for (name, _), each in self.courses.items() if name == topic]
+        return next((Stance.measure(track) for track in tracks if track), None)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.

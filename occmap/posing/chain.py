@@ -42,6 +42,7 @@ class Status(IntEnum):
     AFTER = 2
     GAP = 3
     UNUSABLE = 4
+    LEAP = 5
 
 
 class Transforms(NamedTuple):

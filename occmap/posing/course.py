@@ -235,7 +235,7 @@ class Course:
         position, rotation = posed.at_first_beam
         pose = np.column_stack([position, to_quaternions(rotation)])
         seen = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
-        self._poses.add_batch(seen, Stamps.HEADER)
+        self._poses.add(seen, Stamps.HEADER)
 
     def build(self) -> Track | None:
         """Put all that was seen in the order of time; None where no scan had a pose."""

@@ -101,11 +101,7 @@ def _build_edges(
     """
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
-        builder = builders[item.topic, item.parent, item.child, item.static]
-        if isinstance(item, PoseBatch):
-            builder.add_batch(item, stamps)
-        else:
-            builder.add(item, stamps)
+        builders[item.topic, item.parent, item.child, item.static].add(item, stamps)
     edges: list[Edge] = []
     unusable: list[str] = []
     changed: dict[str, list[str]] = defaultdict(list)

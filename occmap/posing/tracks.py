@@ -169,24 +169,22 @@ class TrackBuilder:
         self.unusable = 0
         """Samples left out: not usable (`find_usable`), or with a stamp that is damage."""
 
-    def add(self, sample: PoseSample, stamps: Stamps) -> None:
-        """Take a sample, dated by one of its two times."""
-        record = sample.record_ns
-        stamp = stamps.choose(sample.stamp_ns, record)
+    def add(self, some: PoseSample | PoseBatch, stamps: Stamps) -> None:
+        """Take a sample, or many, dated by one of their two times."""
+        if isinstance(some, PoseBatch):
+            stamp_ns = stamps.choose(some.stamp_ns, some.record_ns)
+            times = np.stack([stamp_ns, some.record_ns], axis=1)
+            sound = ((times >= -MAX_STAMP_NS) & (times <= MAX_STAMP_NS)).all(axis=1)
+            self.unusable += int(np.count_nonzero(~sound))
+            self._times.frombytes(times[sound].tobytes())
+            self._values.frombytes(some.pose[sound].tobytes())
+            return
+        stamp, record = stamps.choose(some.stamp_ns, some.record_ns), some.record_ns
         if max(abs(stamp), abs(record)) > MAX_STAMP_NS:
             self.unusable += 1
         else:
             self._times.extend((stamp, record))
-            self._values.extend(sample.pose)
-
-    def add_batch(self, batch: PoseBatch, stamps: Stamps) -> None:
-        """Take many samples, as `add` takes one."""
-        stamp = stamps.choose(batch.stamp_ns, batch.record_ns)
-        times = np.stack([stamp, batch.record_ns], axis=1)
-        sound = ((times >= -MAX_STAMP_NS) & (times <= MAX_STAMP_NS)).all(axis=1)
-        self.unusable += int(np.count_nonzero(~sound))
-        self._times.frombytes(times[sound].tobytes())
-        self._values.frombytes(batch.pose[sound].tobytes())
+            self._values.extend(some.pose)
 
     @property
     def changes(self) -> bool:

@@ -11,6 +11,7 @@ from occmap.grid import Lattice
 from occmap.grid.tiles import WINDOW_CELLS, GridSpec, TileGrid, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor.models import RadialModel
+from occmap.types import Update
 
 if TYPE_CHECKING:
     from occmap.clouds.engine import CloudEngine
@@ -30,8 +31,15 @@ def make_engine(
     return GridEngine(spec, window_cells, options.max_cells)
 
 
-def make_cloud_engine(options: BuildOptions, ground: Ground, keep_slices: bool) -> "CloudEngine":
-    """Make an engine for clouds over ground that is known."""
+def choose_engine(
+    options: BuildOptions,
+    keep_slices: bool,
+    ground: Ground | None,
+    window_cells: int = WINDOW_CELLS,
+) -> "GridEngine | CloudEngine":
+    """Make an engine for what the update is for: rays, or clouds over ground that is known."""
+    if options.update is not Update.CLOUD or ground is None:
+        return make_engine(options, keep_slices, window_cells)
     from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
 
     limits = options.returns.min_range, options.returns.max_range

@@ -227,7 +227,7 @@ class Drive:
             Says of each cloud, by its stamp and its number of points, whether it is posed; None:
             all are.
         selector
-            Is shown all scans of the log; None: one that only selects.
+            Says which scans are used; None: a new one, by the options.
         """
         self.poser.start_over()
         stamps = self._options.posing.stamps

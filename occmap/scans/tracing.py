@@ -14,7 +14,7 @@ from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.readers import Log, open_log
 from occmap.report import Note
-from occmap.scans import make_cloud_engine, make_engine, make_grid
+from occmap.scans import choose_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
@@ -235,14 +235,9 @@ def observe_log(
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
     engines: list[GridEngine | CloudEngine] = []
 
-    def begin() -> AddRays:
-        engines.clear()  # where the log is read once more, the first one is of no use
-        over = keep.ground if options.update is Update.CLOUD else None
-        if over is None:
-            engines.append(make_engine(options, keep.slices))
-        else:
-            engines.append(make_cloud_engine(options, over, keep.slices))
-        return engines[-1].add
+    def begin() -> AddRays:  # where the log is read once more, the first engine is of no use
+        engines[:] = [choose_engine(options, keep.slices, keep.ground)]
+        return engines[0].add
 
-    traced = trace_logs([log], options, begin, tally)
-    return engines[-1], traced[0][1]
+    ((_, notes),) = trace_logs([log], options, begin, tally)
+    return engines[0], notes

@@ -5,7 +5,7 @@ The scans of the logs are read once, and posed again and again.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -212,53 +212,47 @@ Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
 
 
+@dataclass(eq=False)
 class Scorer:
     """Scores corrections by the same scans, each only once."""
 
-    def __init__(
-        self,
-        logs: Sequence[KeptLog],
-        options: BuildOptions,
-        mount: Pose | None,
-        advance: Callable[[], None],
-    ) -> None:
-        self._logs = logs
-        self._options = options
-        # All these scans have poses at every offset; none may get lost in a gap on the way.
-        self._posing = replace(options.posing, max_pose_gap_s=None)
-        self._mount = mount
-        self._advance = advance
-        self.tried: dict[Correction, Trial] = {}
+    logs: Sequence[KeptLog]
+    options: BuildOptions
+    mount: Pose | None
+    """The sensor's pose as it is now"""
+    advance: Callable[[], None]
+    """Called for each map"""
+    tried: dict[Correction, Trial] = field(default_factory=dict)
 
     def score(self, correction: Correction) -> Trial:
         """Score a map of the scans posed with a correction."""
         if correction in self.tried:
             return self.tried[correction]
-        options = self._options
-        trials = Trials([Variant(options.update, options.model)], options)
+        trials = Trials([Variant(self.options.update, self.options.model)], self.options)
         with trials.tracing() as workers:
             observe = trials.begin(workers)
             for rays in self.trace(correction):
                 observe(rays)
-        refuse_unscored([log.path for log in self._logs], trials.hold_out)
+        refuse_unscored([log.path for log in self.logs], trials.hold_out)
         (result,) = trials.score()
         self.tried[correction] = Trial(result.score, result.predicted)
-        self._advance()
+        self.advance()
         return self.tried[correction]
 
     def trace(self, correction: Correction) -> list[Rays]:
         """Turn all scans, posed with a correction, into rays."""
-        posing = correction.apply(self._posing, self._mount)
-        every = (posed for log in self._logs for posed in log.pose(posing))
-        return [interpret(posed, self._options.returns)[0] for posed in every]
+        # All these scans have poses at every offset; none may get lost in a gap on the way.
+        posing = replace(self.options.posing, max_pose_gap_s=None)
+        corrected = correction.apply(posing, self.mount)
+        every = (posed for log in self.logs for posed in log.pose(corrected))
+        return [interpret(posed, self.options.returns)[0] for posed in every]
 
     def measure_agreement(self, correction: Correction) -> float | None:
         """Measure the share of hits in occupied cells, in a map with a correction; None: no hit."""
-        options = self._options
-        engine = make_engine(options)
+        engine = make_engine(self.options)
         for rays in self.trace(correction):
             engine.add(rays)
-        return render(engine.finish(), options.model, options.max_cells).agreement
+        return render(engine.finish(), self.options.model, self.options.max_cells).agreement
 
 
 def find_best(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:

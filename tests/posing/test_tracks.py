@@ -21,7 +21,7 @@ def build(*samples: PoseSample, stamps: Stamps = Stamps.HEADER) -> tuple[Track |
         builder.add(one, stamps)
     track = builder.build()
     whole = TrackBuilder()
-    whole.add_batch(stack(samples), stamps)
+    whole.add(stack(samples), stamps)
     as_batch = whole.build()
     assert whole.unusable == builder.unusable
     assert (as_batch is None) == (track is None)
