@@ -28,6 +28,20 @@ class Planar(NamedTuple):
     yaw: float
 
 
+@dataclass(frozen=True)
+class Sensor:
+    """A level laser."""
+
+    beams: int
+    angle_min: float
+    angle_increment: float
+    range_min: float
+    range_max: float
+    interval_ns: int
+    """From scan to scan"""
+
+
+SENSOR = Sensor(BEAMS, ANGLE_MIN, ANGLE_INCREMENT, RANGE_MIN, RANGE_MAX, SCAN_INTERVAL_NS)
 MAP_TO_ODOM = Planar(0.75, -0.5, 0.125)
 LASER_MOUNT = Planar(0.25, 0.0, 0.0)
 
@@ -41,6 +55,7 @@ class Drive:
     """In the map frame."""
     ranges: Floats
     """(S, B) m, whole millimetres; inf where nothing came back"""
+    sensor: Sensor = SENSOR
 
 
 def simulate_drive() -> Drive:

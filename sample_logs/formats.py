@@ -8,18 +8,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from drive import (
-    ANGLE_INCREMENT,
-    ANGLE_MIN,
-    BEAMS,
     LASER_MOUNT,
     MAP_TO_ODOM,
     NOISE_SIGMA,
-    RANGE_MAX,
-    RANGE_MIN,
-    SCAN_INTERVAL_NS,
     START_NS,
     Drive,
     Planar,
+    Sensor,
     compose,
     invert,
 )
@@ -28,24 +23,21 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 CARMEN_NO_RETURN = "81.910"
-"""SICK drivers write this; it is above RANGE_MAX, so it means what `inf` means elsewhere."""
+"""SICK drivers write this; it is above range_max, so it means what `inf` means elsewhere."""
 CHUNK_BYTES = 64 * 1024
 
 
 def write_csv(drive: Drive, path: Path) -> None:
     """Write occmap's own CSV dialect."""
-    constants = {
-        "angle_min": ANGLE_MIN,
-        "angle_increment": ANGLE_INCREMENT,
-        "range_min": RANGE_MIN,
-        "range_max": RANGE_MAX,
-    }
-    lines = [f"# {name}: {value!r}" for name, value in constants.items()]
-    lines.append("stamp,x,y,yaw," + ",".join(f"r{i}" for i in range(BEAMS)))
+    sensor = drive.sensor
+    constants = ("angle_min", "angle_increment", "range_min", "range_max")
+    lines = [f"# {name}: {getattr(sensor, name)!r}" for name in constants]
+    lines.append("stamp,x,y,yaw," + ",".join(f"r{i}" for i in range(sensor.beams)))
     for stamp_ns, pose, ranges in zip(drive.stamp_ns, drive.laser, drive.ranges, strict=True):
         place = f"{pose.x:.4f},{pose.y:.4f},{pose.yaw:.4f}"
         lines.append(f"{_seconds(stamp_ns)},{place}," + ",".join(f"{r:.3f}" for r in ranges))
@@ -55,14 +47,16 @@ def write_csv(drive: Drive, path: Path) -> None:
 def write_carmen(drive: Drive, path: Path) -> None:
     """Write ROBOTLASER1 lines."""
     lines = ["# CARMEN log: message_name [contents] ipc_timestamp ipc_hostname logger_timestamp"]
-    fov = (BEAMS - 1) * ANGLE_INCREMENT
-    head = f"ROBOTLASER1 0 {ANGLE_MIN!r} {fov!r} {ANGLE_INCREMENT!r} {RANGE_MAX} {NOISE_SIGMA} 0"
+    sensor = drive.sensor
+    fov = (sensor.beams - 1) * sensor.angle_increment
+    head = f"ROBOTLASER1 0 {sensor.angle_min!r} {fov!r} {sensor.angle_increment!r} "
+    head += f"{sensor.range_max} {NOISE_SIGMA} 0 {sensor.beams}"
     for stamp_ns, pose, ranges in zip(drive.stamp_ns, drive.laser, drive.ranges, strict=True):
-        beams = " ".join(f"{r:.3f}" if r < RANGE_MAX else CARMEN_NO_RETURN for r in ranges)
+        beams = " ".join(f"{r:.3f}" if r < sensor.range_max else CARMEN_NO_RETURN for r in ranges)
         robot = compose(pose, invert(LASER_MOUNT))
         poses = f"{pose.x:.4f} {pose.y:.4f} {pose.yaw:.4f} {robot.x} {robot.y} {robot.yaw:.4f}"
         times = f"{_seconds(stamp_ns)} robot {_seconds(stamp_ns - START_NS)}"
-        lines.append(f"{head} {BEAMS} {beams} 0 {poses} 1.0 0.0 0.3 0.3 10.0 {times}")
+        lines.append(f"{head} {beams} 0 {poses} 1.0 0.0 0.3 0.3 10.0 {times}")
     _write_lines(path, lines)
 
 
@@ -107,7 +101,7 @@ class RosMessages:
             base = compose(to_odom, compose(laser, invert(LASER_MOUNT)))
             edges = {("map", "odom"): MAP_TO_ODOM, ("odom", "base_link"): base}
             yield "/tf", stamp_ns, self._tf(stamp_ns, edges)
-            yield "/scan", stamp_ns, self._scan(stamp_ns, ranges)
+            yield "/scan", stamp_ns, self._scan(stamp_ns, drive.sensor, ranges)
 
     def of_clouds(self, drive: CloudDrive) -> Iterator[Message]:
         """Yield the mount once, then for every cloud the pose and the cloud itself."""
@@ -170,16 +164,16 @@ class RosMessages:
             rotation=self._types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=qz, w=qw),
         )
 
-    def _scan(self, stamp_ns: int, ranges: NDArray[np.float64]) -> Any:
+    def _scan(self, stamp_ns: int, sensor: Sensor, ranges: NDArray[np.float64]) -> Any:
         return self._types["sensor_msgs/msg/LaserScan"](
             header=self._header(stamp_ns, "laser"),
-            angle_min=ANGLE_MIN,
-            angle_max=ANGLE_MIN + (BEAMS - 1) * ANGLE_INCREMENT,
-            angle_increment=ANGLE_INCREMENT,
+            angle_min=sensor.angle_min,
+            angle_max=sensor.angle_min + (sensor.beams - 1) * sensor.angle_increment,
+            angle_increment=sensor.angle_increment,
             time_increment=0.0,
-            scan_time=SCAN_INTERVAL_NS / 1e9,
-            range_min=RANGE_MIN,
-            range_max=RANGE_MAX,
+            scan_time=sensor.interval_ns / 1e9,
+            range_min=sensor.range_min,
+            range_max=sensor.range_max,
             ranges=ranges.astype(np.float32),
             intensities=np.empty(0, np.float32),
         )
@@ -210,11 +204,11 @@ def write_ros1(drive: Drive, path: Path) -> None:
             writer.write(connections[topic], stamp_ns, data)
 
 
-def write_ros2(drive: Drive, path: Path) -> None:
-    """Write a ROS 2 bag, a folder with sqlite3 storage."""
+def write_ros2(drive: Drive, path: Path, storage: StoragePlugin = StoragePlugin.SQLITE3) -> None:
+    """Write a ROS 2 bag, a folder."""
     shutil.rmtree(path, ignore_errors=True)
     messages = RosMessages(Stores.ROS2_JAZZY)
-    with Ros2Writer(path, version=9) as writer:
+    with Ros2Writer(path, version=9, storage_plugin=storage) as writer:
         connections = {
             topic: writer.add_connection(topic, name, typestore=messages.store)
             for topic, name in TOPIC_TYPES.items()

@@ -1,8 +1,11 @@
 """Where logs are for tests: the sample logs, real ones, and small ones written by hand."""
 
+import importlib
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from occmap.options import BuildOptions
 from occmap.sensor.models import SimpleModel
@@ -20,6 +23,16 @@ DRIVES = [
     for name in ("drive.csv", "drive.log", "drive.bag", "drive_ros2", "drive.mcap")
 ]
 """The same drive in every format."""
+
+
+def import_generator(name: str) -> Any:
+    """Import a module of what made the sample logs, which is a script and no package."""
+    sys.path.insert(0, str(SAMPLE_LOGS))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(SAMPLE_LOGS))
+
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
 

@@ -30,8 +30,7 @@ import numba
 from tests.bench import limits, process_limits, tables
 from tests.bench.clouds import measure_clouds
 from tests.bench.engine import Figure, check_equal, measure_engine
-from tests.bench.foreign import has_pyoctomap, time_pyoctomap
-from tests.bench.logs import write_carmen, write_csv, write_mcap
+from tests.bench.logs import FORMATS, write_mcap
 from tests.bench.measuring import Times
 from tests.bench.stages import Stages, measure_stages
 from tests.bench.workloads import Sensor, Workload, make_office, make_yard, read_workload
@@ -41,7 +40,7 @@ ROOT = Path(__file__).parents[2]
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
 FREIBURG = REAL_LOGS / "carmen" / "freiburg-079-corrected.log.gz"
 SHARE = 20
-"""Every n-th scan is compared cell by cell, and given to tools that are slow."""
+"""Every n-th scan is compared cell by cell."""
 WIDE = Sensor.spanning(1081, 270, 30.0)
 
 
@@ -122,19 +121,12 @@ class Bench:
         self.results.rows += limits.compare_engine(times, office.scans)
         self.results.rows.append(limits.compare_updates(times, office.scans, "office"))
         scans = self._settings.scans
+        few = make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans)
+        yard = make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans)
         others = (
-            (
-                make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans),
-                limits.FEW_BEAMS_LIMITS,
-            ),
-            (
-                make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans),
-                limits.YARD_LIMITS,
-            ),
-            (
-                make_large_place(),
-                limits.SPARSE_LIMITS,
-            ),
+            (few, limits.FEW_BEAMS_LIMITS),
+            (yard, limits.YARD_LIMITS),
+            (make_large_place(), limits.SPARSE_LIMITS),
         )
         for workload, engine_limits in others:
             times = self._measure_engine(workload)
@@ -150,8 +142,6 @@ class Bench:
     def _measure_engine(self, workload: Workload) -> Times:
         check_equal(workload.thin(SHARE), self._yardsticks)
         figures, times = measure_engine(workload, self._yardsticks, self._settings.rounds)
-        if has_pyoctomap():
-            figures.append(measure_pyoctomap(workload.thin(SHARE)))
         self.results.engine[workload.name] = figures
         show(tables.draw_engine(workload, figures))
         return times
@@ -162,8 +152,9 @@ class Bench:
 
     def _measure_texts(self, office: Workload) -> None:
         rounds, rows = 2 * self._settings.rounds, self.results.rows
-        for name, write in (("CSV", write_csv), ("CARMEN", write_carmen)):
-            rows.append(limits.compare_loadtxt(write(office, self._folder), name, 0.4, rounds))
+        for name in ("CSV", "CARMEN"):
+            log = FORMATS[name](office, self._folder)
+            rows.append(limits.compare_loadtxt(log, name, 0.4, rounds))
         if FREIBURG.exists():
             log = self._folder / "freiburg-079.log"
             log.write_bytes(gzip.decompress(FREIBURG.read_bytes()))
@@ -195,11 +186,6 @@ class Bench:
 def make_large_place() -> Workload:
     """A place of 9 million cells, of which few beams cross each."""
     return make_yard("861 scans of a yard", Sensor.spanning(181, 180, 50.0), 861, 0.05)
-
-
-def measure_pyoctomap(workload: Workload) -> Figure:
-    """As a figure of the engine's table; its cells are not counted."""
-    return Figure("pyoctomap insertPointCloud", 1e6 * time_pyoctomap(workload), None)
 
 
 def describe_machine() -> dict[str, Any]:

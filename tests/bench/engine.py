@@ -43,8 +43,8 @@ class Figure:
     name: str
     microseconds: float
     """A scan"""
-    cells_per_second: float | None
-    """A cell counts as often as it was observed; None where that is not known"""
+    cells_per_second: float
+    """A cell counts as often as it was observed"""
 
 
 def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1) -> TileGrid:

@@ -1,18 +1,10 @@
-"""Other people's tools on the same scans, where they are installed; absent ones are said to be."""
+"""MRPT on the same scans, where it is installed."""
 
 import gzip
-import importlib.util
 import shutil
 from pathlib import Path
-from time import process_time
-from typing import Any
 
-import numpy as np
-
-from occmap.types import Float64
-from tests.bench.measuring import time_once
 from tests.bench.processes import time_process
-from tests.bench.workloads import Workload
 
 MRPT_PROGRAMS = ("carmen2simplemap", "observations2map")
 _MRPT_MAP = """\
@@ -59,37 +51,3 @@ class Mrpt:
         ini = self._folder / "mrpt.ini"
         insert = ("observations2map", ini, poses_and_scans, self._folder / "mrpt")
         return time_process(*convert) + time_process(*insert)
-
-
-def has_pyoctomap() -> bool:
-    """Whether pyoctomap is installed."""
-    return importlib.util.find_spec("pyoctomap") is not None
-
-
-def time_pyoctomap(workload: Workload) -> float:
-    """Insert every scan into an octree of one layer: seconds a scan.
-
-    Its insertPointCloud counts a cell once a scan, however many beams cross it. Making the points
-    is not timed.
-    """
-    pyoctomap: Any = importlib.import_module("pyoctomap")
-    tree = pyoctomap.OcTree(workload.resolution)
-    clouds = [make_cloud(workload, scan) for scan in range(workload.scans)]
-
-    def insert() -> None:
-        for origin, cloud in clouds:
-            tree.insertPointCloud(cloud, origin, lazy_eval=True)
-        tree.updateInnerOccupancy()
-
-    return time_once(insert, process_time) / workload.scans
-
-
-def make_cloud(workload: Workload, scan: int) -> tuple[Float64, Float64]:
-    """The sensor (3,) and where beams ended (N, 3), in the map frame."""
-    x, y, yaw = workload.poses[scan]
-    ranges = workload.ranges[scan].astype(np.float64)
-    hit = ranges < workload.sensor.range_max
-    bearings, ranges = workload.sensor.bearings[hit] + yaw, ranges[hit]
-    flat = np.zeros_like(ranges)
-    ends = np.stack([x + ranges * np.cos(bearings), y + ranges * np.sin(bearings), flat], axis=1)
-    return np.array([x, y, 0.0]), ends

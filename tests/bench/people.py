@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.types import Bool, Float64
 from tests.bench.tables import draw
-from tests.samples import SAMPLE_LOGS
+from tests.samples import import_generator
 
 BEAMS, REACH_M, STEP_S, VISIT_S = 271, 8.0, 0.2, 3600.0
 BEARINGS = np.radians(np.arange(BEAMS) - 135.0)
@@ -72,9 +71,7 @@ def walk(way: Float64, steps: int, rng: np.random.Generator) -> Float64:
 
 def list_rows(scene: Scene, seed: int = 7) -> Iterator[tuple[str, str]]:
     """Rows of a CSV without people, and with them, from the same poses."""
-    sys.path.insert(0, str(SAMPLE_LOGS))  # the generator is a script and no package
-    office, drive = import_module("office"), import_module("drive")
-    sys.path.remove(str(SAMPLE_LOGS))
+    office, drive = import_generator("office"), import_generator("drive")
     faces, rng = office.office_faces(), np.random.default_rng(seed)
     glass = np.array([face for box in office.GLASS for face in office.box_faces(box)])
     places = np.array(list(drive._places_along(office.WAY)))

@@ -34,7 +34,7 @@ def draw_engine(workload: Workload, figures: Sequence[Figure]) -> str:
                 figure.name,
                 f"{figure.microseconds:.1f}",
                 f"{figure.microseconds / base:.2f}",
-                "-" if figure.cells_per_second is None else f"{figure.cells_per_second / 1e6:.0f}",
+                f"{figure.cells_per_second / 1e6:.0f}",
             )
             for figure in figures
         ],
