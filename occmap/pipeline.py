@@ -71,7 +71,8 @@ def build(
         refuse_unseen(paths, tally, tiles.tiles)
 
         with tally.time("render"):
-            grid, lost = render_lasting(tiles, slices, options.model, options)
+            painted, lost = render_lasting(tiles, slices, options.model, options)
+            grid = options.writing.edit(painted)
         with tally.time("write"):  # to hash the logs takes time
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = plan_manifest(options, made, past.manifest if past and made else None)
@@ -80,15 +81,20 @@ def build(
         remarks.notes += list_notes(paths, options, outputs, tally, facts)
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
-        where = past.where if past else ""
         evidence = cache(
-            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=seen.ground)
+            lambda: Evidence(
+                manifest,
+                *stack_tiles(tiles.tiles),
+                slices,
+                past.where if past else "",
+                ground=seen.ground,
+            )
         )
-        journey = tally.recorder.finish() if tally.recorder else None
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
-        product = Product(grid, evidence, journey, report, check)
         with tally.time("write"):
+            journey = tally.recorder.finish() if tally.recorder else None
+            product = Product(grid, evidence, journey, report, check)
             files = write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
         return Build(grid, report, tiles, evidence() if wants_evidence else None)

@@ -52,6 +52,9 @@ def describe_build(
     chosen = write_options(options)
     if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
         del chosen["clouds"]
+    edits = chosen["writing"].pop("edits")
+    if edits:
+        chosen["writing"]["edits"] = Path(edits).name
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:

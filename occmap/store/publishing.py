@@ -56,6 +56,8 @@ class BlockMap:
     """Its cells"""
     is_part: bool
     """Whether it ends where the user says"""
+    writing: WriteOptions = field(default_factory=WriteOptions)
+    """With the edits that are drawn over it"""
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -201,7 +203,7 @@ def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[st
 
     agreement, notes = made.paint(put)
     where = made.resolution, (x, y), made.decision
-    return OccupancyMap(log_odds, observed, *where, agreement), notes
+    return made.writing.edit(OccupancyMap(log_odds, observed, *where, agreement)), notes
 
 
 def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
@@ -228,7 +230,7 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> MapFacts:
     cells = np.zeros(4, np.int64)
 
     def put(_: Window, piece: OccupancyMap) -> None:
-        cells[:] += results.count_cells(piece, writing)
+        cells[:] += results.count_cells(writing.edit(piece), writing)
 
     return MapFacts(made.resolution, made.extent, made.shape, cells, *made.paint(put))
 
@@ -272,7 +274,8 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     model, manifest = choose_model(saved, options)
     blocks = None if isinstance(saved, Evidence) else replace(saved, manifest=manifest)
     if blocks and options.overview is None and all(writer.in_parts for writer in formats):
-        grid: Any = open_map(blocks, model, options.framing, options.min_passes)
+        painted = open_map(blocks, model, options.framing, options.min_passes)
+        grid: Any = replace(painted, writing=options.writing)
         facts = survey_blocks(grid, options.writing)
     else:
         grid, facts = paint_saved(saved, model, options)
@@ -332,6 +335,7 @@ def paint_saved(
     else:
         made = open_map(saved, model, options.framing, options.min_passes)
         shown, lost = render_blocks(made, options.max_cells)
+    shown = options.writing.edit(shown)
     return shown, results.describe_map(shown, options.writing)._replace(lost=lost)
 
 

@@ -19,6 +19,7 @@ from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import Journey
 from occmap.writers.atomic import check_parent, check_target, follow_links
+from occmap.writers.edits import apply_edits, read_edits
 
 BAND_CELLS = 1 << 18
 """Cells that are turned into pixels at once: what is worked out for them fits a core's cache, and a
@@ -56,7 +57,8 @@ class WriteOptions:
     Raises
     ------
     UsageError
-        The thresholds are not in the order 0 < free < occupied < 1, or are too near each other.
+        The thresholds are not in the order 0 < free < occupied < 1, or are too near each other; or
+        the file of edits cannot be read.
     """
 
     mode: MapMode = option(MapMode.TRINARY, "What the pixels of a PGM mean.")
@@ -78,7 +80,14 @@ class WriteOptions:
         flag="light-occupied",
     )
 
+    edits: Path | None = option(
+        None,
+        "Draw the shapes in this file over the map; evidence stays as it was observed.",
+        metavar="FILE",
+    )
+
     def __post_init__(self) -> None:
+        read_edits(self.edits)  # refuses a file that is wrong
         free, occupied = self.thresholds
         found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
         if not 0 < free < occupied < 1:
@@ -93,6 +102,10 @@ class WriteOptions:
         free = DEFAULT_THRESHOLDS.free_below if self.free_thresh is None else self.free_thresh
         occupied = self.occupied_thresh
         return Decision(free, DEFAULT_THRESHOLDS.occupied_above if occupied is None else occupied)
+
+    def edit(self, grid: OccupancyMap) -> OccupancyMap:
+        """Draw the user's shapes over a map, or a part of one."""
+        return apply_edits(grid, read_edits(self.edits))
 
     def decide(self, decision: Decision) -> Decision:
         """How the cells of a written map are decided, where the map itself has a decision."""
@@ -201,7 +214,7 @@ def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
 
 
 def find_writer(path: Path) -> Writer:
-    """Find the writer for a file name by its suffix, upper or lower case, `.ground.tif` as one.
+    """Find the writer for a file name by its suffix, upper or lower case, `ground.tif` as one.
 
     Raises
     ------
@@ -209,7 +222,7 @@ def find_writer(path: Path) -> Writer:
         No installed writer has that suffix, or it does not load.
     """
     known = [entry.name for entry in list_plugins("occmap.writers")]
-    endings = "".join(path.suffixes[-2:]).lower().removeprefix("."), path.suffix.lower()[1:]
+    endings = ".".join(path.name.lower().split(".")[-2:]), path.suffix.lower()[1:]
     name = next((each for each in endings if each in known), endings[1])
     listing = "occmap writes " + ", ".join(f".{each}" for each in known)
     if name not in known:

@@ -14,9 +14,11 @@ from typing import BinaryIO
 import numpy as np
 
 from occmap.cells import Decision, OccupancyMap
+from occmap.errors import UsageError
 from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import open_atomic
+from occmap.writers.edits import find_forbidden, read_edits
 
 UNKNOWN, FREE, OCCUPIED = 205, 254, 0
 GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
@@ -58,6 +60,28 @@ class PgmWriter(Writer):
                 image.write(to_pixels(band)[::-1].tobytes())
             write_yaml(yaml, describe_map(image_path.name, grid, options))
         return image_path, yaml_path
+
+
+class KeepoutWriter(PgmWriter):
+    """The cells that edits forbid, as the mask that nav2's keepout filter loads."""
+
+    description = "keepout mask for nav2: what `--edits` forbid, as a PGM and its YAML"
+
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
+        """Write the mask and its YAML; return both paths.
+
+        Raises
+        ------
+        UsageError, OutputError
+            No edits are given, or a file cannot be written; then neither is left behind.
+        """
+        if options.edits is None:
+            fix = "add `edits` with shapes that are forbidden"
+            raise UsageError("a keepout mask is of edits, and none are given", where=path, fix=fix)
+        forbidden = find_forbidden(grid, read_edits(options.edits))
+        log_odds = np.where(forbidden, np.float32(1), np.float32(-1))
+        mask = OccupancyMap(log_odds, np.ones_like(forbidden), grid.resolution, grid.origin)
+        return super().write(path, mask, WriteOptions())
 
 
 def describe_map(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:

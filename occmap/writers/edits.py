@@ -1,0 +1,198 @@
+"""Edits: shapes that a person draws over a map, such as a box over a pallet that is to go.
+
+They lie in a file beside the map and are applied whenever a map is made of evidence; the evidence
+stays what was observed. Each line of a CSV is a shape: what becomes of its cells, what it is, and
+its corners in the map's frame (m). A line of a drawing may end with its width. `#` begins a
+comment:
+
+    free,polygon,1.2,3.4,2.0,3.4,2.0,4.1
+    occupied,line,0,0,5,0
+    unknown,box,1,1,2,2.5
+    forbidden,polygon,4,4,6,4,6,5
+
+GeoJSON has them as polygons and lines with a property `class`, and for lines `width`.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from occmap.cells import OccupancyMap, to_log_odds
+from occmap.errors import UsageError
+from occmap.types import Bool, Float64, Int64
+
+LINE_WIDTH = 0.1
+"""Of a line that states none (m)"""
+CLOSED = math.sqrt(0.5)
+"""The cells whose middle is so near to a line (in cells) leave no gap that a path fits through."""
+
+
+class Change(StrEnum):
+    """What becomes of the cells of a shape."""
+
+    FREE = "free"
+    OCCUPIED = "occupied"
+    UNKNOWN = "unknown"
+    FORBIDDEN = "forbidden"
+    """The map stays as it is, and a keepout mask has them."""
+
+
+LOG_ODDS = {Change.FREE: to_log_odds(0.01), Change.OCCUPIED: to_log_odds(0.99), Change.UNKNOWN: 0.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A shape in the map's frame, and what becomes of its cells."""
+
+    change: Change
+    rings: tuple[Float64, ...]
+    """(N, 2) each: x and y of the corners of an area's outline and of its holes, or of a line"""
+    width: float | None = None
+    """Of a line (m); None: it is an area"""
+
+    def find_cells(self, grid: OccupancyMap) -> tuple[Int64, Int64]:
+        """(N,) rows and columns of the cells whose middle is inside the area, or near the line."""
+        reach = 0.0 if self.width is None else max(self.width / 2, CLOSED * grid.resolution)
+        corners = np.concatenate(self.rings)
+        ends = corners.min(axis=0) - reach, corners.max(axis=0) + reach
+        (col, row), (col_end, row_end) = (
+            np.clip((end - grid.origin) / grid.resolution + beyond, 0, grid.shape[::-1]).astype(int)
+            for end, beyond in zip(ends, (0, 1), strict=True)
+        )
+        x = grid.origin[0] + (np.arange(col, col_end) + 0.5) * grid.resolution
+        y = grid.origin[1] + (np.arange(row, row_end)[:, np.newaxis] + 0.5) * grid.resolution
+        covered = np.zeros((len(y), len(x)), np.bool_)
+        for ring in self.rings:
+            if self.width is None:
+                for start, end in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+                    covered ^= is_left_of(x, y, start, end)
+            else:
+                for start, end in pairwise(ring):
+                    covered |= measure_distance(x, y, start, end) <= reach
+        rows, cols = np.nonzero(covered)
+        return rows + row, cols + col
+
+
+def is_left_of(x: Float64, y: Float64, start: Float64, end: Float64) -> Bool:
+    """(H, W) which points a ray to the right leads from across an edge, its upper end left out."""
+    (x_start, y_start), (x_end, y_end) = start, end
+    if y_start == y_end:
+        return np.zeros(np.broadcast_shapes(x.shape, y.shape), np.bool_)
+    crosses = (y_start <= y) != (y_end <= y)
+    inside: Bool = crosses & (x < x_start + (y - y_start) * (x_end - x_start) / (y_end - y_start))
+    return inside
+
+
+def measure_distance(x: Float64, y: Float64, start: Float64, end: Float64) -> Float64:
+    """(H, W) how far points are from a piece of a line (m)."""
+    away, along = (x - start[0], y - start[1]), end - start
+    length = float(along @ along)
+    share = (away[0] * along[0] + away[1] * along[1]) / length if length else 0.0
+    nearest = np.clip(share, 0, 1)
+    apart: Float64 = np.hypot(away[0] - nearest * along[0], away[1] - nearest * along[1])
+    return apart
+
+
+def apply_edits(grid: OccupancyMap, shapes: Sequence[Shape]) -> OccupancyMap:
+    """Draw shapes over a map, one after the other; those that forbid leave it as it is."""
+    drawn = [shape for shape in shapes if shape.change in LOG_ODDS]
+    if not drawn:
+        return grid
+    log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
+    for shape in drawn:
+        cells = shape.find_cells(grid)
+        log_odds[cells] = LOG_ODDS[shape.change]
+        observed[cells] = shape.change is not Change.UNKNOWN
+    return replace(grid, log_odds=log_odds, observed=observed)
+
+
+def find_forbidden(grid: OccupancyMap, shapes: Sequence[Shape]) -> Bool:
+    """(H, W) the cells of a map that shapes forbid."""
+    forbidden = np.zeros(grid.shape, np.bool_)
+    for shape in shapes:
+        if shape.change is Change.FORBIDDEN:
+            forbidden[shape.find_cells(grid)] = True
+    return forbidden
+
+
+def read_edits(path: Path | None) -> tuple[Shape, ...]:
+    """Read a file of edits; None has none.
+
+    Raises
+    ------
+    UsageError
+        It cannot be read, or holds what is no shape.
+    """
+    if path is None:
+        return ()
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        read = read_features if text.lstrip().startswith("{") else read_lines
+        return tuple(read(path, text))
+    except OSError as error:
+        found = f"cannot be read ({error.strerror})"
+        raise UsageError(found, where=path, fix="check the path of `edits`") from None
+    except UnicodeDecodeError:
+        raise UsageError("is not text", where=path, fix=FORM) from None
+
+
+FORM = "write lines such as free,box,1,1,2,2.5 or occupied,line,0,0,5,0, or GeoJSON"
+
+
+def read_lines(path: Path, text: str) -> Iterator[Shape]:
+    """Read a shape from each line of a CSV; raises UsageError."""
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = [word.strip() for word in line.partition("#")[0].split(",")]
+        if not any(words):
+            continue
+        change, kind, *numbers = (*words, "", "")
+        try:
+            values = [float(word) for word in numbers if word]
+            width = values.pop() if kind == "line" and len(values) % 2 else None
+            yield make_shape(change, kind, [np.reshape(values, (-1, 2))], width)
+        except ValueError:
+            found = f"{line.strip()!r} is no shape"
+            raise UsageError(found, where=f"{path}: line {number}", fix=FORM) from None
+
+
+def read_features(path: Path, text: str) -> Iterator[Shape]:
+    """Read the shapes of GeoJSON; raises UsageError."""
+    try:
+        features = json.loads(text)["features"]
+    except (ValueError, LookupError, TypeError, RecursionError):
+        raise UsageError("is no GeoJSON of features", where=path, fix=FORM) from None
+    for number, feature in enumerate(features, start=1):
+        try:
+            said, geometry = feature["properties"], feature["geometry"]
+            kind, rings = geometry["type"].lower(), geometry["coordinates"]
+            if kind == "linestring":
+                kind, rings = "line", [rings]
+            corners = [np.array(ring, np.float64)[:, :2] for ring in rings]
+            yield make_shape(said["class"], kind, corners, said.get("width"))
+        except (ValueError, LookupError, TypeError, AttributeError):
+            found = "is no polygon or line with a property `class`"
+            classes = f"`class` is {', '.join(Change)}"
+            raise UsageError(found, where=f"{path}: feature {number}", fix=classes) from None
+
+
+def make_shape(change: str, kind: str, rings: Sequence[Float64], width: Any = None) -> Shape:
+    """Make a shape of its corners; raises ValueError or TypeError where they make none."""
+    if kind == "box":
+        ((x, y), (x_end, y_end)) = rings[0]
+        rings = [np.array([(x, y), (x_end, y), (x_end, y_end), (x, y_end)])]
+    fewest = {"polygon": 3, "box": 4, "line": 2}.get(kind, math.inf)
+    if not rings or any(len(ring) < fewest or not np.isfinite(ring).all() for ring in rings):
+        raise ValueError(kind)
+    if kind != "line":
+        return Shape(Change(change), tuple(rings))
+    metres = LINE_WIDTH if width is None else float(width)
+    if not 0 < metres < math.inf:
+        raise ValueError(width)
+    return Shape(Change(change), tuple(rings), metres)

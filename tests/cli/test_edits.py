@@ -1,0 +1,86 @@
+"""What a person draws over a map outlives rebuilds, merges and fleets, and no evidence has it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from occmap.writers.npz import read_evidence
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS
+
+DRIVE = SAMPLE_LOGS / "drive.mcap"
+X, Y = -4.05, -3.05
+"""The corner of its map (m), as occmap prints it"""
+
+
+@pytest.fixture(autouse=True)
+def _edits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("edits.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,1,0.5\n")
+
+
+def read_box(path: str, x: float, y: float, x_end: float, y_end: float) -> np.ndarray:
+    """The pixels of a box of the drive's map, in cells of 0.05 m."""
+    pixels = np.asarray(Image.open(path))[::-1]
+    col, row, col_end, row_end = (
+        round((at - low) / 0.05) for at, low in ((x, X), (y, Y), (x_end, X), (y_end, Y))
+    )
+    return pixels[row:row_end, col:col_end]
+
+
+def test_edits_outlive_a_rebuild_a_merge_and_a_render() -> None:
+    assert occmap("build", DRIVE, "-o", "plain.pgm").code == 0
+    assert (read_box("plain.pgm", 10.9, -1.5, 11.5, -0.9) == 0).any()  # the pallet
+    assert occmap("build", DRIVE, "--end", 40, "-o", "a.npz").code == 0
+    assert occmap("build", DRIVE, "--start", 40, "-o", "b.npz", "--edits", "edits.csv").code == 0
+    assert occmap("merge", "a.npz", "b.npz", "-o", "both.npz", "-o", "both.zarr").code == 0
+    edited = ("--edits", "edits.csv", "-o")
+    assert occmap("build", DRIVE, *edited, "built.pgm").code == 0
+    assert occmap("merge", "a.npz", "b.npz", *edited, "merged.pgm").code == 0
+    for name in ("both.npz", "both.zarr"):
+        assert occmap("render", name, *edited, f"{name}.pgm").code == 0
+    for name in ("built.pgm", "merged.pgm", "both.npz.pgm", "both.zarr.pgm"):
+        assert (read_box(name, 10.9, -1.5, 11.5, -0.9) == 254).all()
+        assert Path(name).read_bytes() == Path("built.pgm").read_bytes()
+    assert occmap("render", "both.npz", "-o", "again.pgm").code == 0
+    assert Path("again.pgm").read_bytes() == Path("plain.pgm").read_bytes()
+
+
+def test_evidence_names_the_file_of_edits_and_has_nothing_of_it() -> None:
+    occmap("build", DRIVE, "-o", "plain.npz")
+    occmap("build", DRIVE, "-o", "edited.npz", "--edits", "edits.csv")
+    plain, edited = (read_evidence(Path(name)) for name in ("plain.npz", "edited.npz"))
+    assert (plain.cells == edited.cells).all()
+    assert "edits" not in plain.manifest.builds[0]["options"]["writing"]
+    assert edited.manifest.builds[0]["options"]["writing"]["edits"] == "edits.csv"
+
+
+def test_the_counts_of_a_map_are_those_of_what_is_written() -> None:
+    Path("all.csv").write_text("occupied,box,-100,-100,100,100\n")
+    made = occmap("build", DRIVE, "-o", "m.pgm", "--edits", "all.csv", "--json")
+    assert json.loads(made.out)["map"]["occupied"] == 322 * 243
+
+
+def test_a_keepout_mask_has_what_is_forbidden() -> None:
+    assert occmap("build", DRIVE, "--edits", "edits.csv", "-o", "keepout.pgm").code == 0
+    pixels = np.asarray(Image.open("keepout.pgm"))
+    assert (read_box("keepout.pgm", 0, 0, 1, 0.5) == 0).all()
+    assert (pixels == 0).sum() == 20 * 10
+    assert (pixels == 254).sum() == 322 * 243 - 200
+    assert "mode: trinary" in Path("keepout.yaml").read_text()
+
+
+def test_a_keepout_mask_without_edits_says_what_to_give() -> None:
+    error = read_error(occmap("build", DRIVE, "-o", "site.keepout.pgm"), 2)
+    assert "site.keepout.pgm" in error
+    assert "--edits" in error
+
+
+def test_a_file_that_is_wrong_is_refused_before_the_work() -> None:
+    Path("edits.csv").write_text("free,box,1,2\n")
+    error = read_error(occmap("build", DRIVE, "-o", "m.pgm", "--edits", "edits.csv"), 2)
+    assert "edits.csv: line 1" in error
+    assert not Path("m.pgm").exists()

@@ -1,0 +1,138 @@
+"""Edits are drawn where their corners say, and bad files of them are refused in one line."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.cells import OccupancyMap
+from occmap.errors import UsageError
+from occmap.writers.edits import apply_edits, find_forbidden, read_edits
+
+
+def make_map(rows: int = 6, cols: int = 8) -> OccupancyMap:
+    """A map of undecided cells of half a metre; its corner is at x -1, y 2."""
+    log_odds = np.zeros((rows, cols), np.float32)
+    return OccupancyMap(log_odds, np.ones((rows, cols), np.bool_), 0.5, (-1.0, 2.0))
+
+
+def draw(tmp_path: Path, *lines: str) -> list[str]:
+    """Draw lines of edits over that map; highest y first, as a person sees it."""
+    path = tmp_path / "edits.csv"
+    path.write_text("\n".join(lines))
+    made = apply_edits(make_map(), read_edits(path))
+    picture = np.full(made.shape, "?")
+    picture[made.occupied], picture[made.free], picture[~made.observed] = "#", ".", " "
+    return ["".join(row) for row in picture[::-1]]
+
+
+def test_a_box_covers_the_cells_whose_middle_is_in_it(tmp_path: Path) -> None:
+    # x from -0.5 to 0.6: middles -0.25, 0.25; y from 3.0 to 4.0: middles 3.25, 3.75.
+    assert draw(tmp_path, "free,box,-0.5,3.0,0.6,4.0") == [
+        "????????",
+        "????????",
+        "?..?????",
+        "?..?????",
+        "????????",
+        "????????",
+    ]
+
+
+def test_a_later_shape_goes_over_an_earlier_one_and_comments_count_for_nothing(
+    tmp_path: Path,
+) -> None:
+    lines = "# rubbed out", "occupied,box,-1,2,3,5", "", "unknown,polygon,-1,2,1,2,1,3,-1,3 # here"
+    assert draw(tmp_path, *lines) == ["########"] * 4 + ["    ####"] * 2
+
+
+def test_a_slanted_polygon_follows_its_edge(tmp_path: Path) -> None:
+    # Below the line from (-1, 2) to (3, 5): at a middle x the edge is at 2 + 0.75 (x + 1).
+    expected = []
+    for y in (4.75, 4.25, 3.75, 3.25, 2.75, 2.25):
+        middles = (-0.75 + 0.5 * col for col in range(8))
+        expected.append("".join("." if y < 2 + 0.75 * (x + 1) else "?" for x in middles))
+    assert draw(tmp_path, "free,polygon,-1,2,3,2,3,5") == expected
+
+
+def test_a_line_leaves_no_gap_to_slip_through(tmp_path: Path) -> None:
+    drawn = draw(tmp_path, "occupied,line,-0.75,2.25,2.75,4.75")
+    columns = ["".join(column) for column in zip(*drawn, strict=True)]
+    assert all("#" in column for column in columns)
+    for left, right in pairwise(columns):  # neighbours share a side
+        assert any(a == b == "#" for a, b in zip(left, right, strict=True))
+
+
+def test_a_wide_line_is_as_wide_as_it_says(tmp_path: Path) -> None:
+    drawn = draw(tmp_path, "occupied,line,-1,3.5,3,3.5,2")  # 2 m: y 2.5 to 4.5
+    assert drawn == ["????????", *["########"] * 4, "????????"]
+
+
+def test_geojson_says_the_same_as_lines(tmp_path: Path) -> None:
+    hole = [[0, 3], [1, 3], [1, 4], [0, 4], [0, 3]]
+    area = [[-1, 2], [3, 2], [3, 5], [-1, 5], [-1, 2]]
+    features = [
+        ({"class": "free"}, {"type": "Polygon", "coordinates": [area, hole]}),
+        (
+            {"class": "occupied", "width": 0.1},
+            {"type": "LineString", "coordinates": [[-1, 2.25, 0], [3, 2.25, 0]]},
+        ),
+    ]
+    path = tmp_path / "edits.geojson"
+    listed = [{"type": "Feature", "properties": a, "geometry": b} for a, b in features]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": listed}))
+    made = apply_edits(make_map(), read_edits(path))
+    wanted = np.ones((6, 8), np.bool_)
+    wanted[2:4, 2:4] = False  # the hole
+    wanted[:1] = False  # the line
+    assert (made.free == wanted).all()
+    assert made.occupied[0].all()
+
+
+def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
+    path = tmp_path / "edits.csv"
+    path.write_text("forbidden,box,-1,2,0,3\nforbidden,box,50,50,60,60\n")
+    grid, shapes = make_map(), read_edits(path)
+    assert apply_edits(grid, shapes) is grid
+    assert np.argwhere(find_forbidden(grid, shapes)).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+
+
+def test_a_part_of_a_map_is_drawn_like_the_whole(tmp_path: Path) -> None:
+    path = tmp_path / "edits.csv"
+    path.write_text("occupied,line,-0.75,2.25,2.75,4.75\nfree,polygon,0,2,3,2,3,4\n")
+    grid, shapes = make_map(), read_edits(path)
+    part = apply_edits(grid.take(slice(1, 4), slice(2, 7)), shapes)
+    assert (part.classes == apply_edits(grid, shapes).classes[1:4, 2:7]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("free,box,1,1,2", "line 1"),
+        ("free,box,1,1,2,2\nfre,box,1,1,2,2", "line 2"),
+        ("free,circle,1,1,2,2", "circle"),
+        ("free,polygon,1,1,2,2", "polygon"),
+        ("free,box,1,1,2,nan", "nan"),
+        ("occupied,line,0,0,5,0,-1", "-1"),
+        ('{"features": 3', "GeoJSON"),
+        ('{"features": [{"properties": {}, "geometry": null}]}', "feature 1"),
+        (
+            '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Point", '
+            '"coordinates": [1, 2]}}]}',
+            "feature 1",
+        ),
+    ],
+)
+def test_what_is_no_shape_is_refused_with_its_place(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "edits.csv"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=r"edits\.csv") as caught:
+        read_edits(path)
+    assert words in str(caught.value)
+    assert caught.value.fix
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"nowhere\.csv"):
+        read_edits(tmp_path / "nowhere.csv")
