@@ -65,7 +65,7 @@ class PgmWriter(Writer):
 class KeepoutWriter(PgmWriter):
     """The cells that edits forbid, as the mask that nav2's keepout filter loads."""
 
-    description = "keepout mask for nav2: what `--edits` forbid, as a PGM and its YAML"
+    description = "keepout mask for nav2: what edits forbid, as a PGM and its YAML"
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write the mask and its YAML; return both paths.

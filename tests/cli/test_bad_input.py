@@ -170,8 +170,8 @@ def test_an_output_folder_that_cannot_be_written(folder: Path) -> None:
         ("log.csv/m.pgm", "log.csv is a file, not a folder"),
         (
             "m.jpg",
-            "unknown suffix '.jpg'; occmap writes .csv, .ground.tif, .html, .mcap, .npz, .pgm, "
-            ".png, .tif, .tiles, .tum, .zarr",
+            "unknown suffix '.jpg'; occmap writes .csv, .ground.tif, .html, .keepout.pgm, .mcap, "
+            ".npz, .pgm, .png, .tif, .tiles, .tum, .zarr",
         ),
         ("n" * 300 + ".pgm", "File name too long"),
     ],

@@ -33,6 +33,7 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
                 "csv",
                 "ground.tif",
                 "html",
+                "keepout.pgm",
                 "mcap",
                 "npz",
                 "pgm",

@@ -146,7 +146,11 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (["render", "a.npz"], 2, "where to write is not given; add -o map.pgm"),
         (["render", "x.npz", "-o", "m.pgm"], 1, "x.npz: no such file"),
         (["render", "a.csv", "-o", "m.pgm"], 1, "a.csv: is not an evidence file; build one"),
-        (["render", "a.npz", "-o", "m.jpg"], 2, "occmap writes .csv, .ground.tif, .html, .mcap"),
+        (
+            ["render", "a.npz", "-o", "m.jpg"],
+            2,
+            "occmap writes .csv, .ground.tif, .html, .keepout.pgm",
+        ),
         (["render", "a.npz", "-o", "m.pgm", "--max-cells", "3"], 1, "more than --max-cells 3"),
         (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,1"], 2, "3 values where 4 belong"),
         (["render", "a.npz", "-o", "m.pgm", "--extent", "0,0,0,1"], 2, "is not a box"),
