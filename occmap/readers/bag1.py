@@ -95,9 +95,7 @@ class Bag1Source(RecordSource):
         if header.opcode in _ENTRY_BYTES:
             # There are bags whose recorder stated another length; the entries have one size.
             length = _ENTRY_BYTES[header.opcode] * header.number(b"count")
-        is_plain = header.text(b"compression") == "none"
-        is_sure = is_plain and length == header.number(b"size")
-        return Record(_KINDS[header.opcode][0], position, start, start + length, is_sure)
+        return Record(_KINDS[header.opcode][0], position, start, start + length)
 
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
         try:

@@ -37,12 +37,6 @@ _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
-_CHUNK_BODY = re.compile(
-    rb".{28}(\x00{4}|\x03\x00{3}lz4|\x04\x00{3}(none|zstd))(?P<length>.{5}\x00{3})", re.DOTALL
-)
-"""How the body of a chunk starts, and how many bytes follow."""
-_CHUNK_START = 44
-"""Bytes of it that say how long the chunk is."""
 _FOOTER_BODY = 20
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
@@ -70,24 +64,16 @@ class McapSource(RecordSource):
 
     def _read_record(self, file: BinaryIO, position: int, size: int) -> Record | None:
         file.seek(position)
-        data = file.read(_HEAD.size + _CHUNK_START)
+        data = file.read(_HEAD.size)
         if len(data) < _HEAD.size:
             return None
-        opcode, length = _HEAD.unpack_from(data)
+        opcode, length = _HEAD.unpack(data)
         start, end = position + _HEAD.size, position + _HEAD.size + length
-        # A message may begin like the body of a chunk by chance.
-        chunk = None if opcode == Opcode.MESSAGE else _CHUNK_BODY.match(data, _HEAD.size)
-        is_sure = chunk is not None and end == position + chunk.end() + int.from_bytes(
-            chunk["length"], "little"
-        )
-        if is_sure and opcode != Opcode.CHUNK:
-            self._note(position, "has a damaged head")
-            opcode = Opcode.CHUNK
         if opcode == Opcode.FOOTER and end == size - len(self.magic):
             return Record(Kind.OTHER, position, start, size)
         if opcode == Opcode.FOOTER or opcode not in _OPCODES:
             return None
-        return Record(_KINDS.get(opcode, Kind.OTHER), position, start, end, is_sure)
+        return Record(_KINDS.get(opcode, Kind.OTHER), position, start, end)
 
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
         message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
@@ -104,7 +90,7 @@ class McapSource(RecordSource):
 
     def _open_chunk(self, position: int, record: bytes) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
-        stream = ReadDataStream(BytesIO(record[_HEAD.size :]))
+        stream = _open_body(record)
         try:  # not by Chunk.read, which gives nothing of a chunk that is cut
             _times, size = stream.read(16), stream.read8()
             crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
@@ -113,8 +99,8 @@ class McapSource(RecordSource):
             return b""
         data = memoryview(record)[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
-        if (left := len(data) - length) > _LONGEST_PADDING:
-            problem = problem or f"has {count(left, 'byte')} that it does not state"
+        if not problem and (left := len(data) - length) > _LONGEST_PADDING:
+            problem = f"has {count(left, 'byte')} that it does not state"
         if not problem and position not in self._verified:
             self._verified.add(position)
             if crc not in {0, zlib.crc32(block)}:
@@ -169,16 +155,9 @@ class McapSource(RecordSource):
         return self._gather(self._split(file, start, end), is_checked=footer.summary_crc != 0)
 
     def _gather(self, records: Iterable[bytes], *, is_checked: bool) -> Summary:
-        """Gather what the records of the summary say; an index of chunks must be checked.
-
-        Raises
-        ------
-        McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError
-            One of them is not well formed.
-        """
-        summary = Summary()
+        """Gather what the records of the summary say; an index of chunks must be checked."""
+        summary, statistics = Summary(), None
         descriptions: Descriptions = {}
-        statistics = None
         for record in records:
             if record[0] in _DESCRIPTIONS:
                 descriptions[record] = 0

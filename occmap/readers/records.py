@@ -54,8 +54,6 @@ class Record(NamedTuple):
     """Where its body begins"""
     end: int
     """Where its body ends; of a record that is cut, beyond the file"""
-    is_sure: bool = False
-    """Whether its length is stated twice, and so cannot be wrong"""
 
 
 Inner: TypeAlias = tuple[int, int, int, int]
@@ -96,16 +94,13 @@ class RecordSource(ABC):
     """Whether nothing else begins like a record; otherwise only two in a row are records"""
     errors: ClassVar[tuple[type[Exception], ...]]
     """What is raised where a record is not well formed"""
-    _cut_at = -1
-    """Where a record begins in the middle of which the file ends"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes = NoteList()
-        self._has_doubles = False
-        """Whether chunks may be there twice, as in a file that is not as its index says"""
         with refuse_unreadable(path), path.open("rb") as file:
-            self._size = file.seek(0, 2)
+            self._size = self._cut_at = file.seek(0, 2)
+            """Where a record begins in the middle of which the file ends, or the end of the file"""
             try:
                 self._summary = self._read_summary(file)
             except self.errors as error:
@@ -130,11 +125,10 @@ class RecordSource(ABC):
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
-            for position, block in self._iterate_blocks(file, by_id):
-                view = memoryview(block)
-                for key, record_ns, start, end in self._list_messages(position, view, descriptions):
+            for block, records in self._iterate_blocks(file, by_id, descriptions):
+                for key, record_ns, start, end in records:
                     if key in by_id:
-                        yield by_id[key], record_ns, view[start:end]
+                        yield by_id[key], record_ns, block[start:end]
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -147,7 +141,7 @@ class RecordSource(ABC):
 
     @abstractmethod
     def _read_record(self, file: BinaryIO, position: int, size: int) -> Record | None:
-        """Read a record's head in a file of some size; None where there is none."""
+        """Read a record's head in a file, or a block, of some size; None where there is none."""
 
     @abstractmethod
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
@@ -169,12 +163,10 @@ class RecordSource(ABC):
 
         Where the summary counts those of a channel, its count stands.
         """
-        self._has_doubles = True
         descriptions: Descriptions = {}
         held: Counter[int] = Counter()
-        for position, block in self._iterate_blocks(file, _EVERY_ID):
-            messages = self._list_messages(position, memoryview(block), descriptions)
-            held.update(key for key, *_ in messages)
+        for _, records in self._iterate_blocks(file, _EVERY_ID, descriptions):
+            held.update(key for key, *_ in records)
         found: dict[int, Channel] = {}
         for key, channel in self._describe(descriptions):
             found.setdefault(key, channel)
@@ -185,41 +177,31 @@ class RecordSource(ABC):
         return channels, Counter({**held, **announced})
 
     def _iterate_blocks(
-        self, file: BinaryIO, wanted: Container[int]
-    ) -> Iterator[tuple[int, Buffer]]:
-        """Give the records that may hold messages of these channels, by where they lie.
+        self, file: BinaryIO, wanted: Container[int], descriptions: Descriptions
+    ) -> Iterator[tuple[memoryview, Iterator[Inner]]]:
+        """Give what may hold messages of some channels: unpacked chunks, or single records.
 
-        Those of a chunk come together.
+        With each come its messages. The records in it that describe channels are added to
+        `descriptions`.
         """
-        seen: set[int] = set()
-        for record in self._walk(file):
-            position = record.position
-            if record.kind is Kind.PLAIN:
-                yield position, _load(file, record)
-            elif record.kind is Kind.CHUNK and self._may_hold(position, wanted):
-                data = _load(file, record)
-                key = hash(data) if self._has_doubles else position
-                if key in seen:
-                    self._note(position, "is there twice, and is used once")
-                    continue
-                seen.add(key)
-                yield position, self._open_chunk(position, data)
-
-    def _may_hold(self, position: int, wanted: Container[int]) -> bool:
-        """Whether a chunk can hold messages of these channels, as far as it is certain."""
-        held = self._summary.chunks.get(position)
-        return not held or any(key in wanted for key in held)
+        for kind, position, _, end in self._walk(file):
+            held = self._summary.chunks.get(position)
+            if kind is Kind.OTHER or (held and not any(key in wanted for key in held)):
+                continue
+            file.seek(position)
+            # Of a record that is too long to be sound, only the first bytes are read.
+            data: Buffer = file.read(min(end - position, MAX_INFLATED))
+            if kind is Kind.CHUNK:
+                data = self._open_chunk(position, bytes(data))
+            block = memoryview(data)
+            yield block, self._list_messages(position, block, descriptions)
 
     def _list_messages(
         self, position: int, block: memoryview, descriptions: Descriptions
     ) -> Iterator[Inner]:
-        """Give the messages of a block. A damaged record ends nothing: the next is looked for.
-
-        The records that describe channels are added to `descriptions`.
-        """
-        size = len(block)
+        """Give the messages of a block. A damaged record ends nothing: the next is looked for."""
+        size, at, search = len(block), 0, 0
         damaged: list[int] = []
-        at = before = 0
         while at < size:
             for record in self._parse_records(block, at):
                 key, _, start, end = record
@@ -229,62 +211,64 @@ class RecordSource(ABC):
                     yield record
                 elif key == DESCRIPTION:
                     descriptions.setdefault(bytes(block[start:end]), position)
-                before, at = at, end
+                # The length of the last one may be what is wrong, so it is searched, too.
+                search, at = at + 1, end
             if at < size:
                 damaged.append(at)
-                # The length of the record before may be what is wrong, so it is searched, too.
-                at = before = self._find_record(BytesIO(block), before + 1, size, {Kind.PLAIN})
+                found = self._find_record(BytesIO(block), search, size, {Kind.PLAIN})
+                at = found.position if found else size
+                search = at + 1
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(position, f"is damaged at byte {min(damaged)}{more}")
 
     def _walk(self, file: BinaryIO) -> Iterator[Record]:
-        """Give the records of the file one by one; behind damage, the next that is found."""
-        position = search = len(self.magic)
-        while position < self._size:
-            record = self._read_record(file, position, self._size)
-            if record and record.kind is Kind.CHUNK:
-                record = self._bound_chunk(file, record)
-            elif not record or record.end > self._size:
-                found = self._find_record(file, search, self._size)
-                if found < self._size:
-                    self._note_gap(position if position < found else search, found)
-                    position, search = found, found + 1
-                    continue
-            if not record or record.end > self._size:
-                self._note_rest(position, record)
-                if record and record.kind is Kind.CHUNK:
-                    yield record._replace(end=self._size)
-                return
+        """Give the records of the file one by one.
+
+        Where no record follows one, its length may be wrong. So it ends where the next one begins
+        that is found behind its head.
+        """
+        record = Record(Kind.OTHER, 0, len(self.magic), len(self.magic))
+        while record.end != self._size:
+            following = self._read_record(file, min(record.end, self._size), self._size)
+            # The length of a chunk that seems to be cut is looked at in the next round.
+            if following and following.end > self._size and following.kind is not Kind.CHUNK:
+                following = None
+            if following is None:
+                # What lies in a chunk does not follow it.
+                kinds = set(Kind) if record.kind is not Kind.CHUNK else {Kind.CHUNK, Kind.OTHER}
+                following = self._find_record(file, record.start, self._size, kinds)
+                if following is None:
+                    break
+                at = record.end if record.end < following.position else record.start
+                found = f"damaged at byte {at}, read on from byte {following.position}"
+                self.notes.add_damage(found)
+                record = record._replace(end=min(record.end, following.position))
             yield record
-            position = record.end
-            # Its length may be what is wrong if nothing follows; that of a chunk was looked at.
-            search = position + 1 if record.kind is Kind.CHUNK else record.start
+            record = following
+        if record.end != self._size:
+            self._note_rest(file, record)
+        if record.end <= self._size or record.kind is Kind.CHUNK:
+            yield record._replace(end=min(record.end, self._size))
 
-    def _bound_chunk(self, file: BinaryIO, chunk: Record) -> Record:
-        """Let a chunk that no record follows end before the next that is found behind it."""
-        if chunk.is_sure or self._leads_on(file, chunk.end, self._size):
-            return chunk
-        found = self._find_record(file, chunk.start, self._size, {Kind.CHUNK, Kind.OTHER})
-        if found == self._size:
-            return chunk
-        self._note_gap(chunk.end if chunk.end < found else chunk.position, found)
-        return chunk._replace(end=found)
-
-    def _note_rest(self, position: int, record: Record | None) -> None:
-        """Note that the last bytes of the file hold no whole record."""
-        left = self._size - position
-        text = f"from byte {position} on, the last {count(left, 'byte')} hold no whole record"
-        if record:
-            there = f"{left:,} of its {record.end - position:,} bytes are there"
-            text = f"the file ends in the middle of the record at byte {position}: {there}"
-            self._cut_at = position
+    def _note_rest(self, file: BinaryIO, record: Record) -> None:
+        """Note that the last bytes of the file, in or behind a record, hold no whole one."""
+        is_cut = record.end > self._size
+        cut = record if is_cut else self._read_record(file, record.end, self._size)
+        if cut is None:
+            left = count(self._size - record.end, "byte")
+            text = f"from byte {record.end} on, the last {left} hold no whole record"
+        else:
+            self._cut_at = cut.position
+            there = f"{self._size - cut.position:,} of its {cut.end - cut.position:,} bytes"
+            text = f"the file ends in the middle of the record at byte {cut.position}"
+            text = f"{text}: {there} are there"
         self.notes.add_damage(text)
 
     def _find_record(
-        self, file: BinaryIO, start: int, size: int, kinds: Container[Kind] = frozenset(Kind)
-    ) -> int:
-        """Find where records of some kinds go on behind damage; the size where they do not."""
+        self, file: BinaryIO, start: int, size: int, kinds: Container[Kind]
+    ) -> Record | None:
+        """Find where records of some kinds go on in a file, or a block, of some size."""
         while start < size:
             file.seek(start)
             for match in self.head.finditer(file.read(_WINDOW)):
@@ -292,16 +276,14 @@ class RecordSource(ABC):
                 if record is None or record.kind not in kinds or record.end > size:
                     continue
                 if self.is_unmistakable or self._leads_on(file, record.end, size):
-                    return record.position
+                    return record
             start += _WINDOW - _LONGEST_MATCH
-        return size
+        return None
 
     def _leads_on(self, file: BinaryIO, position: int, size: int) -> bool:
         """Say whether a record, or the end of the file, is at a position."""
-        record = self._read_record(file, position, size) if position < size else None
-        if record is None:
-            return position == size
-        return self.is_unmistakable or record.end <= size
+        record = self._read_record(file, position, size)
+        return position == size if record is None else record.end <= size
 
     def _split(self, file: BinaryIO, start: int, end: int) -> Iterator[bytes]:
         """Give the records from one position up to another.
@@ -315,19 +297,11 @@ class RecordSource(ABC):
             record = self._read_record(file, start, self._size)
             if record is None or record.end > end:
                 raise ValueError(f"no record is at byte {start}")
-            yield _load(file, record)
+            file.seek(start)
+            yield file.read(record.end - start)
             start = record.end
-
-    def _note_gap(self, damaged: int, found: int) -> None:
-        self.notes.add_damage(f"damaged at byte {damaged}, read on from byte {found}")
 
     def _note(self, position: int, problem: str) -> None:
         """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
         if position != self._cut_at:
             self.notes.add_damage(f"the chunk at byte {position} {problem}")
-
-
-def _load(file: BinaryIO, record: Record) -> bytes:
-    """Read a record with its head; of one that is too long to be sound, only the first bytes."""
-    file.seek(record.position)
-    return file.read(min(record.end - record.position, MAX_INFLATED))

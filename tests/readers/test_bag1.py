@@ -33,6 +33,7 @@ class Blocks(Bag1Source):
 
     def __init__(self) -> None:
         self.notes = NoteList()
+        self._cut_at = -1
 
     def list_wanted(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
         found = self._list_messages(0, memoryview(block), {})
