@@ -96,7 +96,7 @@ def open_store(path: Path) -> Store:
 
     def read_block(block: Block) -> BlockContent:
         with refuse_damage(path):
-            content = layout.read_content(root, block, manifest)
+            content = layout.read_content(root, block, len(manifest.builds))
         if layout.hash_content(content) != digest_of[block]:
             found = f"its block {tuple(block)} was altered or a file of it is missing"
             raise MapError(found, where=path, fix="build it again")

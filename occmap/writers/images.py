@@ -198,20 +198,18 @@ class TileTree:
             classes = self.paint(x, y)
         else:
             quarters = product((2 * y, 2 * y + 1), (2 * x, 2 * x + 1))
-            classes = self.shrink([self.write(level + 1, right, down) for down, right in quarters])
+            parts = [self.write(level + 1, right, down) for down, right in quarters]
+            blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
+            one, two, three, four = (blank if part is None else part for part in parts)
+            # The two upper ones come first; row 0 is the lowest y.
+            whole = np.block([[three, four], [one, two]])
+            is_seen = any(part is not None for part in parts)
+            classes = keep_largest(whole, 2) if is_seen else None
         if classes is not None:
             file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
             file.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(GREYS[classes][::-1]).save(file)
         return classes
-
-    def shrink(self, quarters: list[UInt8 | None]) -> UInt8 | None:
-        """Make one tile of four: the two upper ones first; row 0 is the lowest y."""
-        if all(each is None for each in quarters):
-            return None
-        blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
-        one, two, three, four = (blank if each is None else each for each in quarters)
-        return keep_largest(np.block([[three, four], [one, two]]), 2)
 
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
