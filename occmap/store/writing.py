@@ -254,5 +254,5 @@ class ZarrWriter(Writer):
             ]
             for block in source.blocks:
                 paint_block(folder, block)
-            finish_store(folder, source.manifest, records, source.read_ground())
+            finish_store(folder, source.manifest, records, source.ground)
         return (path,)

@@ -213,10 +213,9 @@ class TileTree:
 
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
-        row, col = self.low + np.array([self.size[0] - 1 - y, x])
-        start = np.array([row, col]) * TILE_PIXELS - self.grid.place
-        first = np.maximum(start, 0)
-        last = np.minimum(start + TILE_PIXELS, self.grid.shape)
+        tile = self.low + np.array([self.size[0] - 1 - y, x])
+        start = tile * TILE_PIXELS - self.grid.place
+        first, last = np.maximum(start, 0), np.minimum(start + TILE_PIXELS, self.grid.shape)
         if (first >= last).any():
             return None
         part = self.grid.take(*map(slice, first.tolist(), last.tolist()))
@@ -228,8 +227,9 @@ class TileTree:
         classes[*inner] = replace(part, decision=decision).classes
         file = self.folder / f"{self.top}" / f"{x}" / f"{y}.yaml"
         file.parent.mkdir(parents=True, exist_ok=True)
-        corner = np.array([col, row]) * TILE_PIXELS * self.grid.resolution
-        lying = replace(part, origin=(round(corner[0], 12), round(corner[1], 12)))
+        corner = (tile * TILE_PIXELS * self.grid.resolution).tolist()
+        up, right = (round(edge, 12) for edge in corner)
+        lying = replace(part, origin=(right, up))
         with file.open("wb") as opened:
             write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY))
         return classes
