@@ -191,10 +191,9 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
 
 def measure_ground(saved: Saved, question: Question) -> float | None:
     """How high the ground is at the point (m), as clouds showed it; None where they did not."""
-    ground = saved.ground if isinstance(saved, Evidence) else saved.read_ground()
-    if ground is None:
+    if saved.ground is None:
         return None
-    (height,) = ground.find_heights(np.array([[question.x, question.y]])).tolist()
+    (height,) = saved.ground.find_heights(np.array([[question.x, question.y]])).tolist()
     return None if math.isnan(height) else height
 
 

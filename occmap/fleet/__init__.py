@@ -21,7 +21,7 @@ import numpy as np
 
 from occmap import pipeline, writers
 from occmap.cells import Ground, Manifest
-from occmap.errors import OutputError, require
+from occmap.errors import require
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
@@ -238,10 +238,8 @@ def open_scratch(
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
     folder = scratch.absolute() / f"build-{digest}"
-    try:
+    with refuse_unwritable(scratch):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot be made ({error.strerror})", where=scratch) from None
     yield folder
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):  # another build may have something in it

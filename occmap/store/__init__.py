@@ -31,8 +31,8 @@ class Blocks:
     """Those that anything was observed in, in ascending order, and how far it reaches at most"""
     read_block: Callable[[Block], BlockContent]
     """Gives what was observed in one of them; raises MapError where it is damaged"""
-    read_ground: Callable[[], Ground | None]
-    """Gives what clouds were traced over; raises MapError likewise"""
+    ground: Ground | None
+    """What clouds were traced over"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +93,11 @@ def open_store(path: Path) -> Store:
         reach = [CellBox(*edges) for edges in table["reach"].tolist()]
         digests = [digest.tobytes().hex() for digest in table["sha256"]]
         digest_of = dict(zip(blocks, digests, strict=True))
+        ground = unpack_ground(below)
 
     def read_block(block: Block) -> BlockContent:
         with refuse_damage(path):
-            content = layout.read_content(root, block, manifest)
+            content = layout.read_content(root, block, len(manifest.builds))
         if layout.hash_content(content) != digest_of[block]:
             found = f"its block {tuple(block)} was altered or a file of it is missing"
             raise MapError(found, where=path, fix="build it again")
@@ -107,7 +108,7 @@ def open_store(path: Path) -> Store:
         where=str(path),
         blocks=dict(zip(blocks, reach, strict=True)),
         read_block=read_block,
-        read_ground=lambda: unpack_ground(below),
+        ground=ground,
         root=root,
         digest=head["digest"],
     )
@@ -119,8 +120,7 @@ def as_blocks(saved: Saved) -> Blocks:
         return saved
     contents = dict(layout.split_evidence(saved))
     reach = {block: block.box for block in contents}
-    of_block, ground = contents.__getitem__, saved.ground
-    return Blocks(saved.manifest, saved.where, reach, of_block, lambda: ground)
+    return Blocks(saved.manifest, saved.where, reach, contents.__getitem__, saved.ground)
 
 
 def read_all(saved: Saved) -> Evidence:
@@ -128,7 +128,7 @@ def read_all(saved: Saved) -> Evidence:
     if isinstance(saved, Evidence):
         return saved
     whole = layout.join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
-    return replace(whole, ground=saved.read_ground())
+    return replace(whole, ground=saved.ground)
 
 
 def read_part(saved: Saved, box: CellBox) -> Evidence:

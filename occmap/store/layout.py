@@ -126,21 +126,6 @@ def spread_cells(block: Block, content: BlockContent) -> Int64:
     return cells
 
 
-def gather_tiles(cells: Int64, row: int, col: int) -> tuple[Int64, Int64]:
-    """The tiles (T, 2) in which anything was observed, and their cells (T, 2, 64, 64).
-
-    Parameters
-    ----------
-    cells
-        (2, H, W): the two numbers of each cell of some tiles.
-    row, col
-        Row and column of the first of these tiles.
-    """
-    tiles = cut_tiles(cells)
-    places = np.argwhere(tiles.any(axis=(2, 3, 4)))
-    return places + np.array([row, col]), tiles[*places.T]
-
-
 def cut_tiles(cells: Int64) -> Int64:
     """(R, C, 2, 64, 64): a view of the tiles of whole rows and columns of tiles (2, H, W)."""
     _, height, width = cells.shape
@@ -183,16 +168,30 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
 
 
-def read_content(root: Any, block: Block, manifest: Manifest) -> BlockContent:
+def read_tiles(root: Any, box: CellBox) -> tuple[Int64, Int64]:
+    """Read the tiles (T, 2) of a box in which anything was observed, and their cells.
+
+    Parameters
+    ----------
+    root
+        The group of a store. What of the box lies beyond its arrays was not observed.
+    """
+    head = root.attrs["occmap"]
+    arrays = [root[name] for name in LAYERS[head["kind"]]]
+    whole = CellBox(0, 0, *arrays[0].shape).move(*head["offset"])
+    part = whole.clip(box)
+    tiles = cut_tiles(np.stack([array[part.within(whole)] for array in arrays]))
+    places = np.argwhere(tiles.any(axis=(2, 3, 4)))
+    return places + np.array(part.shrink(TILE)[:2]), tiles[*places.T]
+
+
+def read_content(root: Any, block: Block, builds: int) -> BlockContent:
     """Read what was observed in a block of the group of a store, as it is there."""
-    place = find_place(block, root.attrs["occmap"]["offset"])
-    whole = np.stack([root[name][place] for name in LAYERS[manifest.kind]])
-    tiles, cells = gather_tiles(whole, block.row * SIDE, block.col * SIDE)
+    tiles, cells = read_tiles(root, block.box)
     if np.abs(cells).max(initial=0) <= INT32_LIMIT:
         cells = cells.astype(np.int32)
     array = root[f"slices/{block.row}.{block.col}"]
-    slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
-    return BlockContent(tiles, cells, slices)
+    return BlockContent(tiles, cells, unpack_layers(array[:], array.attrs["arrays"], builds))
 
 
 def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:

@@ -100,8 +100,7 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
         The parts do not go together.
     """
     nothing = [
-        replace(join_contents((), each.manifest, each.where), ground=each.read_ground())
-        for each in parts
+        replace(join_contents((), each.manifest, each.where), ground=each.ground) for each in parts
     ]
     whole = add_up(nothing, added)  # what differs is refused at once
 
@@ -113,7 +112,7 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
 
     blocks = sorted({block for part in parts for block in part.blocks})
     reach = {block: block.box for block in blocks}
-    return Blocks(whole.manifest, "", reach, read_block, lambda: whole.ground)
+    return Blocks(whole.manifest, "", reach, read_block, whole.ground)
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:

@@ -3,6 +3,7 @@
 A map is made block by block: memory is that of the map and of a few blocks.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -159,21 +160,26 @@ def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> C
     MapError
         Nothing was observed, or lasts.
     """
-    reach, found = source.blocks, None
-    known: dict[Block, CellBox | None] = {}
+    reach = source.blocks
+
+    @cache
+    def measure(block: Block) -> CellBox | None:
+        _, lasting = read_lasting(source, block.box, min_passes)
+        return measure_bounds(evidence.choose_tiles(lasting, model))
+
+    edges = []
     for side, outward in enumerate((-1, -1, 1, 1)):  # of a box: row, col, row_end, col_end
-        for block in sorted(reach, key=lambda each: -outward * reach[each][side]):
+        farthest = -math.inf
+        for block in sorted(reach, key=lambda each: outward * reach[each][side], reverse=True):
             # A hit speaks for the cell beside it, so a block may reach one cell farther.
-            if found and outward * found[side] >= outward * reach[block][side] + 1:
+            if outward * reach[block][side] + 1 <= farthest:
                 break
-            if block not in known:
-                _, lasting = read_lasting(source, block.box, min_passes)
-                known[block] = measure_bounds(evidence.choose_tiles(lasting, model))
-            if box := known[block]:
-                found = found.join(box) if found else box
-    if found is None:
-        evidence.refuse_nothing_left(min_passes if reach else None)
-    return found
+            if box := measure(block):
+                farthest = max(farthest, outward * box[side])
+        if math.isinf(farthest):
+            evidence.refuse_nothing_left(min_passes if reach else None)
+        edges.append(int(outward * farthest))
+    return CellBox(*edges)
 
 
 def read_lasting(source: Blocks, box: CellBox, min_passes: int | None) -> tuple[TileGrid, TileGrid]:

@@ -14,8 +14,7 @@ from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
 from occmap.store import Blocks, as_blocks, layout
-from occmap.store.layout import BLOCK, Block, BlockContent, BlockRecord, gather_tiles, spread_cells
-from occmap.types import Int64
+from occmap.store.layout import BLOCK, Block, BlockContent, BlockRecord, spread_cells
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
 from occmap.writers.npz import compute_checksum, pack_ground, pack_slices
@@ -153,13 +152,7 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
     """
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        row, col = head["offset"]
-        numbers = [root[name] for name in layout.LAYERS[head["kind"]]]
-        rows, cols = numbers[0].shape
-        whole = CellBox(row, col, row + rows, col + cols)
-        near = whole.clip(block.box.grow(TILE))
-        cells: Int64 = np.stack([array[near.within(whole)] for array in numbers])
-        tiles = gather_tiles(cells, near.row // TILE, near.col // TILE)
+        tiles = layout.read_tiles(root, block.box.grow(TILE))
         grid = to_grid(Evidence(Manifest.from_json(head), *tiles))
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
@@ -261,5 +254,5 @@ class ZarrWriter(Writer):
             ]
             for block in source.blocks:
                 paint_block(folder, block)
-            finish_store(folder, source.manifest, records, source.read_ground())
+            finish_store(folder, source.manifest, records, source.ground)
         return (path,)

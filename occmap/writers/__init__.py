@@ -99,9 +99,7 @@ class WriteOptions:
     @property
     def thresholds(self) -> Decision:
         """Those of the YAML."""
-        free = DEFAULT_THRESHOLDS.free_below if self.free_thresh is None else self.free_thresh
-        occupied = self.occupied_thresh
-        return Decision(free, DEFAULT_THRESHOLDS.occupied_above if occupied is None else occupied)
+        return self._choose(DEFAULT_THRESHOLDS)
 
     def edit(self, grid: OccupancyMap) -> OccupancyMap:
         """Draw the user's shapes over a map, or a part of one."""
@@ -111,9 +109,13 @@ class WriteOptions:
         """How the cells of a written map are decided, where the map itself has a decision."""
         if self.mode is not MapMode.TRINARY:
             return self.thresholds
-        occupied, free = self.occupied_thresh, self.free_thresh
-        above = decision.occupied_above if occupied is None else occupied
-        return Decision(min(decision.free_below if free is None else free, above), above)
+        free, occupied = self._choose(decision)
+        return Decision(min(free, occupied), occupied)
+
+    def _choose(self, default: Decision) -> Decision:
+        free = default.free_below if self.free_thresh is None else self.free_thresh
+        occupied = self.occupied_thresh
+        return Decision(free, default.occupied_above if occupied is None else occupied)
 
 
 DEFAULT_THRESHOLDS = Decision(free_below=0.196, occupied_above=0.65)

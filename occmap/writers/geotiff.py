@@ -42,8 +42,8 @@ class GeoTiffWriter(Writer):
             It cannot be written; then nothing is left behind.
         """
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
-        kind = {"dtype": "uint8", "nodata": RAW_UNKNOWN}
-        write_image(path, describe(grid.shape, grid.place, grid.resolution) | kind, parts)
+        where = describe(grid.shape, grid.place, grid.resolution)
+        write_image(path, where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}, parts)
         return (path,)
 
 
@@ -71,9 +71,9 @@ class GroundWriter(EvidenceWriter):
         known = np.where(ground.measured, ground.height_mm / 1000, np.nan)
         squares[rows, cols] = known.reshape(-1, side, side)
         heights = np.block([list(row) for row in squares])
-        layout = describe(heights.shape, low * side, COLUMN_MM / 1000)
+        where = describe(heights.shape, low * side, COLUMN_MM / 1000)
         kind = {"dtype": "float32", "nodata": math.nan}
-        write_image(path, layout | kind, [(None, heights[::-1])])
+        write_image(path, where | kind, [(None, heights[::-1])])
         return (path,)
 
 

@@ -198,27 +198,24 @@ class TileTree:
             classes = self.paint(x, y)
         else:
             quarters = product((2 * y, 2 * y + 1), (2 * x, 2 * x + 1))
-            classes = self.shrink([self.write(level + 1, right, down) for down, right in quarters])
+            parts = [self.write(level + 1, right, down) for down, right in quarters]
+            blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
+            one, two, three, four = (blank if part is None else part for part in parts)
+            # The two upper ones come first; row 0 is the lowest y.
+            whole = np.block([[three, four], [one, two]])
+            is_seen = any(part is not None for part in parts)
+            classes = keep_largest(whole, 2) if is_seen else None
         if classes is not None:
             file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
             file.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(GREYS[classes][::-1]).save(file)
         return classes
 
-    def shrink(self, quarters: list[UInt8 | None]) -> UInt8 | None:
-        """Make one tile of four: the two upper ones first; row 0 is the lowest y."""
-        if all(each is None for each in quarters):
-            return None
-        blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
-        one, two, three, four = (blank if each is None else each for each in quarters)
-        return keep_largest(np.block([[three, four], [one, two]]), 2)
-
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
-        row, col = self.low + np.array([self.size[0] - 1 - y, x])
-        start = np.array([row, col]) * TILE_PIXELS - self.grid.place
-        first = np.maximum(start, 0)
-        last = np.minimum(start + TILE_PIXELS, self.grid.shape)
+        tile = self.low + np.array([self.size[0] - 1 - y, x])
+        start = tile * TILE_PIXELS - self.grid.place
+        first, last = np.maximum(start, 0), np.minimum(start + TILE_PIXELS, self.grid.shape)
         if (first >= last).any():
             return None
         part = self.grid.take(*map(slice, first.tolist(), last.tolist()))
@@ -230,8 +227,9 @@ class TileTree:
         classes[*inner] = replace(part, decision=decision).classes
         file = self.folder / f"{self.top}" / f"{x}" / f"{y}.yaml"
         file.parent.mkdir(parents=True, exist_ok=True)
-        corner = np.array([col, row]) * TILE_PIXELS * self.grid.resolution
-        lying = replace(part, origin=(round(corner[0], 12), round(corner[1], 12)))
+        corner = (tile * TILE_PIXELS * self.grid.resolution).tolist()
+        up, right = (round(edge, 12) for edge in corner)
+        lying = replace(part, origin=(right, up))
         with file.open("wb") as opened:
             write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY))
         return classes

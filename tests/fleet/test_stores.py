@@ -53,7 +53,7 @@ def test_it_holds_the_ground_of_clouds(address: str, tmp_path: Path) -> None:
     fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
     one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
     assert one.digest == other.digest
-    below, its = one.read_ground(), other.read_ground()
+    below, its = one.ground, other.ground
     assert below is not None
     assert its is not None
     assert (below.height_mm == its.height_mm).all()

@@ -122,15 +122,6 @@ def test_a_box_beside_the_map_is_refused_alike(built: Path, tmp_path: Path) -> N
     assert len(errors) == 1
 
 
-def test_a_store_and_a_file_are_made_of_each_other(built: Path, tmp_path: Path) -> None:
-    whole = (built / "whole.npz").read_bytes()
-    occmap("render", built / "whole.zarr", "-o", tmp_path / "a.npz")
-    assert (tmp_path / "a.npz").read_bytes() == whole
-    occmap("render", built / "whole.npz", "-o", tmp_path / "b.zarr", "-o", tmp_path / "b.pgm")
-    occmap("render", tmp_path / "b.zarr", "-o", tmp_path / "c.npz")
-    assert (tmp_path / "c.npz").read_bytes() == whole
-
-
 @pytest.mark.parametrize("point", [("1.5", "-0.25"), ("0", "0"), ("-0.01", "2"), ("50", "50")])
 def test_a_cell_is_explained_alike(built: Path, tmp_path: Path, point: tuple[str, str]) -> None:
     for options in ((), ("--min-passes", "2"), ("--log", str(DRIVE))):
@@ -189,14 +180,6 @@ def test_what_does_not_add_up_is_refused_alike(built: Path, tmp_path: Path) -> N
         assert "its resolution is 0.05" in read_error(done, 1)
     assert not (tmp_path / "m.zarr").exists()
     assert not list(tmp_path.glob(".occmap-*"))
-
-
-def test_a_build_goes_on_from_a_store(built: Path, tmp_path: Path) -> None:
-    line = ["build", "surface", DRIVE, "--resolution", FINE, "--start", MIDDLE_S, "--pass-gap", "3"]
-    for suffix in ("npz", "zarr"):
-        resumed = [*line, "--resume", built / f"early.{suffix}", "-o", tmp_path / f"{suffix}.npz"]
-        assert occmap(*resumed, "--model", "counting").code == 0
-    assert (tmp_path / "npz.npz").read_bytes() == (tmp_path / "zarr.npz").read_bytes()
 
 
 def test_a_build_adds_blocks_to_a_store(built: Path, tmp_path: Path) -> None:

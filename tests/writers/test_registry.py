@@ -4,9 +4,10 @@ import pytest
 
 from occmap import writers
 from occmap.errors import UsageError
-from occmap.writers import MapMode, WriteOptions, find_writer
+from occmap.writers import MapMode, Product, WriteOptions, find_writer, write_outputs
 from occmap.writers.pgm import PgmWriter
 from occmap.writers.png import PngWriter
+from tests.writers.maps import map_of
 
 
 def test_the_suffix_picks_the_writer() -> None:
@@ -37,6 +38,25 @@ def test_a_writer_that_does_not_load_is_named(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(writers, "load_plugin", lambda _group, _name: None)
     with pytest.raises(UsageError, match=r"the writer for \.png does not load"):
         find_writer(Path("map.png"))
+
+
+class Foreign:
+    """A plugin's writer that needs no class of occmap."""
+
+    description = "a page"
+    needs_evidence = True
+
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
+        return path, Path(str(product.report))
+
+
+def test_what_a_plugin_does_not_say_is_as_usual(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writers, "load_plugin", lambda _group, _name: Foreign)
+    path, product = Path("m.png"), Product(map_of([[0.5]]), lambda: None, report=7)  # type: ignore[arg-type, return-value]
+    writer = find_writer(path)
+    assert writer.targets(path) == (path,)
+    assert (writer.needs_evidence, writer.shows_journey, writer.is_folder) == (True, True, False)
+    assert write_outputs([path], product, WriteOptions()) == ["m.png", "7"]
 
 
 @pytest.mark.parametrize(
