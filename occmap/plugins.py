@@ -1,6 +1,6 @@
 """How readers, sensor models and writers are found: through entry points, loaded on use."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -73,9 +73,12 @@ def need_extra(extra: str, use: str, where: object = "") -> Iterator[None]:
         raise UsageError(f"{use}, which is not installed", where=where, fix=fix) from None
 
 
+def guess(word: str, known: Iterable[str]) -> str:
+    """Say what a mistyped name was probably meant to be; "" where it is like none."""
+    close = get_close_matches(word, list(known), n=1)
+    return f"did you mean {close[0]!r}?" if close else ""
+
+
 def suggest(word: str, known: list[str], command: str) -> str:
     """Say what a mistyped name was probably meant to be, or what there is."""
-    close = get_close_matches(word, known, n=1)
-    if close:
-        return f"did you mean {close[0]!r}?"
-    return f"there are {', '.join(known)}: see `{command}`"
+    return guess(word, known) or f"there are {', '.join(known)}: see `{command}`"

@@ -218,10 +218,14 @@ def test_a_beam_that_grazes_a_wall_does_not_lead_through_it(
     assert found.tolist() == [crosses]
 
 
-def test_logs_that_need_different_options_get_no_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("turn", "mount"), [(math.pi, []), (0.3, [(0.0, 0.0)])])
+def test_logs_that_need_different_options_get_no_line(
+    tmp_path: Path, turn: float, mount: list[tuple[float, float]]
+) -> None:
+    """One needs a mount, or `occmap tune`, and the other one nothing."""
     right = write_bag(tmp_path / "right.bag", Drive(), mount=[(0.0, 0.0)])
-    bare = write_bag(tmp_path / "bare.bag", Drive(mount=math.pi))
-    seen = inspect([right, bare], BuildOptions())
+    other = write_bag(tmp_path / "other.bag", Drive(turn), mount)
+    seen = inspect([right, other], BuildOptions())
     assert not seen.command
     assert seen.warnings[-1] == "the logs need different options: check them one by one"
 

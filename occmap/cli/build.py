@@ -1,7 +1,6 @@
 """`occmap build`: one map from one or more logs."""
 
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,6 +16,7 @@ from occmap.cli.options import FILES, MAP, Values
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
+from occmap.plugins import guess
 from occmap.report import label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
@@ -137,14 +137,11 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
         There is no log, or the first word looks like a mistyped update.
     """
     updates = [update.value for update in Update]
-    update = DEFAULT_UPDATE
-    if words and words[0] in updates:
-        update, words = Update(words[0]), words[1:]
-    elif words and words[0].isalpha() and not Path(words[0]).exists():
-        close = get_close_matches(words[0].lower(), updates, n=1)
-        if close:
-            found = f"{words[0]!r} is neither a log nor an update"
-            raise UsageError(found, fix=f"did you mean {close[0]!r}?")
+    first, update = words[0] if words else "", DEFAULT_UPDATE
+    if first in updates:
+        update, words = Update(first), words[1:]
+    elif first.isalpha() and (fix := guess(first.lower(), updates)) and not Path(first).exists():
+        raise UsageError(f"{first!r} is neither a log nor an update", fix=fix)
     if not words:
         raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
     return update, [Path(word) for word in words]

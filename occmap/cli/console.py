@@ -9,12 +9,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from threading import Event, Thread
-from typing import Any, TypedDict
+from typing import Any
 
 import click
 
 from occmap.errors import OccmapError, OutputError
-from occmap.report import name_stdin
+from occmap.report import Printed, name_stdin
 
 ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
@@ -32,7 +32,8 @@ class Verbosity(IntEnum):
     """Also what helps to find a fault in occmap itself."""
 
 
-class ErrorParts(TypedDict):
+@dataclass(frozen=True)
+class ErrorParts:
     """What went wrong; the same is on stderr, in one line."""
 
     exit_code: int
@@ -46,7 +47,8 @@ class ErrorParts(TypedDict):
     """What to do or type next; empty where nobody knows"""
 
 
-class PrintedError(TypedDict):
+@dataclass(frozen=True)
+class PrintedError(Printed):
     """Why there is no result: what a command prints with --json that fails before it has one."""
 
     error: ErrorParts
@@ -110,14 +112,9 @@ class Console:
         """Print an error, as JSON as well where a program waits for it; return the exit code."""
         self.tell(f"error: {error}")
         if self.as_json and not self.answered:
-            parts: ErrorParts = {
-                "exit_code": code,
-                "where": error.where,
-                "found": " ".join(error.found.split()),
-                "fix": error.fix,
-            }
+            parts = ErrorParts(code, error.where, " ".join(error.found.split()), error.fix)
             with suppress(OutputError):
-                self.put_json("error", {"error": parts})
+                self.put_json("error", PrintedError(parts).to_json())
         return code
 
     def fail_unexpectedly(self, error: BaseException) -> int:

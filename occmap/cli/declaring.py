@@ -10,7 +10,6 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from glob import has_magic
 from itertools import chain, zip_longest
 from pathlib import Path
@@ -21,7 +20,7 @@ import click
 from occmap.cli import COMMANDS, cli
 from occmap.cli.console import Console, Verbosity
 from occmap.errors import OccmapError, UsageError
-from occmap.plugins import suggest
+from occmap.plugins import guess, suggest
 from occmap.report import Printed
 from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
 
@@ -301,8 +300,7 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
     known = {*own, *(name for each in others for name in list_options(each))} - {"config"}
     for name in chain(common, *tables.values()):
         if name not in known:
-            close = get_close_matches(name.replace("_", "-"), known, n=1)
-            fix = f"did you mean {close[0]!r}?" if close else "see `occmap build --help`"
+            fix = guess(name.replace("_", "-"), known) or "see `occmap build --help`"
             raise UsageError(f"no option is called {name!r}", where=path, fix=fix)
     stated = common | tables.get(command, {})
     return {name: value for name, value in stated.items() if name in own}

@@ -151,7 +151,7 @@ def make_schema(name: str, *kinds: Any) -> Schema:
     Parameters
     ----------
     kinds
-        Dataclasses, NamedTuples or TypedDicts, whose fields follow each other; the first says what
+        Dataclasses or NamedTuples, whose fields follow each other; the first says what
         the result is.
     """
     version = {

@@ -123,8 +123,8 @@ def recommend(
         for log in logs
         if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
     ]
-    lines = {compose_command([log], options)[3:-2] for log in mapped}
-    if len(lines) > 1:
+    lines = [compose_command([log], options) for log in mapped]
+    if len({(*line[:2], *line[3:-2]) for line in lines}) > 1:
         return (), ("the logs need different options: check them one by one",)
     command = compose_command(mapped, options) if mapped else ()
     left = [log.path for log in logs if log not in mapped]

@@ -67,27 +67,23 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     poser = Poser.build(read_poses(log), options.posing, get_moments(log))
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
-    if faults and len(frames) == 1 and options.posing.sensor_pose is None:
-        at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
-        if not at_body.find_chains(frames):  # nothing but the mount is missing
-            return assume_mount(log, topics, options, Posing(at_body, faults))
-    return Posing(poser, faults)
-
-
-def assume_mount(log: Log, topics: Sequence[str], options: BuildOptions, at_body: Posing) -> Posing:
-    """Read the scans as if the sensor were the body, and find the mount that suits them best."""
-    parts = sample_scans(log, topics, at_body.poser, options)
-    guess = guess_place(at_body.poser, parts, options)
-    posing = replace(at_body.poser.options, sensor_pose=guess.mount if guess else IDENTITY)
-    poser = Poser(at_body.poser.sources, posing, notes=list(at_body.poser.sources.notes))
-    faults = at_body.faults
+    if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
+        return Posing(poser, faults)
+    at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
+    if at_body.find_chains(frames):  # more than the mount is missing
+        return Posing(poser, faults)
+    # Read the scans as if the sensor were the body, and find the mount that suits them best.
+    guess = guess_place(at_body, sample_scans(log, topics, at_body, options), options)
     if guess is not None:  # the error says that the mount is missing, and names the likely one
         found = format_mount(guess.mount), guess.why
         faults = {
             frame: fault.named(*found) if isinstance(fault, MountError) else fault
             for frame, fault in faults.items()
         }
-    return Posing(poser, faults, posing.sensor_pose, is_guess=guess is None)
+    mount = guess.mount if guess else IDENTITY
+    posing = replace(options.posing, sensor_pose=mount)
+    poser = Poser(at_body.sources, posing, notes=list(at_body.sources.notes))
+    return Posing(poser, faults, mount, is_guess=guess is None)
 
 
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:

@@ -15,7 +15,7 @@ from dataclasses import fields, is_dataclass
 from datetime import UTC, datetime
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, get_type_hints, is_typeddict
+from typing import Annotated, Any, TypeAlias, get_type_hints
 
 Count: TypeAlias = Annotated[int, ("minimum", 0)]
 Share: TypeAlias = Annotated[float, ("minimum", 0), ("maximum", 1)]
@@ -82,7 +82,7 @@ def read_texts(kind: Any) -> dict[str, str]:
     known = vars(sys.modules[kind.__module__])
     texts: dict[str, str] = {}
     for base in (known.get(ast.unparse(base)) for base in tree.bases):
-        if is_typeddict(base) or is_dataclass(base):
+        if is_dataclass(base):
             texts |= read_texts(base)
     for field, text in zip(tree.body, tree.body[1:], strict=False):
         if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):

@@ -9,12 +9,12 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
 from itertools import permutations
 from typing import Any, NamedTuple
 
 from occmap.errors import UsageError, require
+from occmap.plugins import guess
 from occmap.report import HIDDEN
 
 SIGNS: dict[str, Callable[[float, float], bool]] = {
@@ -112,9 +112,7 @@ def parse_limit(text: str, measures: Sequence[Measure]) -> Limit:
         raise UsageError("is not a limit", where=where, fix=example)
     name, by_name = found[1], {measure.name: measure for measure in measures}
     if name not in by_name:
-        close = get_close_matches(name, by_name, n=1)
-        fix = f"did you mean {close[0]!r}? " if close else ""
-        fix += f"there are {', '.join(by_name)}"
+        fix = f"{guess(name, by_name)} there are {', '.join(by_name)}".strip()
         raise UsageError(f"no measure is called {name!r}", where=where, fix=fix)
     bound = parse_bound(found[3], by_name[name], where)
     return Limit(by_name[name], found[2], bound, in_percent=found[3].endswith("%"))

@@ -42,11 +42,6 @@ def write(name: str, content: str | bytes) -> str:
     return name
 
 
-def test_a_missing_file() -> None:
-    error = fail(1, "nowhere.log", "-o", "m.pgm")
-    assert error == "nowhere.log: no such file or directory; check the path"
-
-
 def test_a_link_to_nothing_is_named_as_one(folder: Path) -> None:
     (folder / "dangling.mcap").symlink_to("nowhere.mcap")
     found = "a link to nowhere.mcap, which is not there"
@@ -79,6 +74,11 @@ def test_a_frame_that_the_log_lacks_is_told_with_those_it_has() -> None:
         ("map.yaml", "image: map.pgm\n", "a map, not a log: `occmap diff` compares maps"),
         ("map.png", b"\x89PNG\r\n", "a picture, not a log"),
         ("old.bag", "#ROSRECORD V1.2\n", "convert it with ROS 1's `rosbag fix"),
+        (
+            "drive.mcap",
+            "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 123\n",
+            "a Git LFS pointer, not the file; fetch it: git lfs pull",
+        ),
     ],
 )
 def test_a_file_that_is_no_log(name: str, content: str | bytes, found: str) -> None:
@@ -87,20 +87,11 @@ def test_a_file_that_is_no_log(name: str, content: str | bytes, found: str) -> N
     assert found in error
 
 
-def test_a_git_lfs_pointer_says_how_to_get_the_file() -> None:
-    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 123\n"
-    error = fail(1, write("drive.mcap", pointer), "-o", "m.pgm")
-    assert error == ("drive.mcap: a Git LFS pointer, not the file; fetch it: git lfs pull")
-
-
-def test_a_folder_that_is_no_bag() -> None:
+def test_a_folder_that_is_no_bag(folder: Path) -> None:
     write("stuff/b.txt", "b")
     write("stuff/a.txt", "a")
     error = fail(1, "stuff", "-o", "m.pgm")
     assert error == f"stuff: a folder that is not a recording: it holds a.txt, b.txt; {NO_LOG}"
-
-
-def test_an_empty_folder(folder: Path) -> None:
     (folder / "empty").mkdir()
     assert "it holds nothing" in fail(1, "empty", "-o", "m.pgm")
 
@@ -131,13 +122,6 @@ def test_a_log_without_scans_says_what_it_holds(folder: Path) -> None:
     assert "/tf (tf2_msgs/msg/TFMessage, 6)" in error
 
 
-def test_scans_without_poses_say_where_poses_were_looked_for() -> None:
-    log = write("poseless.csv", HEAD + "stamp,r0,r1\n0,1,1\n1,1,1\n")
-    error = fail(1, log, "-o", "m.pgm")
-    assert error.startswith("poseless.csv: the scans have no poses: looked for tf, odometry and")
-    assert error.endswith("give a trajectory: --poses FILE")
-
-
 @pytest.mark.parametrize(
     ("content", "where", "found"),
     [
@@ -145,17 +129,14 @@ def test_scans_without_poses_say_where_poses_were_looked_for() -> None:
         (HEAD + "x,y,yaw,r0,r1\n0,0,0,1,1\n", "", "stamp"),
         (HEAD + "stamp,x,y,yaw,r0,r1\n0,0,0,0,1,1\n0,0,0,0,one,1\n0,0,0,0,1,1\n", ":5", "'one'"),
         (HEAD + "stamp,x,y,yaw,r0\n0,0,north,0,1\n0,0,0,0,1\n", ":4", "'north'"),
+        (HEAD + "stamp,r0,r1\n0,1,1\n1,1,1\n", "", "looked for tf, odometry and"),
+        (HEAD + "stamp,r0,r1\n0,1,1\n1,1,1\n", "", "give a trajectory: --poses FILE"),
     ],
 )
 def test_a_csv_with_a_fault_names_file_and_line(content: str, where: str, found: str) -> None:
     error = fail(1, write("bad.csv", content), "-o", "m.pgm")
     assert error.startswith(f"bad.csv{where}:")
     assert found in error
-
-
-def test_an_output_folder_that_does_not_exist() -> None:
-    error = fail(1, "log.csv", "-o", "maps/m.pgm")
-    assert error == "maps/m.pgm: the folder maps does not exist; create it: mkdir -p maps"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write into any folder")
@@ -168,11 +149,8 @@ def test_an_output_folder_that_cannot_be_written(folder: Path) -> None:
     ("output", "found"),
     [
         ("log.csv/m.pgm", "log.csv is a file, not a folder"),
-        (
-            "m.jpg",
-            "unknown suffix '.jpg'; occmap writes .csv, .ground.tif, .html, .keepout.pgm, .mcap, "
-            ".npz, .pgm, .png, .tif, .tiles, .tum, .zarr",
-        ),
+        ("maps/m.pgm", "maps/m.pgm: the folder maps does not exist; create it: mkdir -p maps"),
+        ("m.jpg", "unknown suffix '.jpg'; occmap writes .csv, .ground.tif, .html, .keepout.pgm"),
         ("n" * 300 + ".pgm", "File name too long"),
     ],
 )
@@ -191,38 +169,24 @@ def test_an_output_that_cannot_be(output: str, found: str) -> None:
         ("", "no log is given"),
         ("log.csv", "where to write the map is not given; add -o map.pgm"),
         ("log.csv -o m.pgm --resolution 0", "a resolution of 0.0 m is not possible"),
-        ("log.csv -o m.pgm --resolution -0.05", "a resolution of -0.05 m is not possible"),
         ("log.csv -o m.pgm --resolution nan", "a resolution of nan m is not possible"),
-        ("log.csv -o m.pgm --resolution 1e300", "a resolution of 1e+300 m is not possible"),
         ("log.csv -o m.pgm --extent 0,0,1e9,1", "reaches too far; give numbers up to 1e+08"),
         ("log.csv -o m.pgm --poses=", "--poses is empty; give a name, or leave it out"),
-        ("log.csv -o m.pgm --map-frame=", "--map-frame is empty; give a name, or leave it out"),
         ("log.csv -o m.pgm --resolution five", "'five' is not a valid float; see `occmap build"),
         ("log.csv -o m.pgm --model smiple", "no model is called 'smiple'; did you mean 'simple'?"),
         ("log.csv -o m.pgm --model simple:p_hot=1", "the model simple has no parameter 'p_hot'"),
         ("log.csv -o m.pgm --model simple:p_hit", "write NAME:KEY=NUMBER,KEY=NUMBER"),
-        ("log.csv -o m.pgm --model simple --p-hit 1.5", "p_hit 1.5 is not a probability"),
         ("log.csv -o m.pgm --model simple --p-hit 0.3", "p_miss 0.4 is not below p_hit 0.3"),
-        (
-            "log.csv -o m.pgm --epsilon 1",
-            "the model counting has no parameter 'epsilon'; it ",
-        ),
+        ("log.csv -o m.pgm --epsilon 1", "the model counting has no parameter 'epsilon'"),
         ("log.csv -o m.pgm --model quadratic --epsilon 1e9", "epsilon 1000000000.0 m is not poss"),
         (
             "log.csv -o m.pgm --occupied-thresh 0.2 --free-thresh 0.6",
             "they must satisfy 0 < free < occupied < 1",
         ),
         ("log.csv -o m.pgm --min-range 5 --max-range 2", "--min-range 5.0 and --max-range 2.0"),
-        ("log.csv -o m.pgm --max-range nan", "--max-range nan leave no range"),
         ("log.csv -o m.pgm --no-return free", "'free' is not one of 'clear', 'ignore'"),
         ("log.csv -o m.pgm --start 5 --end 2", "--start 5.0 is not before --end 2.0"),
-        ("log.csv -o m.pgm --jobs 0", "--jobs 0 is not possible; give 1 or more"),
         ("log.csv -o m.pgm --max-cells 0", "0 is not in the range x>=1"),
-        (
-            "log.csv -o m.pgm --max-pose-gap 0",
-            "--max-pose-gap 0.0 is not possible; give more",
-        ),
-        ("log.csv -o m.pgm --sensor-pose 0,0", "2 values where 3 or 5 belong"),
         ("log.csv -o m.pgm --static-tf a,b", "write parent,child,x,y,z,roll,pitch,yaw"),
         ("log.csv -o m.pgm -o m.pgm", "m.pgm: would be written twice"),
         ("log.csv -o m.pgm --modle x", "--model"),
@@ -255,7 +219,8 @@ def test_a_log_that_is_not_there_is_guessed(tmp_path: Path) -> None:
 
 
 def test_one_bad_log_of_two_stops_the_build() -> None:
-    assert fail(1, "log.csv", "nowhere.csv", "-o", "m.pgm").startswith("nowhere.csv: no such file")
+    error = fail(1, "log.csv", "nowhere.csv", "-o", "m.pgm")
+    assert error == "nowhere.csv: no such file or directory; check the path"
 
 
 def test_an_update_as_a_file_name_is_read_by_its_path() -> None:

@@ -66,19 +66,15 @@ def test_what_is_kept_of_a_build_holds_the_options_of_the_file(log: Path) -> Non
     assert command[command.index("--max-range") + 1] == "5"
 
 
-def test_what_is_typed_goes_before_the_file(log: Path) -> None:
-    write(log, FILE)
-    found = map_of(log, "--resolution", 0.2)["map"]
-    assert isinstance(found, dict)
-    assert found["resolution"] == 0.2
-
-
-def test_a_named_file_goes_before_the_one_beside_the_logs(log: Path) -> None:
+def test_a_named_file_goes_before_the_one_beside_the_logs_and_what_is_typed_before_both(
+    log: Path,
+) -> None:
     write(log, "resolution = 0.1")
     other = write(log, "resolution = 0.2", "other.toml")
-    found = map_of(log, "--config", other)["map"]
-    assert isinstance(found, dict)
-    assert found["resolution"] == 0.2
+    for words, resolution in (((), 0.1), (("--config", other), 0.2), (("-r", 0.4), 0.4)):
+        found = map_of(log, *words)["map"]
+        assert isinstance(found, dict)
+        assert found["resolution"] == resolution
 
 
 def test_flags_and_options_of_one_command(log: Path) -> None:

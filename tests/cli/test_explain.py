@@ -132,12 +132,6 @@ def test_a_cell_that_nothing_observed() -> None:
     assert far[1:] == inside[1:3]
 
 
-def test_evidence_that_is_empty() -> None:
-    assert occmap("merge", "a.npz", "--subtract", "a.npz", "-o", "none.npz").code == 1
-    # No map can be made of nothing, so no such file is written.
-    assert not Path("none.npz").exists()
-
-
 def test_a_long_list_is_cut_and_json_is_not() -> None:
     write_csv(Path("long.csv"), ACROSS[:1] * 50, [0.32])
     assert (

@@ -25,31 +25,15 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("command", "names"),
     [
-        ("readers", ["carmen", "clouds", "csv", "mcap", "rosbag"]),
-        ("models", ["counting", "quadratic", "simple"]),
-        (
-            "writers",
-            [
-                "csv",
-                "ground.tif",
-                "html",
-                "keepout.pgm",
-                "mcap",
-                "npz",
-                "pgm",
-                "png",
-                "tif",
-                "tiles",
-                "tum",
-                "zarr",
-            ],
-        ),
+        ("readers", "carmen clouds csv mcap rosbag"),
+        ("models", "counting quadratic simple"),
+        ("writers", "csv ground.tif html keepout.pgm mcap npz pgm png tif tiles tum zarr"),
     ],
 )
-def test_all_that_is_installed_is_listed(command: str, names: list[str]) -> None:
+def test_all_that_is_installed_is_listed(command: str, names: str) -> None:
     listed = json.loads(occmap(command, "--json").out)
     assert listed["broken"] == []
-    assert [plugin["name"] for plugin in listed[command]] == names
+    assert [plugin["name"] for plugin in listed[command]] == names.split()
     text = occmap(command).out
     for plugin in listed[command]:
         assert f"{plugin['name']} " in text

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple, TypedDict
+from typing import Any, Literal, NamedTuple
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -38,13 +38,15 @@ class Room:
     key: object = field(default=None, metadata=HIDDEN)
 
 
-class Named(TypedDict):
+@dataclass(frozen=True)
+class Named:
     """What has a name."""
 
     name: str
     """What it is called"""
 
 
+@dataclass(frozen=True)
 class House(Named):
     """A house."""
 
@@ -60,24 +62,22 @@ class House(Named):
     """Lowest x and y, highest x and y (m)"""
 
 
-class Sale(TypedDict):
+@dataclass(frozen=True)
+class Sale:
     """What an agent adds."""
 
     sold: bool
     """It is sold"""
 
 
-HOUSE: House = {
-    "name": "ours",
-    "rooms": [
-        Room(float("nan"), (Corner(1.0), Corner(2.0)), Colour.BLUE),
-        Room(9.5, (), None),
-    ],
-    "people": {"children": 2},
-    "lit": 0.5,
-    "age": "old",
-    "extent": (0.0, 0.0, 4.0, 5.0),
-}
+HOUSE = House(
+    name="ours",
+    rooms=[Room(float("nan"), (Corner(1.0), Corner(2.0)), Colour.BLUE), Room(9.5, (), None)],
+    people={"children": 2},
+    lit=0.5,
+    age="old",
+    extent=(0.0, 0.0, 4.0, 5.0),
+)
 
 PRINTED = {
     "name": "ours",
