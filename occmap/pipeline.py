@@ -63,10 +63,9 @@ def build(
             want_journey(outputs),
             open_ground(options, past),
         )
-        seen = observe(paths, options, keep, progress)
-        tiles, _, tally, remarks, _, settled = seen
-        options = settled or options
-        slices, misfit = add_past(tiles, seen.slices, past, options)
+        observed = observe(paths, options, keep, progress)
+        tiles, slices, tally, remarks, ground, options = observed
+        slices, misfit = add_past(tiles, slices, past, options)
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, tiles.tiles)
 
@@ -82,7 +81,7 @@ def build(
 
         where = past.where if past else ""
         evidence = cache(
-            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=seen.ground)
+            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=ground)
         )
         journey = tally.recorder.finish() if tally.recorder else None
         # A fleet's logs are not inspected: this process would have to read them all again.

@@ -171,10 +171,10 @@ class Observed(NamedTuple):
     """In which slices of time; none where they are not kept"""
     tally: Tally
     remarks: Remarks
-    ground: Ground | None = None
+    ground: Ground | None
     """What clouds were traced over"""
-    options: BuildOptions | None = None
-    """With the update that suits what the logs hold; None: as given"""
+    options: BuildOptions
+    """With the update that suits what the logs hold"""
 
 
 class Observe(Protocol):
