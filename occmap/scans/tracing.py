@@ -68,7 +68,7 @@ def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) 
         trace_stream(drive, options, add_rays, tally)
     except MapError:
         # Without scans that leap away the map may be small enough.
-        if drive.is_settled or drive.foresee():
+        if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
             raise
         return False
     return drive.is_settled or drive.settle()
