@@ -63,10 +63,9 @@ def build(
             want_journey(outputs),
             open_ground(options, past),
         )
-        seen = observe(paths, options, keep, progress)
-        tiles, _, tally, remarks, _, settled = seen
-        options = settled or options
-        slices, misfit = add_past(tiles, seen.slices, past, options)
+        observed = observe(paths, options, keep, progress)
+        tiles, slices, tally, remarks, ground, options = observed
+        slices, misfit = add_past(tiles, slices, past, options)
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, tiles.tiles)
 
@@ -81,14 +80,9 @@ def build(
         remarks.notes += list_notes(paths, options, outputs, tally, facts)
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
+        where = past.where if past else ""
         evidence = cache(
-            lambda: Evidence(
-                manifest,
-                *stack_tiles(tiles.tiles),
-                slices,
-                past.where if past else "",
-                ground=seen.ground,
-            )
+            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=ground)
         )
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None

@@ -22,7 +22,7 @@ from occmap.posing.chain import (
     place_beams,
 )
 from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
-from occmap.posing.leaps import describe_first, find_outliers
+from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Sources, gather, resolve
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
@@ -149,6 +149,11 @@ class Poser:
     def start_over(self) -> None:
         """Forget the scans that were seen, since they are about to come once more."""
         self.courses.clear()
+
+    def may_leap(self) -> bool:
+        """Whether any scan so far may prove to leap away, once all scans were seen."""
+        tracks = (course.build() for course in self.courses.values())
+        return any(has_leap(track, self.options.max_speed) for track in tracks if track)
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.

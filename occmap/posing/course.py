@@ -19,9 +19,9 @@ from occmap.posing.tracks import (
     Track,
     TrackBuilder,
     differ,
+    list_poses,
     measure_turn,
     rotate_by,
-    to_quaternions,
 )
 from occmap.types import Float64, Int64, PoseBatch, PosedScans
 
@@ -232,8 +232,7 @@ class Course:
         Of de-skewed scans, those of their first beams count.
         """
         self.is_of_clouds = posed.batch.clouds is not None
-        position, rotation = posed.at_first_beam
-        pose = np.column_stack([position, to_quaternions(rotation)])
+        pose = list_poses(posed)
         seen = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
         self._poses.add(seen, Stamps.HEADER)
 

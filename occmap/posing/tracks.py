@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from occmap.posing import Stamps
-from occmap.types import Bool, Float64, Int64, Pose, PoseBatch, PoseSample
+from occmap.types import Bool, Float64, Int64, Pose, PoseBatch, PosedScans, PoseSample
 
 STRAIGHT_RAD = 1e-6
 """Below this angle a great arc and its chord differ by less than 1e-12: no sine is divided by."""
@@ -53,6 +53,12 @@ def to_quaternions(matrix: Float64) -> Float64:
     rows *= np.where(rows[:, 3:] < 0, -1, 1)
     quaternion: Float64 = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     return quaternion
+
+
+def list_poses(scans: PosedScans) -> Float64:
+    """(S, 7) x y z qx qy qz qw of the sensor; at the first beam where every beam has its own."""
+    position, rotation = scans.at_first_beam
+    return np.column_stack([position, to_quaternions(rotation)])
 
 
 def measure_turn(start: Float64, end: Float64) -> Float64:

@@ -15,10 +15,10 @@ import numpy as np
 
 from occmap.errors import LogError, MapError, PoseError
 from occmap.posing import DropReason
-from occmap.posing.tracks import to_quaternions
+from occmap.posing.tracks import list_poses
 from occmap.report import Count, write_counts, write_unused
 from occmap.sensor import ReturnCounts, ReturnOptions, interpret
-from occmap.types import Attached, Float64, Journey, Kind, PosedScans, ScanHits, Trajectory
+from occmap.types import Attached, Journey, Kind, PosedScans, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
@@ -60,7 +60,7 @@ class JourneyRecorder:
         batch, posed, reasons = attached
         stamp_ns, pose = np.zeros(0, np.int64), np.zeros((0, 7))
         if posed is not None:
-            stamp_ns, pose = posed.batch.stamp_ns, read_poses(posed)
+            stamp_ns, pose = posed.batch.stamp_ns, list_poses(posed)
             self._sample(posed)
         lost = np.setdiff1d(batch.stamp_ns, stamp_ns).tolist() if reasons else []
         why = ", or ".join(map(str, reasons))  # it is not known which reason is whose
@@ -97,12 +97,6 @@ def join_pieces(pieces: Sequence[Trajectory]) -> Trajectory:
         pose=np.concatenate([piece.pose for piece in pieces]),
         dropped=tuple(chain.from_iterable(piece.dropped for piece in pieces)),
     )
-
-
-def read_poses(scans: PosedScans) -> Float64:
-    """(S, 7) x y z qx qy qz qw of the laser; at the first beam where every beam has its own."""
-    position, rotation = scans.at_first_beam
-    return np.column_stack([position, to_quaternions(rotation)])
 
 
 Item = TypeVar("Item")

@@ -68,7 +68,7 @@ def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) 
         trace_stream(drive, options, add_rays, tally)
     except MapError:
         # Without scans that leap away the map may be small enough.
-        if drive.is_settled or drive.foresee():
+        if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
             raise
         return False
     return drive.is_settled or drive.settle()
@@ -171,10 +171,10 @@ class Observed(NamedTuple):
     """In which slices of time; none where they are not kept"""
     tally: Tally
     remarks: Remarks
-    ground: Ground | None = None
+    ground: Ground | None
     """What clouds were traced over"""
-    options: BuildOptions | None = None
-    """With the update that suits what the logs hold; None: as given"""
+    options: BuildOptions
+    """With the update that suits what the logs hold"""
 
 
 class Observe(Protocol):
