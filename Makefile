@@ -29,8 +29,8 @@ maps: $(STAMP) ## Build a map of each sample log: five formats, one map, and a h
 test: $(STAMP) ## Check style and types, and run all tests
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --quiet --check .
-	@$(BIN)/mypy
-	@$(BIN)/pytest -q -n 2
+	@$(BIN)/python -m occmap.cli.warm & $(BIN)/mypy && wait $$!
+	@$(BIN)/pytest -q -n 2 --dist worksteal
 
 bench: $(STAMP) ## Measure how fast maps are built
 	@$(BIN)/python -m tests.bench

@@ -23,7 +23,7 @@ from occmap.errors import LogError, OccmapError
 from occmap.readers import Role, open_log
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
-CUTS, FLIPS = (200, 1000) if "OCCMAP_FUZZ" in os.environ else (12, 24)
+CUTS, FLIPS = (200, 1000) if "OCCMAP_FUZZ" in os.environ else (8, 16)
 SEED = 20_240_229
 TIME_LIMIT_S = 10.0
 

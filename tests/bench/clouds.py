@@ -1,6 +1,5 @@
 """Clouds of a 3D lidar, 64 rings x 1024 ten times a second: what a map of them costs."""
 
-import math
 import shutil
 from functools import partial
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from tests.bench.limits import Row, compare
+from tests.bench.limits import Row, compare, divide
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.processes import OCCMAP, run
 from tests.bench.workloads import START_NS
@@ -72,15 +71,9 @@ def tell_speed(times: Times, points: int) -> Row:
 
 
 def compare_memory(folder: Path, log: Path, clouds: int) -> Row:
-    """Peak memory of three times the clouds of the same place."""
-    (folder / "more").mkdir()
-    logs = {"more": write_clouds(folder / "more", 3 * clouds), "few": log}
-    peaks = {name: measure_peak(each, folder) for name, each in logs.items()}
-    detail = " / ".join(f"{peak / 2**20:.0f}" for peak in peaks.values()) + " MiB"
-    ratio = peaks["more"] / peaks["few"] if math.isfinite(peaks["few"]) else None
-    return Row("clouds: memory for 3 x the clouds", MEMORY_LIMIT, ratio, detail)
-
-
-def measure_peak(log: Path, folder: Path) -> float:
-    """Peak memory of a build in a process of its own (bytes)."""
-    return run([OCCMAP, "build", log, "-o", folder / "peak.pgm", "--json"]).peak_bytes
+    """Peak memory of three times the clouds of the same place, in processes of their own."""
+    more, few = (
+        run([OCCMAP, "build", each, "-o", folder / "peak.pgm", "--json"]).peak_bytes / 2**20
+        for each in (write_clouds(folder, 3 * clouds), log)
+    )
+    return divide("clouds: memory for 3 x the clouds", MEMORY_LIMIT, more, few, "MiB")

@@ -174,6 +174,11 @@ def make_build(update: Update, log: Path, jobs: int) -> Callable[[], object]:
     return partial(build, [log], BuildOptions(update=update, jobs=jobs), [log.with_suffix(".pgm")])
 
 
+def divide(what: str, limit: float, mine: float, its: float, unit: str) -> Row:
+    """The ratio of two figures of one unit."""
+    return Row(what, limit, mine / its, f"{mine:.4g} / {its:.4g} {unit}")
+
+
 def compare(times: Times, pair: tuple[str, str], what: str, limit: float) -> Row:
     """The ratio of the first of a pair to the second."""
     name, base = pair

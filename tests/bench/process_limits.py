@@ -10,7 +10,7 @@ from typing import Any
 
 from occmap.types import BEAM_UPDATES, Update
 from tests.bench.foreign import Mrpt
-from tests.bench.limits import Row, compare
+from tests.bench.limits import Row, compare, divide
 from tests.bench.logs import write_mcap
 from tests.bench.measuring import take_in_turn
 from tests.bench.processes import OCCMAP, Usage, build_command, run, time_process, time_processor
@@ -47,12 +47,11 @@ def compare_tenfold_memory(logs: Mapping[int, Path], rounds: int) -> list[Row]:
     rows = []
     for update in BEAM_UPDATES:
         peaks = {
-            scans: median(run_build(update, log).peak_bytes for _ in range(rounds))
+            scans: median(run_build(update, log).peak_bytes for _ in range(rounds)) / MIB
             for scans, log in logs.items()
         }
-        detail = f"{peaks[many] / MIB:.0f} / {peaks[few] / MIB:.0f} MiB"
         what = f"build {update.value}: peak memory for 10 x the scans"
-        rows.append(Row(what, 1.1, peaks[many] / peaks[few], detail))
+        rows.append(divide(what, 1.1, peaks[many], peaks[few], "MiB"))
     return rows
 
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap import scoring
 from occmap.cells import OccupancyMap
 from occmap.errors import OccmapError
 from occmap.evidence import render
@@ -27,9 +28,7 @@ from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import BuildOptions
-from occmap.readers import open_log
-from occmap.scans.tally import Tally
-from occmap.scans.tracing import trace_logs
+from occmap.scans.tracing import ignore_progress
 from occmap.scoring import HoldOut, Score, SharedEvidence, estimate_error, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.types import Bool, Float64, Rays
@@ -86,9 +85,7 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
         return lambda rays: seen.append(hold_out.split(rays))
 
     posing = replace(recording.posing, deskew=options.posing.deskew)
-    in_order = replace(options, posing=posing, jobs=1)
-    log = open_log(recording.path, options.reading)
-    trace_logs([log], in_order, begin, Tally())
+    scoring.read_scans([recording.path], replace(options, posing=posing), begin, ignore_progress)
     refuse_unscored([str(recording.path)], hold_out)
     return Scans(seen, hold_out.held)
 

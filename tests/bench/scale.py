@@ -22,7 +22,7 @@ from occmap.fleet.tasks import survey_log, trace_log
 from occmap.options import BuildOptions
 from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store.layout import import_zarr
-from tests.bench.limits import Row
+from tests.bench.limits import Row, divide
 from tests.bench.logs import write_mcap
 from tests.bench.processes import OCCMAP, run
 from tests.bench.tables import draw_rows
@@ -159,51 +159,22 @@ def measure(folder: Path) -> tuple[list[Row], str]:
         f"\nTwo workers are there after {two.start[0]:.1f} s, which takes {two.start[1]:.1f} s of "
         "processor time each; the figures above are without it.\n"
     )
+    cores = ", ".join(f"{each.processor_seconds / each.seconds:.1f}" for each in (two, one))
+    time = divide("time, two workers / one", 0.6, two.seconds, one.seconds, "s")
+    time = replace(time, detail=f"{time.detail}, {cores} of {os.cpu_count()} cores at work")
+    work = two.processor_seconds, alone.processor_seconds
+    by_worker = two.worker_bytes * mega, few.worker_bytes * mega
+    by_driver = two.driver_bytes * mega, few.driver_bytes * mega
+    passed = two.told * mega, two.shuffled * mega
+    sizes = store * mega, archive.stat().st_size * mega
     return [
-        Row(
-            "processor time, two workers / one process",
-            1.5,
-            two.processor_seconds / alone.processor_seconds,
-            f"{two.processor_seconds:.1f} / {alone.processor_seconds:.1f} s",
-        ),
-        Row(
-            "time, two workers / one",
-            0.6,
-            two.seconds / one.seconds,
-            f"{two.seconds:.1f} / {one.seconds:.1f} s, {os.cpu_count()} cores, of which "
-            f"{two.processor_seconds / two.seconds:.1f} and "
-            f"{one.processor_seconds / one.seconds:.1f} were at work",
-        ),
-        Row(
-            "a worker's peak of memory, ten times the map",
-            1.1,
-            two.worker_bytes / few.worker_bytes,
-            f"{two.worker_bytes * mega:.0f} / {few.worker_bytes * mega:.0f} MB",
-        ),
-        Row(
-            "the driver's peak of memory, ten times the map",
-            1.2,
-            two.driver_bytes / few.driver_bytes,
-            f"{two.driver_bytes * mega:.0f} / {few.driver_bytes * mega:.0f} MB",
-        ),
-        Row(
-            "bytes that pass between processes / in run files",
-            0.01,
-            two.told / two.shuffled,
-            f"{two.told * 1e-3:.0f} / {two.shuffled * 1e-3:.0f} kB",
-        ),
-        Row(
-            "store / .npz",
-            0.35,
-            store / archive.stat().st_size,
-            f"{store * mega:.1f} / {archive.stat().st_size * mega:.1f} MB",
-        ),
-        Row(
-            "an overview picture / one at full resolution",
-            0.05,
-            overview / whole,
-            f"{overview * 1e3:.1f} / {whole * 1e3:.1f} ms",
-        ),
+        divide("processor time, two workers / one process", 1.5, *work, unit="s"),
+        time,
+        divide("a worker's peak of memory, ten times the map", 1.1, *by_worker, unit="MB"),
+        divide("the driver's peak of memory, ten times the map", 1.2, *by_driver, unit="MB"),
+        divide("bytes that pass between processes / in run files", 0.01, *passed, unit="MB"),
+        divide("store / .npz", 0.35, *sizes, unit="MB"),
+        divide("an overview picture / one at full resolution", 0.05, overview, whole, unit="s"),
     ], what_started
 
 

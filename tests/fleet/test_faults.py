@@ -236,7 +236,7 @@ def test_a_task_that_kills_its_workers_is_named(address: str) -> None:
     job = Job(Setting(OPTIONS, Keep(), Path(), 1, 0, 0), "log", "drive.mcap")
     with (
         open_cluster(address, 2, lambda _: None) as found,
-        pytest.raises(FleetError, match=r"drive.mcap: killed its workers 4 times, which had \d+ M"),
+        pytest.raises(FleetError, match=r"drive.mcap: killed its workers 2 times, which had \d+ M"),
     ):
         found.run("trace", die, [job])
 

@@ -39,7 +39,8 @@ STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
 def follow(poses: Path, mount: tuple[float, float, float] | None = None) -> BuildOptions:
     """Options by which a drive's scans are posed; the laser is thought to sit at a mount."""
     sensor_pose = None if mount is None else Pose.planar(*mount)
-    return BuildOptions(posing=PosingOptions(poses=str(poses), sensor_pose=sensor_pose))
+    posing = PosingOptions(poses=str(poses), sensor_pose=sensor_pose)
+    return BuildOptions(resolution=0.1, posing=posing)
 
 
 @pytest.mark.parametrize("late", [0.13, -0.31])
@@ -84,7 +85,7 @@ def test_a_known_error_of_the_mount_is_found(tmp_path: Path) -> None:
 
 def test_a_wrong_mount_is_not_taken_for_a_wrong_clock() -> None:
     """The laser sits 0.25 m ahead; an offset of 0.2 s would gain as well, but a third of that."""
-    given = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, 0)))
+    given = BuildOptions(resolution=0.1, posing=PosingOptions(sensor_pose=Pose.planar(0, 0, 0)))
     tuning = tune([SAMPLE_LOGS / "drive.mcap"], given)
     assert tuning.time.verdict is Verdict.NOTHING
     assert tuning.mount.verdict is Verdict.FOUND
@@ -179,7 +180,10 @@ def test_a_search_scores_what_compare_scores() -> None:
 
 
 def test_equal_bytes_for_any_number_of_threads() -> None:
-    one, two = (tune([SAMPLE_LOGS / "drive.csv"], BuildOptions(jobs=jobs)) for jobs in (1, 2))
+    one, two = (
+        tune([SAMPLE_LOGS / "drive.csv"], BuildOptions(resolution=0.1, jobs=jobs))
+        for jobs in (1, 2)
+    )
     assert one.to_json() == two.to_json()
 
 
