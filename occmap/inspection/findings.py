@@ -368,7 +368,7 @@ def list_ranges(ranges: RangeFindings) -> Iterator[str]:
         yield f"{each.name:<12} {each.count:>10,} {each.share:>6.1%}  {each.meaning}: {advice}"
     for it in ranges.repeated:
         meaning = "no return, by the limit" if it.is_no_return else "may mean no return"
-        yield f"{it.value:<12.6g} repeated: {it.share:.1%} of the ranges; {meaning}"
+        yield f"{it.value:<12.6g} repeated: {it.share:.1%} of the ranges of a sample; {meaning}"
     if ranges.crossed is not None:
         where = "lead through walls or out of everything that was hit"
         advised = any(special.no_return == "clear" for special in ranges.specials)
