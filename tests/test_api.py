@@ -5,6 +5,7 @@ import inspect
 import io
 import json
 import math
+import os
 import pickle
 import re
 from dataclasses import replace
@@ -105,6 +106,7 @@ GIVEN: dict[str, dict[str, tuple[Any, Any]]] = {
         "occupied_thresh": (0.9, 0.9),
         "free_thresh": (0.1, 0.1),
         "shade": ("light", Shade.LIGHT_OCCUPIED),
+        "edits": (os.devnull, Path(os.devnull)),  # a file without a shape
     },
 }
 """Options by their groups, each as a notebook gives it, and the value that it is"""
