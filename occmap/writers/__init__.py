@@ -234,8 +234,10 @@ def find_writer(path: Path) -> Writer:
     if kind is None:
         raise UsageError(f"the writer for .{name} does not load", where=path, fix=listing)
     if not issubclass(kind, Writer):
+        # What shows more than a map may show the way of the robot.
         shows = {"shows_journey": hasattr(kind, "write_product")}
-        kind = type(kind.__name__, (kind, Writer), shows)
+        base = EvidenceWriter if hasattr(kind, "write_evidence") else Writer
+        kind = type(kind.__name__, (kind, base), shows)
     return cast(Writer, kind())
 
 

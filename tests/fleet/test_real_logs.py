@@ -25,7 +25,6 @@ WITH_POSES = [
 MOUNT = ("--static-tf", "base_link,laser,0,0,0,0,0,3.14159")
 """Of the one log that does not state it"""
 CUT_SHORT = ["ros1/test_turtlebot.bag", "carmen/intel-corrected.log.gz"]
-PART = ("--stride", "3", "--start", "2.5", "--end", "100", "--min-passes", "2")
 
 ALONE = "does not fit the logs before it"
 """What only one process can say: many workers sum up a map block by block, not log by log"""
@@ -43,15 +42,14 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [*(REAL_LOGS / name for name in WITH_POSES), *damaged]
 
 
-@pytest.mark.parametrize("options", [(), PART])
 def test_files_and_text_are_those_of_one_process(
-    logs: list[Path], address: str, tmp_path: Path, options: tuple[str, ...]
+    logs: list[Path], address: str, tmp_path: Path
 ) -> None:
     fleet = ("--dask", address)
     done, files = [], []
     for flags in (("--jobs", "1"), fleet):
         output = tmp_path / "map.npz"
-        done.append(occmap("build", *logs, "-o", output, *MOUNT, *options, *flags))
+        done.append(occmap("build", *logs, "-o", output, *MOUNT, *flags))
         assert done[-1].code == 0, done[-1].err
         files.append(output.read_bytes())
     assert files[0] == files[1]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from occmap.errors import OutputError
 from occmap.writers.images import GAP_PX, LINE_PX, Panel, arrange, write_panels
 
 
@@ -48,8 +47,3 @@ def test_a_title_wider_than_its_panel_is_whole(tmp_path: Path) -> None:
     with Image.open(tmp_path / "p.png") as image:
         assert image.width > 400
         assert (np.asarray(image)[:, -GAP_PX:] == 255).all()
-
-
-def test_a_folder_that_is_missing_is_an_output_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="does not exist"):
-        write_panels(tmp_path / "none" / "p.png", make_panels(1))

@@ -45,8 +45,3 @@ def test_same_map_same_bytes_whatever_the_bands(
     monkeypatch.setattr(writers, "BAND_CELLS", 20)
     PngWriter().write(tmp_path / "b.png", grid, WriteOptions())
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
-def test_only_the_image_is_written(tmp_path: Path) -> None:
-    PngWriter().write(tmp_path / "m.png", map_of([[0.5]]), WriteOptions())
-    assert [entry.name for entry in tmp_path.iterdir()] == ["m.png"]

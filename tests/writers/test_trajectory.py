@@ -33,22 +33,23 @@ def write(path: Path) -> list[str]:
     return path.read_text().splitlines()
 
 
-def test_tum_is_in_seconds_by_ascending_time(tmp_path: Path) -> None:
-    assert write(tmp_path / "t.tum") == [
-        "# stamp x y z qx qy qz qw (s, m)",
-        "# laser in map, at the scans of /scan?x",
-        "-1.500000000 -3.25 0 0 0 0 0 1",
-        "1700000000.123456789 1 2 0.5 0 0 0.6 0.8",
-    ]
+TUM = [
+    "# stamp x y z qx qy qz qw (s, m)",
+    "# laser in map, at the scans of /scan?x",
+    "-1.500000000 -3.25 0 0 0 0 0 1",
+    "1700000000.123456789 1 2 0.5 0 0 0.6 0.8",
+]
+EUROC = [
+    "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []",
+    "# laser in map, at the scans of /scan?x",
+    "-1500000000,-3.25,0,0,1,0,0,0",
+    "1700000000123456789,1,2,0.5,0.8,0,0,0.6",
+]
 
 
-def test_csv_is_as_euroc_has_it(tmp_path: Path) -> None:
-    assert write(tmp_path / "t.csv") == [
-        "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z []",
-        "# laser in map, at the scans of /scan?x",
-        "-1500000000,-3.25,0,0,1,0,0,0",
-        "1700000000123456789,1,2,0.5,0.8,0,0,0.6",
-    ]
+@pytest.mark.parametrize(("name", "lines"), [("t.tum", TUM), ("t.csv", EUROC)])
+def test_poses_are_written_by_ascending_time(tmp_path: Path, name: str, lines: list[str]) -> None:
+    assert write(tmp_path / name) == lines
 
 
 def test_a_trajectory_makes_the_same_map_again(tmp_path: Path) -> None:
