@@ -94,7 +94,7 @@ def show_all(ctx: click.Context, _param: click.Parameter, is_wanted: bool) -> No
 
 
 def choose_verbosity(ctx: click.Context, param: click.Parameter, is_wanted: bool) -> None:
-    """Take an option that is called like a verbosity."""
+    """Choose the verbosity that an option is called after."""
     if is_wanted:
         ctx.ensure_object(Console).verbosity = Verbosity[str(param.name).upper()]
 
@@ -104,17 +104,12 @@ def flag(section: str, *names: str, text: str, **settings: Any) -> Option:
     return Option(section, *names, is_flag=True, help=text, **settings)
 
 
-ACTING: dict[str, Any] = {"expose_value": False, "callback": choose_verbosity}
-QUIET = flag(RUN, "-q", "--quiet", text="Print errors only, and what --json asks for.", **ACTING)
-VERBOSE = flag(RUN, "-v", "--verbose", text="Print the traceback of a fault in occmap.", **ACTING)
+LOUDNESS: dict[str, Any] = {"expose_value": False, "callback": choose_verbosity}
+QUIET = flag(RUN, "-q", "--quiet", text="Print errors only, and what --json asks for.", **LOUDNESS)
+VERBOSE = flag(RUN, "-v", "--verbose", text="Print the traceback of a fault in occmap.", **LOUDNESS)
 JSON = flag(RUN, "--json", "as_json", text="Print the result as JSON.")
-HELP_ALL = flag(
-    RUN,
-    "--help-all",
-    text="Show all options and exit.",
-    **ACTING | {"callback": show_all},
-    is_eager=True,
-)
+WHOLE: dict[str, Any] = {"expose_value": False, "callback": show_all, "is_eager": True}
+HELP_ALL = flag(RUN, "--help-all", text="Show all options and exit.", **WHOLE)
 
 
 class Answer(NamedTuple):

@@ -23,15 +23,8 @@ from occmap.posing.attach import Poser
 from occmap.posing.chain import Status, Transforms
 from occmap.posing.sources import Sources
 from occmap.readers import Log, get_moments, read_poses
+from occmap.scans import mounts
 from occmap.scans.logs import count_scans, refuse_shared_mount, take_first
-from occmap.scans.mounts import (
-    find_better,
-    guess_place,
-    mount_scans,
-    open_drive,
-    sample_scans,
-    turn_mount,
-)
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans
 
@@ -73,7 +66,7 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     if at_body.find_chains(frames):  # more than the mount is missing
         return Posing(poser, faults)
     # Read the scans as if the sensor were the body, and find the mount that suits them best.
-    guess = guess_place(at_body, sample_scans(log, topics, at_body, options), options)
+    guess = mounts.guess_place(at_body, mounts.sample_scans(log, topics, at_body, options), options)
     if guess is not None:  # the error says that the mount is missing, and names the likely one
         found = format_mount(guess.mount), guess.why
         faults = {
@@ -148,7 +141,7 @@ def describe_mount(
     stance = posing.poser.find_stance(topic.topic)
     if stance is None:
         return None
-    better = find_better(posing.poser, topic.sample.parts, options.returns)
+    better = mounts.find_better(posing.poser, topic.sample.parts, options.returns)
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
@@ -175,7 +168,9 @@ def list_floor_concerns(
 
     share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
     seen: defaultdict[str, list[PosedScans]] = defaultdict(list)
-    for _, posed, _ in open_drive(log, options).read(Tally(), lambda ns, _: draw(ns) < share):
+    for _, posed, _ in mounts.open_drive(log, options).read(
+        Tally(), lambda ns, _: draw(ns) < share
+    ):
         if posed is not None:
             seen[posed.batch.topic].append(posed)
     for topic, clouds in sorted(seen.items()):
@@ -191,7 +186,7 @@ def list_floor_concerns(
         if tilts.is_mount and mount:
             half_x, half_y, half_z = (tilts.sensor / 2).tolist()
             small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
-            mended = mount.write(turn_mount(mount.pose, small))
+            mended = mount.write(mounts.turn_mount(mount.pose, small))
             found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever"
             yield topic, Concern(f"{found} it goes: its mount is wrong by that", mended)
             continue
@@ -208,7 +203,9 @@ def find_misplaced(mount: "Mount | None", clouds: Sequence[PosedScans]) -> Conce
     """Find out if a sensor sits in another way than its poses say: by far, as in another frame."""
     if mount is None:
         return None
-    on_body = [mount_scans(each, Transforms.fixed(mount.pose).invert().first) for each in clouds]
+    on_body = [
+        mounts.mount_scans(each, Transforms.fixed(mount.pose).invert().first) for each in clouds
+    ]
     seat = find_seat(on_body)
     if seat is None:
         return None
