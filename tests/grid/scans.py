@@ -180,7 +180,8 @@ def upright_drives(draw: st.DrawFn) -> Drive:
         plane = draw(st.sampled_from([0.0, 1.0, math.pi / 2, -2.5, math.pi]))
         direction = direction[..., :1] * np.array([math.cos(plane), math.sin(plane)])
     turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
-    return Drive(rays._replace(turn=turn), resolution)
+    # Contiguous, or kernels would be compiled once more, for arrays that no sensor gives.
+    return Drive(rays._replace(turn=np.ascontiguousarray(turn)), resolution)
 
 
 TWELVE = [

@@ -175,7 +175,8 @@ def join_viewpoints(rays: Rays) -> Rays:
     """
     if rays.origin.shape[1] == 1:
         return rays
-    middle = rays.origin[:, rays.origin.shape[1] // 2, None]
+    # Contiguous, as all other rays are, or kernels would be compiled once more for these.
+    middle = np.ascontiguousarray(rays.origin[:, rays.origin.shape[1] // 2, None])
     offset = rays.end - middle
     distance = np.hypot(offset[..., 0], offset[..., 1]) * (rays.kind > 0)
     seen = (distance > 0)[..., None]
