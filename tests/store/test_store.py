@@ -29,8 +29,8 @@ from occmap.store.writing import (
 from occmap.types import UInt8, Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
 
-FINE = 0.05
-"""Metres: at any size of cells the drive reaches over four blocks, on both sides of zero"""
+FINE = 0.02
+"""Metres: the drive then reaches over four blocks, on both sides of zero"""
 
 
 @pytest.fixture(scope="module")
