@@ -1,102 +1,234 @@
-"""How kernels are compiled: once, kept on disk where possible, and run without the GIL."""
+"""How kernels are compiled: once, kept on disk where possible, and run without the GIL.
 
+Importing numba takes longer than building a map of a short log, so only what has to compile does
+it. Machine code is loaded by LLVM and called by ctypes, in the way in which numba's functions call
+each other: `int name(result *, error **, arguments...)`, where a tuple is its items, one after the
+other, and an array its fields.
+"""
+
+import ctypes
 import hashlib
 import inspect
+import json
 import logging
 import os
-import pickle
+import struct
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cache
+from functools import cache, cached_property
+from importlib.metadata import version
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar
 
-import numba
-from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
-from numba.core.runtime.nrt import rtsys
-from numba.core.serialize import dumps
+import numpy as np
+from llvmlite import binding
 
 from occmap import types
 
 F = TypeVar("F", bound=Callable[..., Any])
 DIGEST_BYTES = hashlib.sha256().digest_size
+RESULT_BYTES, ERROR_BYTES = 248, 8
+SCALARS = {
+    bool: ("boolean", ctypes.c_bool),
+    int: ("int64", ctypes.c_int64),
+    float: ("float64", ctypes.c_double),
+    type(None): ("none", ctypes.c_void_p),
+}
+"""What numbers are to numba and in C"""
+ARRAY = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_ssize_t, ctypes.c_void_p)
+"""An array's fields before its shape and strides: two owners, size, bytes of an item, address"""
+RESULTS = {"none": "", "bool": "?", "int32": "i", "int64": "q", "uint64": "Q", "float64": "d"}
+"""What kernels return, by numba's names, in letters of `struct`"""
 
 log = logging.getLogger(__name__)
+_compiling = Lock()
 
 
 def kernel(function: F) -> F:
     """Compile a function at its first call and keep the machine code for the next process.
 
-    Where no folder can be written it still works, and compiles anew in every process.
+    Where no folder can be written it still works, and compiles anew in every process. It takes
+    arrays, numbers, None and tuples of these, and returns numbers or nothing. It makes no arrays,
+    and writes only to those that its caller made for it.
     """
-    return compile_kept(function, forceinline=False)
+    return Kernel(function)  # type: ignore[return-value]  # called like it
+
+
+def array_kernel(function: F) -> F:
+    """Compile a function that makes arrays; numba must then be there when it runs, too."""
+    return Kernel(function, _nrt=True)  # type: ignore[return-value]  # called like it
 
 
 def step(function: F) -> F:
-    """Compile a function that is a step of kernels' innermost loops, and put it inline there.
-
-    It counts no references to arrays, which would cost more than all that it does. So it makes,
-    slices and returns none.
-    """
-    return compile_kept(function, forceinline=True)
+    """Compile a function that is a step of kernels' innermost loops, and put it inline there."""
+    return Kernel(function, forceinline=True)  # type: ignore[return-value]  # called like it
 
 
-def compile_kept(function: F, forceinline: bool) -> F:
-    """Compile a function at its first call, as `kernel` and `step` say."""
-    options: dict[str, Any] = {"forceinline": forceinline, "_nrt": not forceinline}
-    options["no_cfunc_wrapper"] = True  # nobody calls from C, and it takes a tenth of the time
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
-    compiled._cache = KeptCode(function)
-    return compiled  # type: ignore[no-any-return]  # called like the function it was made of
+class Kernel:
+    """A function that is compiled for each combination of types that it is called with."""
 
+    def __init__(self, function: Callable[..., Any], **options: bool) -> None:
+        self.py_func = function
+        self.name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
+        self.loaded: dict[Any, Callable[[list[Any]], Any]] = {}
+        """What is called for arguments of some kinds"""
+        self._options = options
 
-class KeptCode(NullCache):
-    """The machine code of one kernel on disk, in numba's own interface of a cache.
+    def __call__(self, *args: Any) -> Any:
+        """Run the machine code for the types of these arguments."""
+        values: list[Any] = []
+        kind = tuple(flatten(arg, values) for arg in args)
+        if kind not in self.loaded:
+            with _compiling:
+                self.loaded[kind] = self._load(kind) or self._compile(kind)
+        return self.loaded[kind](values)
 
-    A file holds the code after its SHA-256, since damaged machine code kills the process.
-    Whatever goes wrong while code is loaded is a miss: numba compiles, and the file is replaced.
-    """
+    @cached_property
+    def dispatcher(self) -> Any:
+        """What numba knows the function as; other kernels that call it ask for it, too."""
+        # What is for calls from Python and C would take a third of the time.
+        unused = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        options = {"_nrt": False, "error_model": "numpy", **unused, **self._options}
+        return load_numba().njit(**options)(self.py_func)
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
-        self._source = Path(inspect.getfile(sys.modules[function.__module__])).parent
+    def _load(self, kind: Any) -> Callable[[list[Any]], Any] | None:
+        """Load the code for these types, or nothing.
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load the code for these types, or None.
-
-        numba's own cache first imports and registers all that a function might call while it is
-        compiled, which takes a tenth of a second. Kept code needs only the runtime that allocates
-        arrays, and numba prepares once more where it has to compile.
+        Damaged machine code kills the process, so it stands after its SHA-256. Whatever goes wrong
+        is a miss: the kernel is compiled, and the file is replaced.
         """
-        for path in self._list_files(sig, target_context.codegen()):
+        for path in self._list_files(kind):
             with suppress(Exception):
                 content = path.read_bytes()
-                digest, code = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
-                if hashlib.sha256(code).digest() == digest:
-                    rtsys.initialize(target_context)
-                    rebuild: Callable[..., Any] = CompileResult._rebuild
-                    return rebuild(target_context, *pickle.loads(code))
+                digest, content = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+                if hashlib.sha256(content).digest() == digest:
+                    return link(content, kind)
         return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the code for these types in the first folder that takes it."""
-        if data.library.has_dynamic_globals:  # addresses that mean nothing to another process
-            return
-        for path in self._list_files(sig, data.codegen):
+    def _compile(self, kind: Any) -> Callable[[list[Any]], Any]:
+        """Compile for these types, and keep the code in the first folder that takes it."""
+        content = compile_function(self.dispatcher, kind)
+        for path in self._list_files(kind):
             with suppress(Exception):
-                code: bytes = dumps(data._reduce())  # type: ignore[no-untyped-call]
                 path.parent.mkdir(parents=True, exist_ok=True)
                 # No temporary file is needed: a process that reads half of this one compiles anew.
-                path.write_bytes(hashlib.sha256(code).digest() + code)
-                return
-        warn_not_kept()
+                path.write_bytes(hashlib.sha256(content).digest() + content)
+                break
+        else:
+            warn_not_kept()
+        return link(content, kind)
 
-    def _list_files(self, sig: Any, codegen: Any) -> Iterator[Path]:
-        """Where the code for these types and this processor may be."""
-        kind = hashlib.sha256(repr((sig, codegen.magic_tuple())).encode()).hexdigest()
-        return (folder / f"{self._name}-{kind[:16]}.code" for folder in list_folders(self._source))
+    def _list_files(self, kind: Any) -> Iterator[Path]:
+        """Where the code for these types may be."""
+        file = f"{self.name}-{hashlib.sha256(repr(kind).encode()).hexdigest()[:16]}.code"
+        source = Path(inspect.getfile(sys.modules[self.py_func.__module__])).parent
+        return (folder / file for folder in list_folders(source))
+
+
+def flatten(arg: Any, values: list[Any]) -> Any:
+    """Append what machine code takes for an argument to `values`, and say of what kind it is."""
+    if isinstance(arg, np.ndarray):
+        flags = arg.flags
+        if flags.c_contiguous and flags.writeable and arg.size:
+            address = ctypes.addressof(ctypes.c_char.from_buffer(arg.data))  # five times as fast
+        else:
+            address = arg.ctypes.data
+        values.extend((None, None, arg.size, arg.itemsize, address, *arg.shape, *arg.strides))
+        layout = "C" if flags.c_contiguous else "F" if flags.f_contiguous else "A"
+        return arg.dtype.str, arg.ndim, layout, flags.aligned
+    if isinstance(arg, tuple):
+        return type(arg), tuple([flatten(each, values) for each in arg])
+    value = arg.item() if isinstance(arg, np.generic) else arg
+    values.append(value)
+    return type(value)
+
+
+def list_c_types(kind: Any) -> Iterator[Any]:
+    """The types in C of what `flatten` appends for an argument of this kind."""
+    if isinstance(kind, type):
+        yield SCALARS[kind][1]
+    elif isinstance(kind[0], str):
+        yield from (*ARRAY, *[ctypes.c_ssize_t] * (2 * kind[1]))
+    else:
+        for each in kind[1]:
+            yield from list_c_types(each)
+
+
+@cache
+def load_numba() -> Any:
+    """Load numba, and tell it what kernels are where others call them."""
+    import numba  # noqa: PLC0415  late: it takes long to load
+    from numba.extending import typeof_impl  # noqa: PLC0415  likewise
+
+    typeof_impl.register(Kernel)(lambda called, _: numba.types.Dispatcher(called.dispatcher))
+    return numba
+
+
+def to_numba(kind: Any) -> Any:
+    """Find numba's type for an argument of this kind."""
+    numba = load_numba()
+    if isinstance(kind, type):
+        return getattr(numba.types, SCALARS[kind][0])
+    if isinstance(kind[0], str):
+        dtype, dimensions, layout, aligned = kind
+        of = numba.from_dtype(np.dtype(dtype))
+        return numba.types.Array(of, dimensions, layout, aligned=aligned)
+    made, items = kind[0], tuple(map(to_numba, kind[1]))
+    return numba.types.BaseTuple.from_types(items, None if made is tuple else made)
+
+
+def compile_function(dispatcher: Any, kind: Any) -> bytes:
+    """Compile a function for arguments of some kinds.
+
+    Returns its name, what it returns and what it calls, in a line of JSON, and machine code.
+    """
+    signature = tuple(map(to_numba, kind))
+    dispatcher.compile(signature)
+    compiled = dispatcher.overloads[signature]
+    returned = compiled.signature.return_type
+    result = "".join(RESULTS[str(each)] for each in getattr(returned, "types", [returned]))
+    functions = compiled.library._final_module.functions
+    needs = [each.name for each in functions if each.is_declaration]
+    needs = [name for name in needs if not name.startswith("llvm.")]
+    described = json.dumps([compiled.fndesc.llvm_func_name, result, needs])
+    machine: bytes = compiled.library._get_compiled_object()
+    return described.encode() + b"\n" + machine
+
+
+def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
+    """Make a function of the values that `flatten` appends for arguments of these kinds.
+
+    Takes what `compile_function` gives.
+    """
+    described, _, machine = content.partition(b"\n")
+    name, returned, needs = json.loads(described)
+    if None in map(binding.address_of_symbol, needs):
+        target = load_numba().core.registry.cpu_target.target_context
+        load_numba().core.runtime.nrt.rtsys.initialize(target)
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    processor = binding.Target.from_default_triple().create_target_machine()
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(""), processor)
+    engine.add_object_file(binding.ObjectFileRef.from_data(machine))
+    engine.finalize_object()
+    in_c = [each for arg in kind for each in list_c_types(arg)]
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, *in_c)
+    function = prototype(engine.get_function_address(name))
+    unpack = struct.Struct(returned).unpack_from
+
+    def call(values: list[Any]) -> Any:
+        room = (ctypes.c_char * (RESULT_BYTES + ERROR_BYTES))()
+        place = ctypes.addressof(room)
+        if function(place, place + RESULT_BYTES, *values):
+            # Arrays find no room, or NUMBA_BOUNDSCHECK is set and an index is out of bounds.
+            raise MemoryError(name) if needs else IndexError(name)
+        result = unpack(room)
+        return result if len(result) > 1 else next(iter(result), None)
+
+    call.engine = engine  # type: ignore[attr-defined]  # the owner of the code
+    return call
 
 
 @cache
@@ -114,13 +246,15 @@ def list_folders(source: Path) -> tuple[Path, ...]:
 
     A kernel's code contains that of the kernels that it calls, and knows the fields of `Rays` by
     their places. So the name is a digest of all of these, as .py or, in an install without sources,
-    as .pyc, and of what turned them into code.
+    as .pyc, of what turned them into code, and of the processor.
     """
     sources = sorted([Path(__file__), Path(types.__file__), *source.glob("*.py*")])
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
     settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not how
-    digest.update(repr((sys.version, numba.__version__, settings)).encode())
+    features = binding.get_host_cpu_features().flatten()
+    processor = binding.get_process_triple(), binding.get_host_cpu_name(), features
+    digest.update(repr((version("numba"), settings, processor)).encode())
     return tuple(base / f"occmap-{digest.hexdigest()[:16]}" for base in list_bases(source))
 
 

@@ -31,6 +31,7 @@ OWNERS = {
     "mcap": {"readers", "writers"},
     "apsw": {"readers"},
     "PIL": {"readers", "writers"},
+    "llvmlite": {"jit"},
     "numba": {"jit"},
     "rasterio": {"writers"},
     "zarr": {"store"},

@@ -18,11 +18,12 @@ import numpy as np
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid import MOST_CELLS_OF_BEAM, CellBox
-from occmap.grid.kernels.beams import Canvas, Changes, Tiles, read_tiles, trace_beams
+from occmap.grid.kernels.beams import Canvas, Tiles, read_tiles, sum_changes, trace_beams
+from occmap.grid.kernels.lines import Changes
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
-from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, PAD, TILE, UNITS_PER_CELL
+from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.tiles import (
     MAX_CELLS,
     WINDOW_CELLS,
@@ -35,7 +36,7 @@ from occmap.grid.tiles import (
     unite,
     view_tiles,
 )
-from occmap.types import Bool, Int64, Kind, Rays, Update
+from occmap.types import Bool, Float64, Int64, Kind, Rays, Update
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
@@ -78,6 +79,10 @@ class Window(ABC):
     def trace(self, beams: Beams, corner: Int64) -> None:
         """Call the kernel; `corner` (2,) is x and y of the lower-left (units from the anchor)."""
 
+    def find_clipped(self, beams: Beams) -> bool | None:
+        """None: no beam reaches beyond the window; kernels that clip none are compiled sooner."""
+        return None if self.box.contains(beams.box) else True
+
     @abstractmethod
     def read(self) -> dict[Key, Tile]:
         """The tiles in which something was observed; the window is of no use afterwards."""
@@ -91,10 +96,11 @@ class DenseWindow(Window):
 
     def allocate(self, rows: int, cols: int) -> None:
         across, up = cols + PAD, rows + PAD
-        sizes = (rows + 1) * across, cols * up, (cols + 1) * up
-        more = (np.zeros(size if self.along_lines else 0, np.int32) for size in sizes)
+        size = rows * across
+        if self.along_lines:
+            size += (rows + 1) * across + (2 * cols + 1) * up
         self.cells = np.zeros((rows, across), np.int64)
-        self.changes = Changes(np.zeros(rows * across, np.int32), *more)
+        self.changes = Changes(np.zeros(size, np.int32), rows, cols)
 
     @property
     def packing(self) -> tuple[int, int, int]:
@@ -103,7 +109,15 @@ class DenseWindow(Window):
         return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
     def read(self) -> dict[Key, Tile]:
-        inside = (self.touched or self.box).move(-self.box.row, -self.box.col).shrink(TILE)
+        inside = (self.touched or self.box).move(-self.box.row, -self.box.col)
+        (rows, cols), changes = self.box.shape, self.changes.numbers
+        across, up = cols + PAD, rows + PAD
+        begin = inside.row * across + inside.col
+        sum_changes(changes, begin, across, *inside.shape, rows * across * self.along_lines)
+        if self.along_lines:
+            begin = (2 * rows + 1) * across + inside.col * up + inside.row
+            sum_changes(changes, begin, up, *inside.shape[::-1], cols * up)
+        inside = inside.shrink(TILE)
         places = np.empty((inside.cells, 2), np.int64)
         numbers = np.int32 if self.spec.radial is None else np.int64
         # The last tile is read into and not kept.
@@ -117,10 +131,14 @@ class BeamWindow(DenseWindow):
 
     along_lines = True
 
+    def allocate(self, rows: int, cols: int) -> None:
+        super().allocate(rows, cols)
+        self.canvas = Canvas(
+            self.cells.reshape(-1), cols + PAD, self.changes, make_notes(rows, cols)
+        )
+
     def trace(self, beams: Beams, corner: Int64) -> None:
-        stride, numbers = self.cells.shape[1], self.cells.reshape(-1)
-        canvas = Canvas(self.box.shape, stride, numbers, self.changes)
-        trace_beams(beams, self.spec.radial, corner, canvas, None)
+        trace_beams(beams, self.spec.radial, corner, self.canvas, None, self.find_clipped(beams))
 
 
 class PolygonWindow(DenseWindow):
@@ -131,23 +149,16 @@ class PolygonWindow(DenseWindow):
         return BORDER_BITS, COUNTED, 1
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_polygons(
-            beams,
-            self.spec.jump,
-            self.spec.border_gap,
-            corner,
-            not self.box.contains(beams.box),
-            self.cells,
-            self.changes.row_runs,
-            self.observations,
-        )
+        limits, clipped = (self.spec.jump, self.spec.border_gap), not self.box.contains(beams.box)
+        window = self.cells, self.changes.numbers, self.observations
+        trace_polygons(beams, limits, corner, *window, clipped)
 
 
 class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        runs = self.changes.row_runs
+        runs = self.changes.numbers
         trace_radial_polygons(beams, corner, self.spec.tables, self.cells, runs)
 
 
@@ -168,11 +179,13 @@ class SparseBeamWindow(Window):
         places = np.empty(TILE + AT_A_TIME, np.int64)
         self.tiles = Tiles(table, np.zeros(1, np.int64), layers, places)
         stride = 1 << (cols - 1).bit_length()
-        no_changes = Changes(*[np.zeros(0, np.int32)] * 4)
-        self.canvas = Canvas((rows, cols), stride, numbers, no_changes)
+        no_changes = Changes(np.zeros(0, np.int32), rows, cols)
+        self.canvas = Canvas(numbers, stride, no_changes, make_notes(rows, cols))
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_beams(beams, self.spec.radial, corner, self.canvas, self.tiles)
+        trace_beams(
+            beams, self.spec.radial, corner, self.canvas, self.tiles, self.find_clipped(beams)
+        )
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
@@ -186,6 +199,11 @@ class SparseBeamWindow(Window):
             tiles[:, 0] >>= bits
             tiles[:, 1] &= (1 << bits) - 1
         return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
+
+
+def make_notes(rows: int, cols: int) -> Float64:
+    """Room for notes of cells, in which a line of a window always fits."""
+    return np.empty(MANY + max(rows, cols) + AT_A_TIME)
 
 
 CROSSED_OFTEN = 6

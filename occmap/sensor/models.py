@@ -23,22 +23,6 @@ from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.types import Float64
 
 
-def visibility(d: Float64, r: float, epsilon: float) -> Float64:
-    """V: how surely a cell at distance d (m) is seen through; 0 from r - epsilon on."""
-    before = (d >= 0) & (d < r - epsilon)
-    return np.where(before, 1 - (d / np.where(before, r - epsilon, 1.0)) ** 2, 0.0)
-
-
-def occupancy(d: Float64, r: float, epsilon: float) -> Float64:
-    """O: how surely a cell at distance d (m) holds what a HIT beam met; 0 beyond r +- epsilon."""
-    return np.where(np.abs(d - r) <= epsilon, 1 - ((d - r) / epsilon) ** 2, 0.0)
-
-
-def probability(o: Float64 | float, v: Float64 | float) -> Float64:
-    """p: the probability that the cell is occupied."""
-    return np.asarray((1 + o - v) / 2)
-
-
 class Model(Protocol):
     """What every model has."""
 
@@ -314,15 +298,12 @@ class QuadraticModel:
         return self.epsilon or resolution / 2
 
     def free(self, u: Float64) -> Float64:
-        """(1 - V) / 2 at d = sqrt(u) (r - epsilon), within [p_min, 1 - p_min]."""
-        return self._bound(probability(0, visibility(np.sqrt(u), 1, 0)))
+        """(1 - V) / 2, where V = 1 - u, within [p_min, 1 - p_min]."""
+        return np.clip(u / 2, self.p_min, 1 - self.p_min)
 
     def hit(self, w: Float64) -> Float64:
-        """(1 + O) / 2 at |d - r| = w epsilon, within [p_min, 1 - p_min]."""
-        return self._bound(probability(occupancy(w, 0, 1), 0))
-
-    def _bound(self, p: Float64) -> Float64:
-        return np.clip(p, self.p_min, 1 - self.p_min)
+        """(1 + O) / 2, where O = 1 - w^2, within [p_min, 1 - p_min]."""
+        return np.clip(1 - w**2 / 2, self.p_min, 1 - self.p_min)
 
 
 def find_decision(model: SensorModel) -> Decision:

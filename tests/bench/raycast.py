@@ -6,7 +6,6 @@ from occmap.jit import kernel
 from occmap.types import Float64
 
 
-@kernel
 def cast_scans(poses: Float64, bearings: Float64, boxes: Float64) -> Float64:
     """Return the distance (S, B) to the nearest box, inf where there is none.
 
@@ -15,7 +14,13 @@ def cast_scans(poses: Float64, bearings: Float64, boxes: Float64) -> Float64:
     poses, bearings, boxes
         (S, 3) x, y, yaw; (B,) rad; (N, 4) x0, y0, x1, y1 (m). No pose lies inside a box.
     """
-    ranges = np.empty((poses.shape[0], bearings.size))
+    ranges = np.empty((len(poses), len(bearings)))
+    _cast_scans(poses, bearings, boxes, ranges)
+    return ranges
+
+
+@kernel
+def _cast_scans(poses: Float64, bearings: Float64, boxes: Float64, ranges: Float64) -> None:
     for s in range(poses.shape[0]):
         for b in range(bearings.size):
             bearing = poses[s, 2] + bearings[b]
@@ -29,4 +34,3 @@ def cast_scans(poses: Float64, bearings: Float64, boxes: Float64) -> Float64:
                 if 0 < enter < nearest and enter <= min(max(ax, bx), max(ay, by)):
                     nearest = enter
             ranges[s, b] = nearest
-    return ranges

@@ -1,7 +1,7 @@
 """The updates for models that look at distances, the slow way: one cell at a time, in floats.
 
-O, V and p are `occmap.sensor.models`, of a cell whose centre is at distance d from the sensor on a
-beam of range r. Where neither O nor V speaks of a cell, nothing is observed. p is clipped to
+O, V and p are as in docs/architecture.md, of a cell whose centre is at distance d from the sensor
+on a beam of range r. Where neither O nor V speaks of a cell, nothing is observed. p is clipped to
 [p_min, 1 - p_min].
 """
 
@@ -9,9 +9,6 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-import numpy as np
-
-from occmap.sensor.models import occupancy, probability, visibility
 from occmap.types import Kind, Rays
 from tests.grid.reference import (
     Cell,
@@ -41,11 +38,10 @@ class Quadratic:
 
     def observe(self, d: float, r: float, kind: Kind) -> float | None:
         """The probability of a cell, None where the beam says nothing about it."""
-        at = np.array(d)
-        about = kind == Kind.HIT and abs(d - r) <= self.depth
-        o = occupancy(at, r, self.depth) if about else 0.0
-        v = visibility(at, r, self.depth)
-        return self.clip(float(probability(o, v))) if about or d < r - self.depth else None
+        about, before = kind == Kind.HIT and abs(d - r) <= self.depth, d < r - self.depth
+        o = 1 - ((d - r) / self.depth) ** 2 if about else 0.0
+        v = 1 - (d / (r - self.depth)) ** 2 if before else 0.0
+        return self.clip((1 + o - v) / 2) if about or before else None
 
     def clip(self, p: float) -> float:
         return min(max(p, self.p_min), 1 - self.p_min)

@@ -44,10 +44,10 @@ from occmap import jit
 from occmap.scoring import Trials
 
 loaded = []
-load, begin = jit.KeptCode.load_overload, Trials.begin
+load, begin = jit.Kernel._load, Trials.begin
 
 def load_and_note(self, *args):
-    loaded.append(self._name)
+    loaded.append(self.name)
     return load(self, *args)
 
 def begin_and_forget(self, workers):
@@ -55,7 +55,7 @@ def begin_and_forget(self, workers):
     loaded.clear()
     return observe
 
-jit.KeptCode.load_overload, Trials.begin = load_and_note, begin_and_forget
+jit.Kernel._load, Trials.begin = load_and_note, begin_and_forget
 occmap.compare(sys.argv[1], stride=10)
 print(*(name for name in loaded if not name.startswith("cast.")))
 """

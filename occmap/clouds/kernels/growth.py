@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.clouds.kernels.heights import BIN_MM, BINS, WIDE
-from occmap.jit import kernel, step
+from occmap.jit import array_kernel, step
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int32, Int64, UInt8
 
 BLOCK = 1 << BLOCK_BITS
@@ -91,7 +91,7 @@ class Found(NamedTuple):
     """(C,) whether a wall stands there"""
 
 
-@kernel
+@array_kernel
 def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks) -> None:
     """Say which peaks each column has."""
     for i in range(len(column)):
@@ -102,7 +102,7 @@ def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks) -> None:
         peaks.many[at] += 1
 
 
-@kernel
+@array_kernel
 def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths: Int64) -> None:
     """Count how far the lowest peaks beside a path lie below the sensor.
 
@@ -134,7 +134,7 @@ def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths:
                         break
 
 
-@kernel
+@array_kernel
 def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: Found) -> None:
     """Take as ground what lies as deep below the sensor as the ground does; lowest first.
 
@@ -187,7 +187,7 @@ def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
     return NO_GROUND
 
 
-@kernel
+@array_kernel
 def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach: int) -> int:
     """Let the ground grow, in rounds, to columns up to `reach` away; return to how many.
 
@@ -235,7 +235,7 @@ def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach:
     return grown
 
 
-@kernel
+@array_kernel
 def mark_tall(blocks: Blocks, keys: Int64, counts: Int32, flags: UInt8) -> None:
     """Flag columns in which points lie over one another for about a metre: walls."""
     start = 0
@@ -311,7 +311,7 @@ def sum_stepped(blocks: Blocks, found: Found, at: int, sign: int) -> Stepped:
     return Stepped(columns, points, weighted, ups, rights)
 
 
-@kernel
+@array_kernel
 def drop_sunk(blocks: Blocks, found: Found, base: Int32) -> None:
     """Take out of the ground what few points show below it: echoes, and noise under tables.
 
@@ -331,7 +331,7 @@ def drop_sunk(blocks: Blocks, found: Found, base: Int32) -> None:
             base[at] = NO_GROUND
 
 
-@kernel
+@array_kernel
 def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
     """Take low things that stand on the ground out of it: pallets, low boxes, kerbs.
 
@@ -391,7 +391,7 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     return True
 
 
-@kernel
+@array_kernel
 def restore_levels(blocks: Blocks, found: Found, base: Int32) -> None:
     """Give back to levels that go on, such as pavements, what was taken behind their brinks.
 
@@ -408,7 +408,7 @@ def restore_levels(blocks: Blocks, found: Found, base: Int32) -> None:
             base[at] = found.height[at]
 
 
-@kernel
+@array_kernel
 def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, base: Int32) -> None:
     """Take the mean of all peaks around a column that lie within `step_mm` of its ground.
 
@@ -441,7 +441,7 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, bas
             base[at] = total // points
 
 
-@kernel
+@array_kernel
 def fill_ground(blocks: Blocks, height: Int32, tall: UInt8, rounds: int) -> None:
     """Fill columns without ground by the mean of those beside them, one ring a round.
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.jit import kernel, step
+from occmap.jit import array_kernel, step
 from occmap.types import COLUMN_MM, Float32, Float64, Int32, Int64, PosedScans
 from occmap.types import Cloud as RecordedCloud
 
@@ -73,14 +73,14 @@ def find_place(keys: Int64, key: int) -> int:
     return place
 
 
-@kernel
+@array_kernel
 def choose_moments(offset_ns: Int64, start: int, scale: float, nearest: Int32) -> None:
     """Fill in which moment is nearest to each time; `scale` is moments a nanosecond."""
     for i in range(len(offset_ns)):
         nearest[i] = np.int32(np.rint((offset_ns[i] - start) * scale))
 
 
-@kernel
+@array_kernel
 def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -> None:
     """Fill x, y and z (N,) with where points from `start` on lie in the map, NaN for no return."""
     # Flat, and with one pose for all where they have one: so processors place several at once.
@@ -102,7 +102,7 @@ def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -
             z[i] = poses[k, 2, 0] * u + poses[k, 2, 1] * v + poses[k, 2, 2] * w + poses[k, 2, 3]
 
 
-@kernel
+@array_kernel
 def count_heights(cloud: Cloud, table: Histogram, start: int) -> int:
     """Count the heights of the points from `start` on; return where the table was full."""
     keys, counts, used = table
@@ -151,7 +151,7 @@ def list_heights(
     return many
 
 
-@kernel
+@array_kernel
 def add_histogram(keys: Int64, counts: Int32, table: Histogram) -> None:
     """Add pieces of columns to a table that has room for all of them."""
     for i in range(keys.size):
@@ -164,7 +164,7 @@ def add_histogram(keys: Int64, counts: Int32, table: Histogram) -> None:
                 table.counts[place, j] += counts[i, j]
 
 
-@kernel
+@array_kernel
 def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight: Int32) -> int:
     """List the local peaks of columns, lowest first; return how many.
 
@@ -215,7 +215,7 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
     return found
 
 
-@kernel
+@array_kernel
 def find_reach(cloud: Cloud) -> float:
     """How far no point is, from the sensor or from the points' own zero (m)."""
     points, _, poses, origin = cloud

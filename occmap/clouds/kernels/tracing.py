@@ -7,7 +7,7 @@ import numpy as np
 from occmap.clouds.kernels.growth import NO_GROUND, Blocks, find_column
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, TILE_BITS
-from occmap.jit import kernel, step
+from occmap.jit import array_kernel, step
 from occmap.types import COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
 
 STEP_MM = 80
@@ -64,7 +64,7 @@ def ground_at(blocks: Blocks, height: Int32, x: float, y: float) -> int:
     return int(np.rint(total))
 
 
-@kernel
+@array_kernel
 def lay_ground(
     blocks: Blocks, height: Int32, canvas: Canvas, box: Int64, resolution: float, used: int
 ) -> int:
@@ -155,7 +155,7 @@ class Aside(NamedTuple):
     """From which height above the ground on it is an obstacle (mm)"""
 
 
-@kernel
+@array_kernel
 def measure_points(some: Aside, origin: Float64, band: Band, scale: float) -> None:
     """Find out what points are seen from their sensor; one loop that processors run in lanes."""
     least, most = band.nearest * band.nearest, band.farthest * band.farthest
@@ -175,7 +175,7 @@ def measure_points(some: Aside, origin: Float64, band: Band, scale: float) -> No
         some.clear[i] = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
 
 
-@kernel
+@array_kernel
 def trace_cloud(
     cloud: Cloud, band: Band, canvas: Canvas, scale: float, touched: Int32, counts: Int64
 ) -> None:

@@ -16,24 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.lines import (
-    Beam,
-    Line,
-    Path,
-    draw_path,
-    find_step,
-    note_line,
-    place_beam,
-    steps_after,
-)
+from occmap.grid.kernels import lines
+from occmap.grid.kernels.lines import Changes, Line, Path, find_step, steps_after
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import (
     AT_A_TIME,
     BEAM_WEIGHT,
+    BETWEEN,
     CELL_SHIFT,
     COUNT_BITS,
     FIRST_HIT,
     HALF_CELL,
+    HIT,
     MANY,
     NO_LENGTH,
     NOTHING,
@@ -47,22 +41,6 @@ from occmap.grid.kernels.units import (
 )
 from occmap.jit import kernel, step
 from occmap.types import Float64, Int32, Int64
-
-
-class Changes(NamedTuple):
-    """How often cells were plain: changes along a window's rows, and of steep lines along columns.
-
-    All are flat; those of columns are empty where a kernel writes to rows alone.
-    """
-
-    row_runs: Int32
-    """H x (W + PAD)"""
-    row_steps: Int32
-    """(H + 1) x (W + PAD)"""
-    col_runs: Int32
-    """W x (H + PAD)"""
-    col_steps: Int32
-    """(W + 1) x (H + PAD)"""
 
 
 @kernel
@@ -80,6 +58,8 @@ def read_tiles(
     ----------
     cells
         (H, W + PAD) of whole tiles: packed sums of what visited cells got.
+    changes
+        Summed up by `sum_changes`.
     packing
         How a cell's integer holds both of its numbers: how many of the lowest bits hold the second,
         with the first above them; the mask of bits that are evidence and no notes of a kernel; and
@@ -89,28 +69,23 @@ def read_tiles(
     keys, tiles
         (N, 2) row and column of each tile in the window, and (N, 2, TILE, TILE), written here.
     """
-    (bits, kept, entry), low = packing, (1 << packing[0]) - 1
-    across, up = cells.shape[1], cells.shape[0] + PAD
-    row_counts, col_counts = np.zeros(TILE, np.int32), np.zeros(across, np.int32)
-    plain, runs, steps = np.empty((TILE, TILE), np.int32), changes.row_runs, changes.row_steps
-    size = 0
-    for tile_row in range(touched[0], touched[2]):
-        row_counts[:] = 0
-        for tile_col in range(touched[1], touched[3]):
-            row, col, tile = tile_row * TILE, tile_col * TILE, tiles[size]
-            plain[:] = 0
-            sum_changes(runs, steps, row * across + col, across, row_counts, plain)
-            if changes.col_runs.size:
-                below = col_counts[col : col + TILE]
-                sum_changes(changes.col_runs, changes.col_steps, col * up + row, up, below, plain.T)
+    bits, kept, entry = packing
+    first_row, first_col, last_row, last_col = touched
+    across, up = changes.cols + PAD, changes.rows + PAD
+    in_cols, size = (2 * changes.rows + 1) * across, 0
+    has_cols = changes.numbers.size > in_cols
+    for tile_row in range(first_row, last_row):
+        for tile_col in range(first_col, last_col):
             seen = 0
             for r in range(TILE):
-                # Slices: numba cannot know that `col + c` is never negative.
-                visited, first, second = cells[row + r, col : col + TILE], tile[0, r], tile[1, r]
+                row, col = tile_row * TILE + r, tile_col * TILE
                 for c in range(TILE):
-                    packed = (visited[c] & kept) + plain[r, c] * entry
-                    first[c] = packed >> bits
-                    second[c] = packed & low
+                    plain = changes.numbers[np.uint64(row * across + col + c)]
+                    if has_cols:
+                        plain += changes.numbers[np.uint64(in_cols + (col + c) * up + row)]
+                    packed = (cells[np.uint64(row), np.uint64(col + c)] & kept) + plain * entry
+                    tiles[size, 0, r, c] = packed >> bits
+                    tiles[size, 1, r, c] = packed & ((1 << bits) - 1)
                     seen |= packed
             if seen:
                 keys[size, 0], keys[size, 1] = tile_row, tile_col
@@ -120,25 +95,28 @@ def read_tiles(
 
 @kernel
 def sum_changes(
-    runs: Int32, steps: Int32, place: int, stride: int, counts: Int32, plain: Int32
+    numbers: Int32, begin: int, stride: int, lines: int, length: int, steps: int
 ) -> None:
-    """Add how often each cell of a tile was plain, by the changes along rows, or along columns.
+    """Turn changes along lines, in place, into how often each cell was plain.
 
-    The tile begins at `place`, and its next row `stride` further on; `counts` (TILE,) go on from
-    the tile before it.
+    Parameters
+    ----------
+    begin, stride
+        The place of the first change, and how much farther that of the next line is.
+    lines, length
+        How many lines, and how many cells of each.
+    steps
+        How much farther the steps lie; 0 where there are none.
     """
-    line = np.empty(TILE, np.int32)
-    for r in range(TILE):
-        here = place + r * stride
-        begun, stepped = runs[here : here + TILE], steps[here : here + TILE]
-        above = steps[here + stride : here + stride + TILE]
-        for c in range(TILE):  # a loop of its own: many changes are added up at a time
-            line[c] = begun[c] + (stepped[c] - above[c] if steps.size else 0)
-        count = counts[r]
-        for c in range(TILE):
-            count += line[c]
-            plain[r, c] += count
-        counts[r] = count
+    for i in range(lines):
+        place, count = np.uint64(begin + i * stride), np.int32(0)
+        for j in range(length):
+            here = place + np.uint64(j)
+            count += numbers[here]
+            if steps:
+                step_place = here + np.uint64(steps)
+                count += numbers[step_place] - numbers[step_place + np.uint64(stride)]
+            numbers[here] = count
 
 
 ENTRY_BITS = 13
@@ -167,20 +145,26 @@ class Tiles(NamedTuple):
 class Canvas(NamedTuple):
     """The cells of a window that beams are traced in."""
 
-    shape: tuple[int, int]
-    """Rows and columns"""
-    stride: int
-    """From row to row of the places in notes: a power of 2 where there are tiles"""
     numbers: Int32 | Int64
     """Flat: what visited cells got. That is `stride` for each row; or tile by tile, one layer of
     cells after the other"""
+    stride: int
+    """From row to row of the places in notes: a power of 2 where there are tiles"""
     changes: Changes
-    """How often cells were plain; empty where there are tiles, and all cells are visited"""
+    """How often cells were plain; has no numbers where there are tiles, and all cells are
+    visited"""
+    notes: Float64
+    """(MANY + the larger of H and W + AT_A_TIME,) to work with"""
 
 
 @kernel
 def trace_beams(
-    beams: Beams, radial: Tables | None, corner: Int64, canvas: Canvas, tiles: Tiles | None
+    beams: Beams,
+    radial: Tables | None,
+    corner: Int64,
+    canvas: Canvas,
+    tiles: Tiles | None,
+    clipped: bool | None,
 ) -> None:
     """Add to the cells of a window what a model says of every beam.
 
@@ -192,60 +176,78 @@ def trace_beams(
         (2,) x and y of the window's corner (lattice units from the anchor).
     tiles
         None: every cell of the window has a place.
+    clipped
+        None: no beam reaches beyond the window.
     """
-    kinds = beams.rays.kind
-    shape, stride, numbers, changes = canvas
-    notes, fill = make_notes(shape), 0
+    kinds, origins, links = beams.rays.kind, beams.origins, beams.links
+    left, bottom, stride, fill = corner[0], corner[1], canvas.stride, 0
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
             if kinds[s, b] == SKIP:
                 continue
-            beam = place_beam(beams, s, b, radial, corner)
-            for i in range(beam.drawn + 1):
-                path = draw_path(beam, i, radial, shape)
-                if tiles is None:
-                    note_plain(path, changes, shape)
-                    note_hit(path, radial, stride, numbers)
-                else:
-                    visit_path(path, radial, numbers, tiles)
+            viewpoint = min(b, origins.shape[1] - 1)
+            at_x, at_y = origins[s, viewpoint, 0] - left, origins[s, viewpoint, 1] - bottom
+            x, y, to_x, to_y = at_x, at_y, beams.ends_x[s, b] - left, beams.ends_y[s, b] - bottom
+            weight, drawn, is_hit, begun = 1, 0, kinds[s, b] == HIT, 0.0
+            if links.size:
+                weight, drawn = links[0, s, b], links[1, s, b]
+            if radial is not None:
+                r, depth = beams.ranges[s, b], radial.depth * beams.units_per_metre
+            for i in range(drawn + 1):
+                if i:  # a beam between this one and the next
+                    to_x, to_y = to_x + links[2, s, b], to_y + links[3, s, b]
+                    x, y = lines.begin_between(at_x, to_x), lines.begin_between(at_y, to_y)
+                    weight = BETWEEN
+                    if radial is not None:
+                        length = np.hypot(float(to_x - at_x), float(to_y - at_y))
+                        r, begun = max(length - depth, 0.0), lines.BEGIN_EIGHTHS / 8 * length
+                row, col = y >> CELL_SHIFT, x >> CELL_SHIFT
+                end_row, end_col = to_y >> CELL_SHIFT, to_x >> CELL_SHIFT
+                line = lines.draw_line(col, row, end_col, end_row)
+                first, plain, end = 0, line.n + (not is_hit), line.n + 1
                 if radial is not None:
-                    fill = list_slope(path, beam, stride, notes, fill)
+                    reach = radial.plain * max(r - depth, 0.0) - begun
+                    reach = reach / UNITS_PER_CELL - lines.FARTHEST_CENTRE
+                    plain = lines.count_nearer(line.n, line.m, reach)
+                if clipped is not None:
+                    changes = canvas.changes
+                    first, end = lines.clip_line(line, changes.rows, changes.cols)
+                    plain = min(max(plain, first), end)
+                path = Path(line, first, plain, end, weight)
+                if tiles is not None:
+                    visit_path(path, radial, canvas.numbers, tiles)
+                else:
+                    if first < plain:
+                        lines.note_plain(path, canvas.changes)
+                    if radial is None and plain < end:
+                        place = np.uint64(end_row * stride + end_col)
+                        canvas.numbers[place] += weight << COUNT_BITS
+                if radial is not None:
+                    slope = Slope(at_x, at_y, r, depth, depth if is_hit else -1.0)
+                    fill = list_slope(path, slope, stride, canvas.notes, fill)
                     if fill >= MANY:
-                        add_notes(notes, fill, radial, canvas, tiles)
+                        add_notes(canvas, fill, radial, tiles)
                         fill = 0
     if radial is not None:
-        add_notes(notes, fill, radial, canvas, tiles)
+        add_notes(canvas, fill, radial, tiles)
+
+
+class Slope(NamedTuple):
+    """What a model says along a beam, in lattice units from the window's corner."""
+
+    at_x: int
+    """The sensor"""
+    at_y: int
+    range: float
+    """On the map"""
+    depth: float
+    """How far about the range a hit reaches"""
+    reach: float
+    """The depth, or -1 where there is no hit"""
 
 
 @step
-def note_plain(path: Path, changes: Changes, shape: tuple[int, int]) -> None:
-    """Add the plain cells of a path, as changes along rows, or of a steep line along columns."""
-    line, first, end = path.line, path.first, path.plain
-    if first < end:
-        if line.steep:
-            runs, steps, stride = changes.col_runs, changes.col_steps, shape[0] + PAD
-            note_line(line, first, end, runs, steps, stride, path.weight)
-        else:
-            runs, steps, stride = changes.row_runs, changes.row_steps, shape[1] + PAD
-            note_line(line, first, end, runs, steps, stride, path.weight)
-
-
-@step
-def note_hit(path: Path, radial: Tables | None, stride: int, numbers: Int32 | Int64) -> None:
-    """Add a hit to the end cell of a path, where hits are counted and it lies in the window."""
-    if radial is None and path.plain < path.end:
-        place = path.end_row * stride + path.end_col
-        numbers[np.uint64(place)] += path.weight << COUNT_BITS
-
-
-@kernel
-def make_notes(shape: tuple[int, int]) -> Float64:
-    """Room for notes, in which a line of a window always fits."""
-    return np.empty(MANY + max(shape[0], shape[1]) + AT_A_TIME)
-
-
-@step
-def list_slope(path: Path, beam: Beam, stride: int, notes: Float64, fill: int) -> int:
+def list_slope(path: Path, slope: Slope, stride: int, notes: Float64, fill: int) -> int:
     """List what a radial model says of the cells of a path that are not plain.
 
     Parameters
@@ -259,12 +261,11 @@ def list_slope(path: Path, beam: Beam, stride: int, notes: Float64, fill: int) -
     -------
     How many notes there are now.
     """
-    line, r, depth = path.line, path.range, beam.depth
+    line, r, depth, reach = path.line, slope.range, slope.depth, slope.reach
     free_range = max(r - depth, 0.0)
     free_scale = TABLE_STEPS / max(free_range * free_range, 1.0)
     hit_scale = TABLE_STEPS / max(depth, NO_LENGTH)
-    reach = depth if beam.is_hit else -1.0
-    at_u, at_v = turn_axes(line, beam.at_x, beam.at_y)
+    at_u, at_v = turn_axes(line, slope.at_x, slope.at_y)
     from_u = float((line.u << CELL_SHIFT) + HALF_CELL - at_u)
     from_v = float((line.v << CELL_SHIFT) + HALF_CELL - at_v)
     step_u, step_v = float(line.u_sign * UNITS_PER_CELL), float(line.v_sign * UNITS_PER_CELL)
@@ -295,12 +296,10 @@ def turn_axes(line: Line, x: int, y: int) -> tuple[int, int]:
     return (y, x) if line.steep else (x, y)
 
 
-@kernel
-def add_notes(
-    notes: Float64, size: int, radial: Tables, canvas: Canvas, tiles: Tiles | None
-) -> None:
+@step
+def add_notes(canvas: Canvas, size: int, radial: Tables, tiles: Tiles | None) -> None:
     """Add to the cells of a window what the notes say."""
-    numbers, entries = canvas.numbers, radial.entries
+    numbers, notes, entries = canvas.numbers, canvas.notes, radial.entries
     col_bits = int(np.log2(canvas.stride))
     for k in range(size):
         note = int(notes[k])

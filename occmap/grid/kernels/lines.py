@@ -21,10 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.projection import Beams
-from occmap.grid.kernels.units import BETWEEN, CELL_SHIFT, HIT, UNITS_PER_CELL, Tables
-from occmap.jit import kernel, step
-from occmap.types import Int32, Int64
+from occmap.grid.kernels.units import PAD
+from occmap.jit import step
+from occmap.types import Int32
 
 FRACTION_BITS = 36
 """Bits of the fraction of a step's place; the bits above are an index into a window."""
@@ -67,8 +66,10 @@ def steps_after(line: Line, i: float) -> float:
 @step
 def count_steps(line: Line, i: int) -> int:
     """`steps_after` as an integer; at the ends of a line, its usual places, without a division."""
-    if i in (0, line.n):
-        return line.m if i else 0
+    if i == 0:
+        return 0
+    if i == line.n:
+        return line.m
     return (2 * i * line.m + line.n) // (2 * line.n)
 
 
@@ -83,95 +84,30 @@ def find_step(line: Line, j: int) -> int:
 
 
 @step
-def lies_inside(col: int, row: int, end_col: int, end_row: int, rows: int, cols: int) -> bool:
-    """Whether both ends of a line lie in a window, and so all of it: nearly always."""
-    return (
-        min(row, end_row, col, end_col) >= 0
-        and max(row, end_row) < rows
-        and max(col, end_col) < cols
-    )
-
-
-@kernel
 def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
     """Find which cells of a line lie in a window: the first, and the one after the last."""
     width, height = (rows, cols) if line.steep else (cols, rows)
-    u, v, n = line.u, line.v, line.n
+    u, v = line.u, line.v
     before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)
     before_v, beyond_v = (-v, height - v) if line.v_sign > 0 else (v - height + 1, v + 1)
-    first = max(before_u, find_step(line, before_v), 0)
-    end = min(beyond_u, find_step(line, beyond_v) if beyond_v > 0 else 0, n + 1)
+    first = max(before_u, find_step(line, before_v))
+    end = min(beyond_u, find_step(line, max(beyond_v, 0)))
     return first, max(first, end)
 
 
-@step
-def note_line(
-    line: Line, first: int, end: int, runs: Int32, steps: Int32, stride: int, weight: int
-) -> None:
-    """Add the cells of a line from `first` to before `end`, all in the window, as changes.
+class Changes(NamedTuple):
+    """How often cells were plain: changes along a window's rows, and of steep lines along columns.
 
-    The place of a step advances by n / m along u and by one along v: both in one fixed-point
-    number. Its fraction is too low by less than 2^-36 for each step, and 1 / (2 m) is the least
-    that separates it from the next whole number. So steps are exact for lines of 2^22 cells in a
-    window of 2^24 cells, which has at most 2^12 steps of a line.
+    All lie in one array, one after the other: H x (W + PAD) runs along rows, (H + 1) x (W + PAD)
+    steps, W x (H + PAD) runs along columns and (W + 1) x (H + PAD) steps; where a kernel writes to
+    rows alone, only the first of these.
     """
-    n, m = line.n, line.m
-    made = count_steps(line, first)
-    last = m - (n < 2 * m) if end == n else count_steps(line, end - 1)
-    v, v_last = line.v + line.v_sign * made, line.v + line.v_sign * last
-    # A line to the left ends its runs and makes its steps one cell farther to the right.
-    origin, change = (line.u, weight) if line.u_sign > 0 else (line.u + 1, -weight)
-    runs[np.uint64(v * stride + origin + line.u_sign * first)] += change
-    runs[np.uint64(v_last * stride + origin + line.u_sign * end)] -= change
-    if made == last:
-        return
-    slope = (n << FRACTION_BITS) // m
-    place = (slope >> 1) - 1 + (1 << FRACTION_BITS)  # rounded up
-    if made:
-        whole, rest = divmod(2 * n * made, 2 * m)
-        place += (whole << FRACTION_BITS) + (rest << FRACTION_BITS) // (2 * m)
-    if line.u_sign < 0:
-        place, slope = (1 << FRACTION_BITS) - 1 - place, -slope
-    if line.v_sign > 0:
-        place += ((v + 1) * stride + origin) << FRACTION_BITS
-        slope += stride << FRACTION_BITS
-    else:
-        place += (v * stride + origin) << FRACTION_BITS
-        slope -= stride << FRACTION_BITS
-        change = -change
-    for _ in range(last - made):
-        steps[np.uint64(place) >> np.uint64(FRACTION_BITS)] += change
-        place += slope
 
-
-FARTHEST_CENTRE = 1.25
-"""Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
-diagonal at the first cell, and half a cell beside the line."""
-BEGIN_EIGHTHS = 5
-"""A beam between two others is drawn from so many eighths of its way on."""
-
-
-class Beam(NamedTuple):
-    """A beam of a scan in a window; all is in lattice units from the window's corner."""
-
-    at_x: int
-    """The sensor"""
-    at_y: int
-    to_x: int
-    """The end"""
-    to_y: int
-    is_hit: bool
-    weight: int
-    """How many times each of its cells gets what the model says"""
-    range: float
-    """On the map; 0 where the model does not ask"""
-    depth: float
-    """How far about the range a hit reaches"""
-    drawn: int
-    """How many are drawn between it and the next"""
-    step_x: int
-    """From the end of one of these to that of the next"""
-    step_y: int
+    numbers: Int32
+    rows: int
+    """H"""
+    cols: int
+    """W"""
 
 
 class Path(NamedTuple):
@@ -184,76 +120,60 @@ class Path(NamedTuple):
     """The first that is not plain: before it, all cells get the same"""
     end: int
     """The one after the last that lies in the window"""
-    end_row: int
-    """The cell in which the beam ends"""
-    end_col: int
     weight: int
     """How many times each of its cells gets what the model says"""
-    range: float
-    """On the map (lattice units); 0 where the model does not ask"""
 
 
 @step
-def place_beam(beams: Beams, s: int, b: int, radial: Tables | None, corner: Int64) -> Beam:
-    """Place a beam of a scan in a window.
+def note_plain(path: Path, changes: Changes) -> None:
+    """Add the plain cells of a path as changes.
 
-    Parameters
-    ----------
-    corner
-        (2,) x and y of the window's corner (lattice units from the anchor).
+    The place of a step advances by n / m along u and by one along v: both in one fixed-point
+    number. Its fraction is too low by less than 2^-36 for each step, and 1 / (2 m) is the least
+    that separates it from the next whole number. So steps are exact for lines of 2^22 cells in a
+    window of 2^24 cells, which has at most 2^12 steps of a line.
     """
-    viewpoint = min(b, beams.origins.shape[1] - 1)
-    r = depth = 0.0
-    if radial is not None:
-        r, depth = beams.ranges[s, b], radial.depth * beams.units_per_metre
-    drawn, step_x, step_y = int(beams.between[s, b]), 0, 0
-    if beams.steps.size:
-        step_x, step_y = int(beams.steps[s, b, 0]), int(beams.steps[s, b, 1])
-    return Beam(
-        beams.origins[s, viewpoint, 0] - corner[0],
-        beams.origins[s, viewpoint, 1] - corner[1],
-        beams.ends_x[s, b] - corner[0],
-        beams.ends_y[s, b] - corner[1],
-        beams.rays.kind[s, b] == HIT,
-        int(beams.weights[s, b]),
-        r,
-        depth,
-        drawn,
-        step_x,
-        step_y,
+    line, first, end, weight = path.line, path.first, path.plain, path.weight
+    numbers, n, m = changes.numbers, line.n, line.m
+    across, up = changes.cols + PAD, changes.rows + PAD
+    runs, stride = (
+        (2 * changes.rows + 1) * across if line.steep else 0,
+        up if line.steep else across,
     )
+    steps = runs + (changes.cols * up if line.steep else changes.rows * across)
+    made = count_steps(line, first)
+    last = m - (n < 2 * m) if end == n else count_steps(line, end - 1)
+    v, v_last = line.v + line.v_sign * made, line.v + line.v_sign * last
+    # A line to the left ends its runs and makes its steps one cell farther to the right.
+    origin, change = (line.u, weight) if line.u_sign > 0 else (line.u + 1, -weight)
+    numbers[np.uint64(runs + v * stride + origin + line.u_sign * first)] += change
+    numbers[np.uint64(runs + v_last * stride + origin + line.u_sign * end)] -= change
+    if made == last:
+        return
+    slope = (n << FRACTION_BITS) // m
+    place = (slope >> 1) - 1 + (1 << FRACTION_BITS)  # rounded up
+    if made:
+        whole, rest = divmod(2 * n * made, 2 * m)
+        place += (whole << FRACTION_BITS) + (rest << FRACTION_BITS) // (2 * m)
+    if line.u_sign < 0:
+        place, slope = (1 << FRACTION_BITS) - 1 - place, -slope
+    if line.v_sign > 0:
+        place += (steps + (v + 1) * stride + origin) << FRACTION_BITS
+        slope += stride << FRACTION_BITS
+    else:
+        place += (steps + v * stride + origin) << FRACTION_BITS
+        slope -= stride << FRACTION_BITS
+        change = -change
+    for _ in range(last - made):
+        numbers[np.uint64(place) >> np.uint64(FRACTION_BITS)] += change
+        place += slope
 
 
-@step
-def draw_path(beam: Beam, i: int, radial: Tables | None, shape: tuple[int, int]) -> Path:
-    """Draw a beam where `i` is 0, or else the i-th of those between it and the next.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns of the window.
-    """
-    x, y, to_x, to_y = beam.at_x, beam.at_y, beam.to_x, beam.to_y
-    weight, r, begun = beam.weight, beam.range, 0.0
-    if i:
-        to_x, to_y = to_x + i * beam.step_x, to_y + i * beam.step_y
-        x, y = begin_between(x, to_x), begin_between(y, to_y)
-        weight = BETWEEN
-        if radial is not None:
-            length = np.hypot(float(to_x - beam.at_x), float(to_y - beam.at_y))
-            r = max(length - beam.depth, 0.0)
-            begun = BEGIN_EIGHTHS / 8 * length
-    col, row = x >> CELL_SHIFT, y >> CELL_SHIFT
-    end_col, end_row = to_x >> CELL_SHIFT, to_y >> CELL_SHIFT
-    line = draw_line(col, row, end_col, end_row)
-    first, plain, end = 0, line.n + (not beam.is_hit), line.n + 1
-    if radial is not None:
-        reach = radial.plain * max(r - beam.depth, 0.0) - begun
-        plain = count_nearer(line.n, line.m, reach / UNITS_PER_CELL - FARTHEST_CENTRE)
-    if not lies_inside(col, row, end_col, end_row, shape[0], shape[1]):
-        first, end = clip_line(line, shape[0], shape[1])
-        plain = min(max(plain, first), end)
-    return Path(line, first, plain, end, end_row, end_col, weight, r)
+FARTHEST_CENTRE = 1.25
+"""Cells by which a cell's centre may be farther from the sensor than its place on the line: half a
+diagonal at the first cell, and half a cell beside the line."""
+BEGIN_EIGHTHS = 5
+"""A beam between two others is drawn from so many eighths of its way on."""
 
 
 @step

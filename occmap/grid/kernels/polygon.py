@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.projection import Beams, round_to_units
+from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel, step
 from occmap.types import Bool, Int32, Int64, UInt8
@@ -55,18 +55,16 @@ class Spans(NamedTuple):
     """(2, N) to work with: the row of each crossing; 2 x the first column inside, + 1 if upward"""
 
 
-@kernel
 def make_outline(corners: int) -> Outline:
     """Room for so many corners."""
-    empty = np.empty(corners, np.int64)
-    return Outline(empty, np.empty_like(empty), np.empty(corners, np.bool_))
+    x, y = np.empty((2, corners), np.int64)
+    return Outline(x, y, np.empty(corners, np.bool_))
 
 
-@kernel
-def make_spans(rows: int) -> Spans:
-    """Spans of a window's rows; `fill_outline` makes room where there is too little."""
+def make_spans(rows: int, crossings: int) -> Spans:
+    """Room for the spans of a window's rows, and for about so many crossings."""
     starts, counts = np.empty(rows, np.int32), np.empty(rows + 1, np.int32)
-    return Spans(starts, counts, np.empty(4 * rows, np.int32), np.empty((2, 4 * rows), np.int32))
+    return Spans(starts, counts, np.empty(crossings, np.int32), np.empty((2, crossings), np.int32))
 
 
 @kernel
@@ -81,7 +79,7 @@ def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
 @kernel
 def fill_outline(
     outline: Outline, corners: int, touched: tuple[int, int], cols: int, spans: Spans
-) -> Spans:
+) -> bool:
     """Write the spans of all cells inside an outline, in columns of a window; some may be empty.
 
     Parameters
@@ -91,17 +89,14 @@ def fill_outline(
 
     Returns
     -------
-    `spans`, or larger ones where these were too small.
+    Whether there was room for them.
     """
     crossings = _cross_rows(outline, corners, touched, cols, spans)
     if crossings + AT_A_TIME > spans.limits.size:
-        room = 2 * crossings + AT_A_TIME
-        limits, found = np.empty(room, np.int32), np.empty((2, room), np.int32)
-        spans = Spans(spans.starts, spans.counts, limits, found)
-        _cross_rows(outline, corners, touched, cols, spans)
+        return False
     _sort_by_row(touched, crossings, spans)
     _make_spans(touched, spans)
-    return spans
+    return True
 
 
 @kernel
@@ -254,63 +249,105 @@ EDGE, CELL, JOINED = 1, 2, 4
 listed. JOINED: so are the cells between the two end cells."""
 
 
-@kernel
+class Room(NamedTuple):
+    """What a scan is worked out in."""
+
+    links: UInt8
+    """(B,) bits as above"""
+    listed: Int32
+    """(B,) the beams with an edge that may matter, or with cells between; these are few"""
+    cells: Int32
+    """(N, 2) row and column of the cells of the border"""
+    outline: Outline
+    spans: Spans
+
+
 def trace_polygons(
     beams: Beams,
-    jump: float,
-    border_gap: int,
+    limits: tuple[float, int],
     corner: Int64,
-    clipped: bool,
     border: Int64,
     runs: Int32,
     mark: int,
+    clipped: bool,
 ) -> None:
     """Add every scan's border and inside.
 
     Parameters
     ----------
-    jump
-        Neighbours see one surface where their ranges differ by at most this (m).
-    border_gap
-        The border is closed between end cells of one surface at most so far apart (cells).
+    limits
+        Neighbours see one surface where their ranges differ by at most the first (m), and the
+        border is closed between end cells of one surface at most so far apart as the second
+        (cells).
     corner
         (2,) x and y of the window's corner (lattice units from the anchor).
-    clipped
-        The scans may reach beyond the window.
     border
         (H, W + PAD) packed as `BORDER_BITS` says; scans count from `mark` + 1, and none above
         `mark` is there yet.
     runs
         H x (W + PAD), flat: changes of the misses along rows.
+    clipped
+        The scans may reach beyond the window.
     """
-    scans, count = beams.rays.kind.shape
+    (scans, count), rows = beams.rays.kind.shape, len(border)
+    cells = np.empty((count * max(limits[1], 1) + AT_A_TIME, 2), np.int32)
+    links, listed, crossings = np.empty(count, np.uint8), np.empty(count, np.int32), 4 * rows
+    outline, done = make_outline(3 * count + 4), 0
+    while done < scans:
+        room = Room(links, listed, cells, outline, make_spans(rows, crossings))
+        done = trace_scans(beams, done, limits, corner, border, runs, mark, clipped, room)
+        crossings *= 2
+
+
+@kernel
+def trace_scans(
+    beams: Beams,
+    done: int,
+    limits: tuple[float, int],
+    corner: Int64,
+    border: Int64,
+    runs: Int32,
+    mark: int,
+    clipped: bool,
+    room: Room,
+) -> int:
+    """Add scans from `done` on, and return how many are done: for the next is too little room."""
+    jump, border_gap = limits
+    links, listed, cells, spans = room.links, room.listed, room.cells, room.spans
     rows, cols = border.shape[0], border.shape[1] - PAD
-    links, room = np.empty(count, np.uint8), np.empty(count, np.int32)
-    cells = np.empty((count * max(border_gap, 1) + AT_A_TIME, 2), np.int32)
-    outline, spans = make_outline(3 * count + 4), make_spans(rows)
-    for s in range(scans):
-        listed = _link_beams(beams, s, jump, border_gap, links, room)
-        corners = _outline_scan(beams, s, jump, corner, links, listed, outline)
+    scans: int = beams.rays.kind.shape[0]
+    for s in range(done, scans):
+        size = _link_beams(beams, s, jump, border_gap, links, listed)
+        corners = _outline_scan(beams, s, jump, corner, links, listed[:size], room.outline)
         touched = _find_rows(beams, s, corner[1], rows)
-        spans = fill_outline(outline, corners, touched, cols, spans)
+        if not fill_outline(room.outline, corners, touched, cols, spans):
+            return s
         _note_spans(touched, spans, border.shape[1], runs)
-        size = _list_border(beams, s, corner, links, listed, cells)
+        size = _list_border(beams, s, corner, links, listed[:size], cells)
         if clipped:
-            row, col = cells[:size, 0], cells[:size, 1]
-            kept = cells[:size][(row >= 0) & (row < rows) & (col >= 0) & (col < cols)]
-            size = len(kept)
-            cells[:size] = kept
+            size = _keep_inside(cells, size, rows, cols)
         _note_border(cells, size, spans, mark + s + 1, border)
+    return scans
+
+
+@kernel
+def _keep_inside(cells: Int32, size: int, rows: int, cols: int) -> int:
+    """Keep those of the listed cells that lie in a window; returns how many."""
+    kept = 0
+    for i in range(size):
+        row, col = cells[i, 0], cells[i, 1]
+        cells[kept, 0], cells[kept, 1] = row, col
+        kept += (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    return kept
 
 
 @kernel
 def _link_beams(
     beams: Beams, s: int, jump: float, border_gap: int, links: UInt8, listed: Int32
-) -> Int32:
+) -> int:
     """Say how each beam of a scan is linked to the one before it.
 
-    There are no branches, so that many beams are compared at a time. Returns the beams with an edge
-    that may matter, or with cells between, from the start of `listed`: these are few.
+    There are no branches, so that many beams are compared at a time. Returns how many are listed.
     """
     distance, kinds = beams.rays.distance[s], beams.rays.kind[s]
     ends_x, ends_y, last = beams.ends_x[s], beams.ends_y[s], kinds.size - 1
@@ -340,7 +377,7 @@ def _link_beams(
     for b in range(kinds.size):
         listed[np.uint64(size)] = b
         size += (links[b] & (EDGE | JOINED)) != 0
-    return listed[:size]
+    return size
 
 
 @kernel
@@ -393,8 +430,8 @@ def _end_at(beams: Beams, s: int, b: int, reach: float) -> tuple[int, int]:
     origin, turn = rays.origin[s, 0], rays.turn[s, min(b, rays.turn.shape[1] - 1)]
     x, y = rays.bearing[0, b], rays.bearing[1, b]
     along_x, along_y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
-    end_x = round_to_units(origin[0] + reach * along_x, scale) - anchor[0]
-    return end_x, round_to_units(origin[1] + reach * along_y, scale) - anchor[1]
+    end_x = int(np.rint((origin[0] + reach * along_x) * scale)) - anchor[0]
+    return end_x, int(np.rint((origin[1] + reach * along_y) * scale)) - anchor[1]
 
 
 @kernel

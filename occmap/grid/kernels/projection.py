@@ -18,7 +18,7 @@ from occmap.grid import FARTHEST_UNIT, CellBox, refuse_long
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
 from occmap.grid.tiles import GridSpec
 from occmap.jit import kernel
-from occmap.types import Float64, Int16, Int32, Int64, Kind, Rays, UInt8, Update
+from occmap.types import Float64, Int16, Int32, Int64, Kind, Rays, Update
 
 WIDEST_GAP = 12
 """Nothing is known of a surface between ends that lie more cells apart."""
@@ -43,25 +43,15 @@ class Beams(NamedTuple):
     """(S, B)"""
     ranges: Float64
     """(S, B) on the map; (0, 0) where no model asks"""
-    weights: UInt8
-    """(S, B) what each beam counts"""
-    between: UInt8
-    """(S, B) how many beams are drawn between each and the next"""
-    steps: Int16
-    """(S, B, 2) x and y from the end of one of these to that of the next (units); (0, 0, 2) where
-    the update draws none"""
+    links: Int16
+    """(4, S, B) what each beam weighs, how many are drawn between it and the next, and x and y from
+    the end of one of these to that of the next (units); (4, 0, 0) where the update draws none"""
     box: CellBox
     """Around all cells that the beams may touch"""
 
 
 @kernel
-def round_to_units(metres: float, units_per_metre: float) -> int:
-    """Round a coordinate to lattice units, as `Lattice.to_units` does."""
-    return int(np.rint(metres * units_per_metre))
-
-
-@kernel
-def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
+def project_ends(beams: Beams, depth: float) -> None:
     """Compute where beams end, and their ranges where a model asks.
 
     A beam straight up or down has no direction on the map, and ends where it begins.
@@ -70,75 +60,62 @@ def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
     ----------
     depth
         How far beyond its range a HIT beam is followed on the map (m).
-
-    Returns
-    -------
-    The lowest x and y of all ends, and the highest x and y.
     """
     origin, turn, bearing = beams.rays.origin, beams.rays.turn, beams.rays.bearing
     distance, kinds, ranges = beams.rays.distance, beams.rays.kind, beams.ranges
     ends_x, ends_y, scale = beams.ends_x, beams.ends_y, beams.units_per_metre
     anchor_x, anchor_y = float(beams.anchor[0]), float(beams.anchor[1])
-    (scans, count), turns = kinds.shape, turn.shape[1]
-    left = bottom = np.int32(2**31 - 1)
-    right = top = np.int32(-(2**31))
-    for s in range(scans):
+    turns, count = turn.shape[1], kinds.shape[1]
+    for s in range(kinds.shape[0]):
         for t in range(turns):
-            k, first, end = min(t, origin.shape[1] - 1), t, t + 1
-            if turns == 1:
-                first, end = 0, count
+            k = t if origin.shape[1] > 1 else 0
             at_x, at_y = origin[s, k, 0], origin[s, k, 1]
             xx, xy, yx, yy = turn[s, t, 0, 0], turn[s, t, 0, 1], turn[s, t, 1, 0], turn[s, t, 1, 1]
-            bearing_x, bearing_y = bearing[0, first:end], bearing[1, first:end]
-            far, kind = distance[s, first:end], kinds[s, first:end]
-            x, y = ends_x[s, first:end], ends_y[s, first:end]
-            on_map = ranges[s, first:end] if ranges.size else ranges.ravel()
-            for b in range(end - first):
-                along_x = xx * bearing_x[b] + xy * bearing_y[b]
-                along_y = yx * bearing_x[b] + yy * bearing_y[b]
+            for beam in range(t, t + 1 if turns > 1 else count):
+                b = np.uint64(beam)
+                along_x = xx * bearing[0, b] + xy * bearing[1, b]
+                along_y = yx * bearing[0, b] + yy * bearing[1, b]
                 length = np.sqrt(along_x * along_x + along_y * along_y)
-                beyond = depth / max(length, NO_LENGTH)
-                reach = np.float64(far[b]) + (beyond if kind[b] == HIT else 0.0)
-                x[b] = np.int32(np.rint((at_x + reach * along_x) * scale) - anchor_x)
-                y[b] = np.int32(np.rint((at_y + reach * along_y) * scale) - anchor_y)
+                beyond = depth / (length + NO_LENGTH)
+                reach = distance[s, b] + (beyond if kinds[s, b] == HIT else 0.0)
+                ends_x[s, b] = np.int32(np.rint((at_x + reach * along_x) * scale) - anchor_x)
+                ends_y[s, b] = np.int32(np.rint((at_y + reach * along_y) * scale) - anchor_y)
                 if ranges.size:
-                    on_map[b] = far[b] * length * scale
-        for b in range(count):  # a loop of its own: many ends are compared at a time
-            left, right = min(left, ends_x[s, b]), max(right, ends_x[s, b])
-            bottom, top = min(bottom, ends_y[s, b]), max(top, ends_y[s, b])
-    return int(left), int(bottom), int(right), int(top)
+                    ranges[s, b] = distance[s, b] * length * scale
 
 
 @kernel
-def link_neighbours(beams: Beams, jump: float) -> None:
+def link_neighbours(rays: Rays, ends_x: Int32, ends_y: Int32, jump: float, links: Int16) -> None:
     """Say how many beams to draw between each beam and the next, and what each beam weighs.
 
     Neighbours meet one surface where their ranges differ by at most `jump` (m) or by a tenth.
+
+    Parameters
+    ----------
+    links
+        As those of `Beams`, and written here; each beam weighs `ALONE`, and none is drawn.
     """
-    distance, kinds = beams.rays.distance, beams.rays.kind
-    ends_x, ends_y = beams.ends_x, beams.ends_y
-    weights, between, steps = beams.weights, beams.between, beams.steps
+    distance, kinds = rays.distance, rays.kind
     scans, count = kinds.shape
-    weights[:] = ALONE
     for s in range(scans):
-        for b in range(count if beams.rays.full_circle and count > 1 else count - 1):
+        for b in range(count if rays.full_circle and count > 1 else count - 1):
             c = b + 1 if b + 1 < count else 0
-            here, there = float(distance[s, b]), float(distance[s, c])
-            across, up = abs(ends_x[s, c] - ends_x[s, b]), abs(ends_y[s, c] - ends_y[s, b])
-            cells = max(across, up) >> CELL_SHIFT
+            across, up = ends_x[s, c] - ends_x[s, b], ends_y[s, c] - ends_y[s, b]
+            cells = max(abs(across), abs(up)) >> CELL_SHIFT
             both_hit = (kinds[s, b] == HIT) & (kinds[s, c] == HIT)
-            one_surface = abs(here - there) <= max(jump, SLANT * min(here, there))
-            joined = both_hit & one_surface & (cells <= WIDEST_GAP)
+            apart = abs(distance[s, b] - distance[s, c])
+            slanted = (apart <= SLANT * distance[s, b]) & (apart <= SLANT * distance[s, c])
+            joined = both_hit & (slanted | (apart <= jump)) & (cells <= WIDEST_GAP)
             both_free = (kinds[s, b] == FREE) & (kinds[s, c] == FREE)
             drawn = min(cells, MOST_BETWEEN) if joined else 0
             rest = MOST_BETWEEN - drawn if joined | both_free else 0
-            between[s, b] = drawn
             # Rounded down: half a unit keeps whole numbers from what rounding does.
             share = 1.0 / (drawn + 1)
-            steps[s, b, 0] = np.int32(np.floor((ends_x[s, c] - ends_x[s, b] + 0.5) * share))
-            steps[s, b, 1] = np.int32(np.floor((ends_y[s, c] - ends_y[s, b] + 0.5) * share))
-            weights[s, b] += rest
-            weights[s, c] += rest
+            links[0, s, b] += rest
+            links[0, s, c] += rest
+            links[1, s, b] = drawn
+            links[2, s, b] = np.int32(np.floor((across + 0.5) * share))
+            links[3, s, b] = np.int32(np.floor((up + 0.5) * share))
 
 
 def prepare(rays: Rays, spec: GridSpec) -> Rays:
@@ -190,10 +167,8 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
     shape = rays.kind.shape
     origins = spec.lattice.to_units(rays.origin)
     anchor = origins[0, 0] >> CELL_SHIFT << CELL_SHIFT
-    weights = between = np.zeros((0, 0), np.uint8)
-    if spec.update is not Update.POLYGON or shape[1] == 1:  # a single beam is a line
-        weights, between = np.ones(shape, np.uint8), np.zeros(shape, np.uint8)
     drawing = spec.update is Update.SURFACE
+    links = np.zeros((4, *(shape if drawing else (0, 0))), np.int16)
     beams = Beams(
         rays,
         spec.lattice.units_per_metre,
@@ -202,16 +177,16 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
         ends_x=np.empty(shape, np.int32),
         ends_y=np.empty(shape, np.int32),
         ranges=np.empty(shape if spec.radial else (0, 0)),
-        weights=weights,
-        between=between,
-        steps=np.empty((*shape, 2) if drawing else (0, 0, 2), np.int16),
+        links=links,
         box=CellBox(0, 0, 0, 0),  # known once it is known where they end
     )
-    left, bottom, right, top = project_ends(beams, spec.tables.depth)
+    project_ends(beams, spec.tables.depth)
     if drawing:
-        link_neighbours(beams, spec.jump)
-    lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
-    highest = np.maximum(beams.origins.max(axis=(0, 1)), (right, top))
+        links[0] = ALONE
+        link_neighbours(rays, beams.ends_x, beams.ends_y, spec.jump, links)
+    ends = beams.ends_x, beams.ends_y
+    lowest = np.minimum(beams.origins.min(axis=(0, 1)), [end.min() for end in ends])
+    highest = np.maximum(beams.origins.max(axis=(0, 1)), [end.max() for end in ends])
     edges = np.stack([lowest, highest]) + anchor
     (col, row), (col_end, row_end) = (edges >> CELL_SHIFT).tolist()
     box = CellBox(row, col, row_end + 1, col_end + 1).grow(1 + _reach_beside(rays, spec))

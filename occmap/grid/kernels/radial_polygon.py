@@ -68,7 +68,62 @@ class Listed(NamedTuple):
     """(2 N,) those of the beam that covers the cell"""
 
 
-@kernel
+BEARINGS = 1 << 14
+"""Steps of a full turn to which the bearing of a cell is known."""
+STEP = 5e-4
+"""More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
+ROUNDED = 4
+"""Lattice units by which corners may lie farther out than the sectors that they are made for."""
+BESIDE = 2.0
+"""How far rounding may take a corner to the side (lattice units)."""
+COS_60, SIN_60 = 0.5, 0.75**0.5
+ROUNDING = 1e-6
+"""Unit vectors that add up to less are opposite: their sum is only rounding. A scan that turns by
+less (rad) turns neither way, and a sector this narrow covers nothing. All of this happens with an
+upright laser, whose beams lie in one vertical plane."""
+
+
+class Sectors(NamedTuple):
+    """What each beam of a scan covers: from half-way to one neighbour to half-way to the other."""
+
+    direction: Float64
+    """(B, 2) of the beams, of length 1"""
+    sides: Float64
+    """(B, 4) x and y of the unit vector at the side of the beam before, and of that at the side of
+    the beam after, at most 60 degrees away"""
+    covers: Bool
+    """(B,) False where a beam is SKIP, and where its sides lie the wrong way round. That happens
+    where a scan is not seen from where it was taken and a nearer thing shifts across a farther one;
+    its neighbours' sectors then overlap"""
+    shares_side: Bool
+    """(B,) whether a sector begins where the one before ends, which 60 degrees may have ended
+    earlier"""
+    lengths: Float64
+    """(B, 4) how far to outline a sector along each of its sides, and how far to the left of it, in
+    lattice units from the sensor"""
+    within: Float64
+    """(B,) how far each beam surely says of all cells what it says of the first (lattice units)"""
+    reach: Float64
+    """(B,) to work with, as is the next"""
+    inward: Float64
+
+
+class Room(NamedTuple):
+    """What a scan is worked out in."""
+
+    sectors: Sectors
+    covering: Int32
+    """As in `View`"""
+    limits: Float64
+    """As in `View`"""
+    listed: Listed
+    outline: Outline
+    outer: Spans
+    """What the sectors cover"""
+    inner: Spans
+    """The part of which all gets the first entry"""
+
+
 def trace_radial_polygons(
     beams: Beams, corner: Int64, tables: Tables, cells: Int64, runs: Int32
 ) -> None:
@@ -87,36 +142,59 @@ def trace_radial_polygons(
     runs
         H x (W + PAD), flat: changes along rows of how often a cell got the first entry of `free`.
     """
-    scans, count = beams.rays.kind.shape
+    (scans, count), rows = beams.rays.kind.shape, len(cells)
+    room, crossings, done = MANY + cells.shape[1] + AT_A_TIME, 4 * rows, 0
+    at_rows, at_cols, places = np.empty((3, room), np.int32)
+    listed = Listed(at_rows, at_cols, places, np.empty(2 * room))
+    sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
+    limits, outline = np.empty(2 * count + 2), make_outline(4 * count + 4)
+    limits[-2:] = np.inf, -np.inf
+    while done < scans:
+        spans = make_spans(rows, crossings), make_spans(rows, crossings)
+        view = Room(sectors, covering, limits, listed, outline, *spans)
+        done = trace_scans(beams, done, corner, tables, cells, runs, view)
+        crossings *= 2
+
+
+@kernel
+def trace_scans(
+    beams: Beams,
+    done: int,
+    corner: Int64,
+    tables: Tables,
+    cells: Int64,
+    runs: Int32,
+    room: Room,
+) -> int:
+    """Add scans from `done` on, and return how many are done: for the next is too little room."""
+    sectors, limits, outline = room.sectors, room.limits, room.outline
+    outer, inner, within = room.outer, room.inner, sectors.within
+    scans: int = beams.rays.kind.shape[0]
     rows, cols = cells.shape[0], cells.shape[1] - PAD
     depth = tables.depth * beams.units_per_metre
-    sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
-    limits, within = np.empty(2 * count + 2), np.empty(count)
-    limits[2 * count], limits[2 * count + 1] = np.inf, -np.inf
-    room = MANY + cells.shape[1] + AT_A_TIME
-    places = np.empty((3, room), np.int32)
-    listed = Listed(places[0], places[1], places[2], np.empty(2 * room))
-    outline, outer, inner = make_outline(4 * count + 4), make_spans(rows), make_spans(rows)
-    for s in range(scans):
+    for s in range(done, scans):
         ranges, kinds = beams.ranges[s], beams.rays.kind[s]
         at_x, at_y = beams.origins[s, 0, 0] - corner[0], beams.origins[s, 0, 1] - corner[1]
         sign = find_sectors(beams, s, sectors)
-        side_by_side = cover_bearings(sectors, kinds, sign, covering)
+        side_by_side = cover_bearings(sectors, kinds, sign, room.covering)
         reach_out(beams, s, depth, sectors)
         corners = outline_sectors(at_x, at_y, sectors, outline)
         touched = find_rows(outline.y, corners, rows)
-        outer = fill_outline(outline, corners, touched, cols, outer)
-        for b in range(count):
+        if not fill_outline(outline, corners, touched, cols, outer):
+            return s
+        for b in range(kinds.size):
             limits[2 * b] = TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
             limits[2 * b + 1] = ranges[b] if kinds[b] == HIT else -np.inf
             within[b] = max(tables.plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
         inner.counts[:] = 0
         if side_by_side:
-            stay_inside(within, sign, sectors)
+            stay_inside(sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
-            inner = fill_outline(outline, corners, touched, cols, inner)
-        view = View((at_x, at_y), covering, limits, depth, tables.entries)
-        _observe_spans(view, touched, outer, inner, listed, cells, runs)
+            if not fill_outline(outline, corners, touched, cols, inner):
+                return s
+        view = View((at_x, at_y), room.covering, limits, depth, tables.entries)
+        _observe_spans(view, touched, outer, inner, room.listed, cells, runs)
+    return scans
 
 
 @kernel
@@ -162,7 +240,6 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
     (at_x, at_y), covering, entries = view.at, view.covering, view.entries
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
-    stride, flat = cells.shape[1], cells.reshape(-1)
     steps, first_hit, nothing = float(TABLE_STEPS), float(FIRST_HIT), float(NOTHING)
     to_steps = steps / view.depth
     two, one = np.uint64(2), np.uint64(1)
@@ -184,53 +261,16 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
         off = abs(np.sqrt(squared) - limits[two * k + one]) * to_steps
         as_hit = first_hit + off if off <= steps else nothing
         places[k] = np.int32(as_free if as_free < steps else as_hit)
-        rows[k] = rows[k] * stride + cols[k]  # from here on its place in the window
     for i in range(size):
         k = np.uint64(i)
-        flat[np.uint64(rows[k])] += entries[np.uint64(places[k])]
+        cells[np.uint64(rows[k]), np.uint64(cols[k])] += entries[np.uint64(places[k])]
 
 
-BEARINGS = 1 << 14
-"""Steps of a full turn to which the bearing of a cell is known."""
-STEP = 5e-4
-"""More than the angle of such a step (rad), which is twice as wide on diagonals as along axes."""
-ROUNDED = 4
-"""Lattice units by which corners may lie farther out than the sectors that they are made for."""
-BESIDE = 2.0
-"""How far rounding may take a corner to the side (lattice units)."""
-COS_60, SIN_60 = 0.5, 0.75**0.5
-ROUNDING = 1e-6
-"""Unit vectors that add up to less are opposite: their sum is only rounding. A scan that turns by
-less (rad) turns neither way, and a sector this narrow covers nothing. All of this happens with an
-upright laser, whose beams lie in one vertical plane."""
-
-
-class Sectors(NamedTuple):
-    """What each beam of a scan covers: from half-way to one neighbour to half-way to the other."""
-
-    direction: Float64
-    """(B, 2) of the beams, of length 1"""
-    sides: Float64
-    """(B, 4) x and y of the unit vector at the side of the beam before, and of that at the side of
-    the beam after, at most 60 degrees away"""
-    covers: Bool
-    """(B,) False where a beam is SKIP, and where its sides lie the wrong way round. That happens
-    where a scan is not seen from where it was taken and a nearer thing shifts across a farther one;
-    its neighbours' sectors then overlap"""
-    shares_side: Bool
-    """(B,) whether a sector begins where the one before ends, which 60 degrees may have ended
-    earlier"""
-    lengths: Float64
-    """(B, 4) how far to outline a sector along each of its sides, and how far to the left of it, in
-    lattice units from the sensor"""
-
-
-@kernel
 def make_sectors(count: int) -> Sectors:
     """Room for the sectors of so many beams."""
-    sides, lengths = np.empty((count, 4)), np.empty((count, 4))
-    covers, shares_side = np.empty(count, np.bool_), np.empty(count, np.bool_)
-    return Sectors(np.empty((count, 2)), sides, covers, shares_side, lengths)
+    covers, shares_side = np.empty((2, count), np.bool_)
+    sides, lengths = np.empty((2, count, 4))
+    return Sectors(np.empty((count, 2)), sides, covers, shares_side, lengths, *np.empty((3, count)))
 
 
 @kernel
@@ -343,15 +383,15 @@ def reach_out(beams: Beams, s: int, depth: float, sectors: Sectors) -> None:
 
 
 @kernel
-def stay_inside(own: Float64, sign: float, sectors: Sectors) -> None:
-    """Write how far sectors go so that what is outlined is surely theirs and no longer than `own`.
+def stay_inside(sign: float, sectors: Sectors) -> None:
+    """Write how far sectors go so that what is outlined is surely theirs, and within what is plain.
 
     Where neighbours differ (B,), the outline runs within the longer, so far from their side that no
     cell of it is the shorter's. A sector that is too narrow for that goes only as far as both of
     its neighbours do.
     """
     sides, shares_side, lengths = sectors.sides, sectors.shares_side, sectors.lengths
-    reach, inward = np.empty(own.size), np.empty(own.size)
+    own, reach, inward = sectors.within, sectors.reach, sectors.inward
     for b in range(own.size):
         after = b + 1 if b + 1 < own.size else 0
         width = abs(sides[b, 0] * sides[b, 3] - sides[b, 1] * sides[b, 2])

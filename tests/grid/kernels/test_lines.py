@@ -3,7 +3,7 @@
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from occmap.grid.kernels.lines import count_steps, draw_line, find_step, steps_after
+from occmap.grid.kernels.lines import Line, count_steps, draw_line, find_step, steps_after
 from tests.grid.scans import MANY
 
 LONGEST = 1 << 22
@@ -24,7 +24,7 @@ def draw_places(draw: st.DrawFn) -> tuple[int, int, int]:
 @example((1, 1, 1))
 def test_steps_are_rounded_halves_up(place: tuple[int, int, int]) -> None:
     n, m, i = place
-    line = draw_line(0, 0, n, m)
+    line = Line(*draw_line(0, 0, n, m))
     made = (2 * i * m + n) // (2 * n)
     assert steps_after(line, float(i)) == count_steps(line, i) == made
     first = find_step(line, made)
