@@ -17,7 +17,7 @@ from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, EMPTY, FAR_M, WIDE, Histogram, list_clouds
 from occmap.errors import MapError
-from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
 POINTS_A_CLOUD = 25_000
 """About so many points of each cloud are counted, or a quarter: whichever is more."""
@@ -157,8 +157,6 @@ class Columns(NamedTuple):
 
     blocks: Blocks
     peaks: Peaks
-    tall: UInt8
-    """(C,) whether a wall stands there"""
     filled: int
     """How many columns hold points"""
 
@@ -174,18 +172,16 @@ def find_ground(
         No ground is found.
     """
     columns = read_columns(table, known)
-    blocks, peaks, tall, filled = columns
+    blocks, peaks, filled = columns
     depth, spread, beside = measure_depth(columns, path, options.sensor_height)
     if options.ground == FLAT:
         return make_flat(path, depth), []
     span = np.array([beside, UNDER, depth - spread, depth + spread], np.int64)
-    shown, level = peaks, np.empty(len(tall), np.int32)
+    shown, level = peaks, np.empty_like(peaks.first)
     grown = []
     for _ in range(PASSES):
         found = grow(columns._replace(peaks=shown), path, span, known)
         grown.append(found)
-        growth.drop_sunk(blocks, found, level)
-        found = found._replace(height=level.copy())
         growth.drop_raised(blocks, found, level)
         raised = np.flatnonzero(level != found.height)
         shown = lower(shown, raised, level[raised], found.weight[raised])
@@ -196,11 +192,11 @@ def find_ground(
     measured = base != NO_GROUND
     if not measured.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-    growth.fill_ground(blocks, base, tall, FILLED)
+    growth.fill_ground(blocks, base, FILLED)
     plane = fit_plane(blocks, base, measured)
     if plane is not None:
         beyond = base == NO_GROUND
-        growth.fill_ground(blocks, base, tall, LEVEL_FILLED - FILLED)
+        growth.fill_ground(blocks, base, LEVEL_FILLED - FILLED)
         beyond &= base != NO_GROUND
         base[beyond] = plane[beyond]
     note = (
@@ -212,9 +208,9 @@ def find_ground(
 
 def grow(columns: Columns, path: Int64, span: Int64, known: Ground | None) -> Found:
     """Let the ground grow from under the path."""
-    blocks, peaks, tall, _ = columns
-    height = np.full(len(tall), NO_GROUND, np.int32)
-    found = Found(height, np.zeros_like(height), np.zeros_like(tall), tall)
+    blocks, peaks, _ = columns
+    height = np.full_like(peaks.first, NO_GROUND)
+    found = Found(height, np.zeros_like(height), np.zeros(len(height), np.uint8))
     growth.seed_ground(blocks, peaks, path, span, found)
     lay_known(blocks, known, found)
     for reach in REACHES:
@@ -297,11 +293,10 @@ def read_columns(table: Histogram, known: Ground | None) -> Columns:
     every = np.unique(keys >> heights.PIECE_BITS)
     blocks = make_blocks(np.stack([(every >> 21) - WIDE, every % (2 * WIDE) - WIDE], axis=1), known)
     size = len(blocks.places) << 2 * BLOCK_BITS
-    none, tall = np.zeros(size, np.int32), np.zeros(size, np.uint8)
+    none = np.zeros(size, np.int32)
     peaks = Peaks(none, none.copy(), level[:many].copy(), weight[:many].copy())
     growth.index_peaks(blocks, column[:many], peaks)
-    growth.mark_tall(blocks, keys, counts, tall)
-    return Columns(blocks, peaks, tall, len(every))
+    return Columns(blocks, peaks, len(every))
 
 
 def make_blocks(columns: Int64, known: Ground | None) -> Blocks:

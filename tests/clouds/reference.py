@@ -2,6 +2,7 @@
 
 import math
 from collections import defaultdict
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,31 @@ def find_sector(x: int, y: int) -> int:
     return (180 - part if y >= 0 else 540 + part) % 720
 
 
+class Seen(NamedTuple):
+    """A point as it is seen from the sensor."""
+
+    cell: Cell
+    sector: int
+    apart: float
+    """The square of its distance (lattice units)"""
+    slope: float
+    """How steeply its line of sight rises; of floor, to the ground of its cell"""
+
+
+def group(points: list[Seen]) -> defaultdict[int, list[Seen]]:
+    """The points of each bearing."""
+    found: defaultdict[int, list[Seen]] = defaultdict(list)
+    for each in points:
+        found[each.sector].append(each)
+    return found
+
+
+def is_beneath(floor: Seen, hits: list[Seen]) -> bool:
+    """Whether floor lies behind the nearest hit of its bearing, and is seen beneath that."""
+    nearest, lowered = min([(each.apart, -each.slope) for each in hits] or [(math.inf, 0.0)])
+    return floor.apart > nearest and floor.slope < -lowered
+
+
 class SlowEngine:
     """Counts hits and misses of cells of 5 cm."""
 
@@ -72,45 +98,45 @@ class SlowEngine:
             self.cells[cell] = find_height(self.ground, x, y)
         return self.cells[cell]
 
-    def measure(self, point: Float64, origin: Float64) -> tuple[Cell, float, float] | None:
-        """The cell of a point in the map, its height above the ground and its distance (m)."""
-        x, y, z = point.tolist()
-        distance = math.hypot(x - origin[0], y - origin[1])
-        cell = round(y * 5120) // 256, round(x * 5120) // 256
-        height = self.find_ground(cell)
-        if distance < 0.05 or height is None:
-            return None
-        return cell, (round(z * 1000) - height) / 1000, distance
-
-    def add(self, posed: PosedScans) -> None:
-        """Observe one cloud whose points share a pose."""
+    def look(self, posed: PosedScans) -> tuple[list[Seen], list[Seen]]:
+        """The points of a cloud that are obstacles, and those that are floor."""
         assert posed.batch.clouds
         points = posed.batch.clouds[0].points.astype(np.float64)
         points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
         origin: Float64 = posed.position[0]
-        start_x, start_y = (round(each * 5120) for each in origin[:2])
-        hit: set[Cell] = set()
-        missed: set[Cell] = set()
-        near: defaultdict[int, list[tuple[int, Cell]]] = defaultdict(list)
-        far: defaultdict[int, list[tuple[int, Cell]]] = defaultdict(list)
-        for point in points @ posed.rotation[0].T + origin:
-            if not (found := self.measure(point, origin)):
+        hits, floor = [], []
+        for x, y, z in (points @ posed.rotation[0].T + origin).tolist():
+            cell = round(y * 5120) // 256, round(x * 5120) // 256
+            distance, ground = math.hypot(x - origin[0], y - origin[1]), self.find_ground(cell)
+            if distance < 0.05 or ground is None:
                 continue
-            cell, above, distance = found
-            away = round(point[0] * 5120) - start_x, round(point[1] * 5120) - start_y
-            sector, apart = find_sector(*away), away[0] ** 2 + away[1] ** 2
-            low = self.options.min_height
-            if abs(above) < low:
-                missed.add(cell)
-                far[sector].append((-apart, cell))
+            above = (round(z * 1000) - ground) / 1000
+            right, up = (
+                round(to * 5120) - round(at * 5120) for to, at in zip((x, y), origin, strict=False)
+            )
+            apart, low = right**2 + up**2, self.options.min_height
+            level = ground if abs(above) < low else round(z * 1000)
+            slope = (level - origin[2] * 1000) / math.sqrt(apart)
+            seen = Seen(cell, find_sector(right, up), apart, slope)
             margin = max(self.options.range_margin * distance - 0.096, 0)
-            if low + margin <= above < self.options.max_height:
-                hit.add(cell)
-                near[sector].append((apart, cell))
+            if abs(above) < low:
+                floor.append(seen)
+            elif low + margin <= above < self.options.max_height:
+                hits.append(seen)
+        return hits, floor
+
+    def add(self, posed: PosedScans) -> None:
+        """Observe one cloud whose points share a pose."""
+        hits, floor = self.look(posed)
+        near, far = group(hits), group(floor)
+        missed = {each.cell for each in floor if not is_beneath(each, near[each.sector])}
+        start = tuple(round(each * 5120) // 256 for each in posed.position[0, 1::-1].tolist())
         for sector in near.keys() | far.keys():
-            _, end = min(near.get(sector) or far[sector])
-            line = list_line((start_y // 256, start_x // 256), end)
+            ends = [(each.apart, each.cell) for each in near[sector]]
+            _, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
+            line = list_line((start[0], start[1]), end)
             missed.update(cell for cell in line if self.find_ground(cell) is not None)
+        hit = {each.cell for each in hits}
         for cell in hit:
             self.hits[cell] += 1
         for cell in missed - hit:

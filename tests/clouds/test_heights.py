@@ -13,7 +13,6 @@ from occmap.clouds.kernels.growth import (
     Found,
     Peaks,
     drop_raised,
-    drop_sunk,
     restore_levels,
     smooth_ground,
 )
@@ -60,7 +59,7 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
 ) -> None:
     heights = lay({650: 40, 651: -160, 652: -160})
     nothing = np.zeros(heights.size, np.uint8)
-    found = Found(heights, lay({650: 100, 651: 1, 652: points - 1}, 0), nothing, nothing)
+    found = Found(heights, lay({650: 100, 651: 1, 652: points - 1}, 0), nothing)
     base = np.empty_like(heights)
 
     drop_raised(BLOCKS, found, base)
@@ -78,10 +77,10 @@ def test_a_step_is_higher_where_the_robot_did_not_pass(
     step: int, passed: int, is_dropped: bool
 ) -> None:
     heights = lay({650: step, 651: 0})
-    where, nothing = lay({650: passed}, 0).astype(np.uint8), np.zeros(heights.size, np.uint8)
+    where = lay({650: passed}, 0).astype(np.uint8)
     base = np.empty_like(heights)
 
-    drop_raised(BLOCKS, Found(heights, lay({650: 5, 651: 9}, 0), where, nothing), base)
+    drop_raised(BLOCKS, Found(heights, lay({650: 5, 651: 9}, 0), where), base)
 
     assert base[650] == (0 if is_dropped else step)
 
@@ -102,33 +101,13 @@ def test_a_level_that_goes_on_is_given_back_but_for_its_brink(
     level: int, wide: int, lost: list[int]
 ) -> None:
     first = lay_rows([0] * 20 + [level] * wide + [0] * 20)
-    nothing = np.zeros(first.size, np.uint8)
     near = np.full(first.size, PASSED, np.uint8)
     base = lay_rows([0] * 60)  # all that was raised is lowered
 
-    restore_levels(BLOCKS, Found(first, np.ones_like(first), near, nothing), base)
+    restore_levels(BLOCKS, Found(first, np.ones_like(first), near), base)
 
     rows = base.reshape(64, 64)[20 : 20 + wide // 2, 30]
     assert np.flatnonzero(rows == 0).tolist() == lost
-
-
-@pytest.mark.parametrize(
-    ("points", "passed", "height"), [(9, 0, NO_GROUND), (11, 0, -200), (9, STOOD, -200)]
-)
-def test_a_column_of_few_points_below_others_is_no_ground(
-    points: int, passed: int, height: int
-) -> None:
-    heights = lay({650: -200, 651: 0, 652: 10, 653: 0})
-    nothing, stands = np.zeros(heights.size, np.uint8), np.zeros(heights.size, np.uint8)
-    stands[650] = passed
-    # The mean of those above it is 20: half of that decides.
-    found = Found(heights, lay({650: points, 651: 25, 652: 15, 653: 20}, 0), stands, nothing)
-    base = np.empty_like(heights)
-
-    drop_sunk(BLOCKS, found, base)
-
-    assert base[650] == height
-    assert base[651:654].tolist() == [0, 10, 0]
 
 
 def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:

@@ -54,6 +54,15 @@ def test_a_table_stands_in_the_way_of_a_high_robot_only() -> None:
     assert not classify(posed, CloudOptions(max_height=0.6))[0][top].any()
 
 
+def test_floor_that_is_seen_beneath_a_thing_is_not_free_and_floor_seen_over_one_is() -> None:
+    # From 0.6 m above the path the plank hides the floor up to y = 5.4.
+    car, plank = (2.0, 4.5, 4.0, 5.2, 0.25, 1.2), (6.0, 8.5, 4.6, 4.8, 0.0, 0.15)
+    _, free = classify(drive(Room([car, plank])))
+
+    assert not free[find_cells((2.1, 4.4), (4.1, 5.1))].any()
+    assert free[find_cells((6.0, 8.5), (5.5, 5.9))].mean() > 0.9
+
+
 def test_a_lintel_above_the_robot_is_free() -> None:
     occupied, free = classify(drive(Room([(6.0, 6.2, 0.0, 6.0, 2.0, 2.5)])))
     below = find_cells((6.0, 6.2), (1.0, 5.0))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.heights import BIN_MM, BINS, WIDE
+from occmap.clouds.kernels.heights import BIN_MM, WIDE
 from occmap.jit import array_kernel, step
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int32, Int64, UInt8
 
@@ -87,8 +87,6 @@ class Found(NamedTuple):
     """(C,) points that show it"""
     passed: UInt8
     """(C,) 0, `PASSED` or `STOOD`"""
-    tall: UInt8
-    """(C,) whether a wall stands there"""
 
 
 @array_kernel
@@ -145,7 +143,7 @@ def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: F
         greatest depth (mm).
     """
     beside, under, least, most = span
-    height, weight, passed, _ = found
+    height, weight, passed = found
     widest = max(beside, BY)
     for i in range(len(path)):
         row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
@@ -193,7 +191,7 @@ def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach:
 
     A column takes the peak with the most points within `step_mm` of the mean of those beside it.
     """
-    height, weight, _, _ = found
+    height, weight, _ = found
     size = height.size
     queued = np.zeros(size, np.uint8)
     front = np.empty(size, np.int64)
@@ -235,45 +233,9 @@ def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach:
     return grown
 
 
-@array_kernel
-def mark_tall(blocks: Blocks, keys: Int64, counts: Int32, flags: UInt8) -> None:
-    """Flag columns in which points lie over one another for about a metre: walls."""
-    start = 0
-    while start < keys.size:
-        stop = start + 1
-        while stop < keys.size and keys[stop] >> 20 == keys[start] >> 20:
-            stop += 1
-        row, col = (keys[start] >> 41) - WIDE, ((keys[start] >> 20) & (2 * WIDE - 1)) - WIDE
-        at = find_column(blocks, row, col)
-        filled, longest = 0, 0
-        for i in range(start, stop):
-            many = 0
-            for j in range(BINS):
-                many += counts[i, j] > 0
-            follows = i > start and keys[i] == keys[i - 1] + 1
-            filled = 0 if many < 2 else filled + 1 if follows else 1
-            longest = max(longest, filled)
-        if at >= 0 and longest >= 4:
-            flags[at] = 1
-        start = stop
-
-
-@step
-def is_walled(blocks: Blocks, tall: UInt8, row: int, col: int, up: int, right: int) -> bool:
-    """Whether a tall column lies on the way from a column to one beside it."""
-    steps = max(abs(up), abs(right))
-    for k in range(steps + 1):
-        rise, run = (2 * k * up + steps) // (2 * steps), (2 * k * right + steps) // (2 * steps)
-        at = find_column(blocks, row + rise, col + run)
-        if at >= 0 and tall[at]:
-            return True
-    return False
-
-
 class Stepped(NamedTuple):
-    """The columns near one that lie a step lower, or higher."""
+    """The columns near one that lie a step lower."""
 
-    columns: int
     points: int
     """How many they hold together"""
     weighted: int
@@ -284,15 +246,15 @@ class Stepped(NamedTuple):
 
 
 @step
-def sum_stepped(blocks: Blocks, found: Found, at: int, sign: int) -> Stepped:
-    """Sum up the columns that are a step lower than one (`sign` 1), or higher (-1).
+def sum_stepped(blocks: Blocks, found: Found, at: int) -> Stepped:
+    """Sum up the columns that are a step lower than one.
 
-    They lie within half a metre, no wall is between, and the step is more than 6 cm + 0.12 of the
-    distance, or twice that far from the path, and less than 30 cm.
+    They lie within half a metre, and the step is more than 6 cm + 0.12 of the distance, or twice
+    that far from the path, and less than 30 cm.
     """
-    height, weight, passed, tall = found
+    height, weight, passed = found
     row, col = place_row(blocks, at), place_col(blocks, at)
-    columns, points, weighted, ups, rights = 0, 0, 0, 0, 0
+    points, weighted, ups, rights = 0, 0, 0, 0
     for up in range(-STEPPED, STEPPED + 1):
         for right in range(-STEPPED, STEPPED + 1):
             near = find_column(blocks, row + up, col + right)
@@ -301,34 +263,12 @@ def sum_stepped(blocks: Blocks, found: Found, at: int, sign: int) -> Stepped:
             least = 60 + SLOPE_MM * np.sqrt(float(up * up + right * right))
             # Far away, poses that are off by tenths of a degree make steps of slopes.
             least *= 1 if passed[at] else 2
-            is_stepped = least < sign * (height[at] - height[near]) < 300
-            if is_stepped and not is_walled(blocks, tall, row, col, up, right):
-                columns += 1
+            if least < height[at] - height[near] < 300:
                 points += weight[near]
                 weighted += weight[near] * height[near]
                 ups += up
                 rights += right
-    return Stepped(columns, points, weighted, ups, rights)
-
-
-@array_kernel
-def drop_sunk(blocks: Blocks, found: Found, base: Int32) -> None:
-    """Take out of the ground what few points show below it: echoes, and noise under tables.
-
-    A column has less than half as many as the mean of those that are a step higher.
-
-    Parameters
-    ----------
-    base
-        (C,) filled: heights of the ground without them (mm).
-    """
-    for at in range(base.size):
-        base[at] = found.height[at]
-        if found.height[at] == NO_GROUND or found.passed[at] == STOOD:
-            continue
-        higher = sum_stepped(blocks, found, at, -1)
-        if 2 * found.weight[at] * higher.columns < higher.points:
-            base[at] = NO_GROUND
+    return Stepped(points, weighted, ups, rights)
 
 
 @array_kernel
@@ -347,7 +287,7 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
         base[at] = found.height[at]
         if found.height[at] == NO_GROUND or found.passed[at] == STOOD:
             continue
-        lower = sum_stepped(blocks, found, at, 1)
+        lower = sum_stepped(blocks, found, at)
         if lower.points > found.weight[at]:
             base[at] = lower.weighted // lower.points
 
@@ -372,8 +312,8 @@ def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool
 @step
 def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     """Whether a column is of a surface that goes on, and not at its brink."""
-    height, lower = found.height, sum_stepped(blocks, found, at, 1)
-    if lower.columns == 0:
+    height, lower = found.height, sum_stepped(blocks, found, at)
+    if lower.points == 0:
         for up in range(-1, 2):
             for right in range(-1, 2):
                 if up * right == 0 and goes_on(blocks, height, at, up, right):
@@ -442,19 +382,15 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, bas
 
 
 @array_kernel
-def fill_ground(blocks: Blocks, height: Int32, tall: UInt8, rounds: int) -> None:
-    """Fill columns without ground by the mean of those beside them, one ring a round.
-
-    What a tall column holds is handed on in the second half of the rounds only: else the ground of
-    one side of a wall would come to the other.
-    """
+def fill_ground(blocks: Blocks, height: Int32, rounds: int) -> None:
+    """Fill columns without ground by the mean of those beside them, one ring a round."""
     size = height.size
     front, taken = np.empty(size, np.int64), np.empty(size, np.int32)
     queued = np.zeros(size, np.uint8)
-    for turn in range(rounds):
+    for _ in range(rounds):
         many = 0
         for at in range(size):
-            if height[at] == NO_GROUND or (tall[at] and 2 * turn < rounds):
+            if height[at] == NO_GROUND:
                 continue
             row, col = place_row(blocks, at), place_col(blocks, at)
             for up in range(-1, 2):
@@ -464,7 +400,7 @@ def fill_ground(blocks: Blocks, height: Int32, tall: UInt8, rounds: int) -> None
                         queued[near] = 1
                         front[many] = near
                         many += 1
-        if many == 0 and 2 * turn >= rounds:
+        if many == 0:
             break
         for i in range(many):
             queued[front[i]] = 0

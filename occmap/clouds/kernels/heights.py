@@ -74,13 +74,6 @@ def find_place(keys: Int64, key: int) -> int:
 
 
 @array_kernel
-def choose_moments(offset_ns: Int64, start: int, scale: float, nearest: Int32) -> None:
-    """Fill in which moment is nearest to each time; `scale` is moments a nanosecond."""
-    for i in range(len(offset_ns)):
-        nearest[i] = np.int32(np.rint((offset_ns[i] - start) * scale))
-
-
-@array_kernel
 def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -> None:
     """Fill x, y and z (N,) with where points from `start` on lie in the map, NaN for no return."""
     # Flat, and with one pose for all where they have one: so processors place several at once.
@@ -264,6 +257,6 @@ def find_moments(cloud: RecordedCloud, moments: int) -> Int32:
     if moments == 1 or offset_ns is None:
         return ALL_AT_ONCE
     start, stop = int(offset_ns.min()), int(offset_ns.max())
-    nearest = np.empty(len(offset_ns), np.int32)
-    choose_moments(offset_ns, start, (moments - 1) / max(stop - start, 1), nearest)
+    scale = (moments - 1) / max(stop - start, 1)
+    nearest: Int32 = np.rint((offset_ns - start) * scale).astype(np.int32)
     return nearest

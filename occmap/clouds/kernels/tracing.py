@@ -22,6 +22,8 @@ GROUND, OBSTACLE, ABOVE, BELOW, TOO_FAR, NO_RETURN = range(6)
 COUNTS = 6
 FAR = -(1 << 31) + 1
 """The height of what is too far away"""
+NOTHING = 1 << 62
+"""Farther than anything is"""
 
 
 class Canvas(NamedTuple):
@@ -193,10 +195,15 @@ def trace_cloud(
     origin = cloud.origin
     state, ground = canvas.state.reshape(-1), canvas.ground.reshape(-1)
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
-    # Of each bearing, the farthest floor and the nearest hit: how far, and in which cell.
-    apart = np.empty((2, SECTORS), np.int64)
-    apart[GROUND], apart[OBSTACLE] = -1, 1 << 62
+    # Of each bearing, the farthest floor and the nearest hit: how far (floor: less than 0), and in
+    # which cell; of the hit also how steeply it is seen.
+    apart = np.full((2, SECTORS), NOTHING)
     ends = np.zeros((2, SECTORS, 2), np.int64)
+    steep = np.zeros(SECTORS)
+    # Of each floor point, which waits for all hits: the same, and its bearing.
+    floor, floors = np.empty(len(cloud.points), np.int32), 0
+    floor_apart, floor_steep = np.empty(len(cloud.points), np.int64), np.empty(len(cloud.points))
+    floor_bearing = np.empty(len(cloud.points), np.int16)
     x, y, z, clear = np.empty(SOME), np.empty(SOME), np.empty(SOME), np.empty(SOME)
     right, up = np.empty(SOME, np.int32), np.empty(SOME, np.int32)
     sector, level = np.empty(SOME, np.int32), np.empty(SOME, np.int32)
@@ -220,20 +227,38 @@ def trace_cloud(
             counts[GROUND if is_doubtful else kind] += 1
             if kind > OBSTACLE or is_doubtful:
                 continue
-            touched[many] = at
-            many += state[at] == 0
-            state[at] |= HIT if kind else MISS
-            far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
             bearing = sector[i]
+            far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
+            rise = level[i] - (0 if kind else above) - origin[2] * 1000
+            slope = rise / np.sqrt(far)
+            key = far if kind else -far
             known = apart[kind, bearing]
-            if (far < known if kind else far > known) or (
-                far == known and (row, col) < (ends[kind, bearing, 0], ends[kind, bearing, 1])
+            if kind:
+                touched[many] = at
+                many += state[at] == 0
+                state[at] = HIT
+                if key <= known:
+                    steep[bearing] = slope if key < known else max(slope, steep[bearing])
+            else:
+                floor[floors], floor_apart[floors] = at, far
+                floor_bearing[floors], floor_steep[floors] = bearing, slope
+                floors += 1
+            if key < known or (
+                key == known and (row, col) < (ends[kind, bearing, 0], ends[kind, bearing, 1])
             ):
-                apart[kind, bearing] = far
+                apart[kind, bearing] = key
                 ends[kind, bearing, 0], ends[kind, bearing, 1] = row, col
+    for i in range(floors):
+        at, bearing = floor[i], floor_bearing[i]
+        # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
+        is_behind = floor_apart[i] > apart[OBSTACLE, bearing]
+        if state[at] == 0 and not (is_behind and floor_steep[i] < steep[bearing]):
+            touched[many] = at
+            many += 1
+            state[at] = MISS
     for bearing in range(SECTORS):
-        kind = OBSTACLE if apart[OBSTACLE, bearing] < 1 << 62 else GROUND
-        if apart[kind, bearing] >= 0:
+        kind = OBSTACLE if apart[OBSTACLE, bearing] < NOTHING else GROUND
+        if apart[kind, bearing] < NOTHING:
             row, col = ends[kind, bearing, 0], ends[kind, bearing, 1]
             many = clear_line(
                 at_y >> CELL_SHIFT, at_x >> CELL_SHIFT, row, col, canvas, touched, many
