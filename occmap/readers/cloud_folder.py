@@ -19,10 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
+from occmap.jit import kernel
 from occmap.readers import NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.report import count
-from occmap.types import Cloud, Moments, PoseSample, Scan
+from occmap.types import Cloud, Moments, PoseSample, Scan, UInt8
 from occmap.values import as_stamp, shorten
 
 
@@ -37,6 +38,8 @@ class Points(NamedTuple):
 
 Read: TypeAlias = Callable[[bytes], Points]
 
+_LZF_SHORT = 32
+"""Bytes that stand for themselves come in runs of at most so many; what is above is a copy."""
 _PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
 _PLY_KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -99,16 +102,48 @@ def read_pcd(data: bytes) -> Points:
 
 
 def _unpack_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
-    from occmap.readers import lzf  # noqa: PLC0415  late: it brings numba
-
     packed_size, stated = np.frombuffer(data[:8].ljust(8, b"\0"), "<u4").tolist()
     if len(data) - 8 < packed_size or stated != size or not 0 <= size < MOST_BYTES:
         found = f"holds {max(len(data) - 8, 0)} of {packed_size} bytes of compressed points"
         raise DamageError(f"is cut short or damaged: it {found}")
     out = np.empty(size, np.uint8)
-    if lzf.inflate(np.frombuffer(data, np.uint8, packed_size, 8), out) != size:
+    if inflate_lzf(np.frombuffer(data, np.uint8, packed_size, 8), out) != size:
         raise DamageError("holds compressed points that are damaged")
     return out
+
+
+@kernel
+def inflate_lzf(packed: UInt8, out: UInt8) -> int:
+    """Unpack LZF (P,) into an array of the size that it should have; say how many bytes come.
+
+    PCL compresses clouds with it: http://oldhome.schmorp.de/marc/liblzf.html.
+    """
+    at, end = 0, 0
+    while at < len(packed):
+        head = int(packed[at])
+        at += 1
+        if head < _LZF_SHORT:
+            size = head + 1
+            if at + size > len(packed) or end + size > len(out):
+                return end
+            for each in range(size):
+                out[end + each] = packed[at + each]
+            at += size
+        else:
+            size, far = head >> 5, (head & 31) << 8
+            if at + 1 + (size == 7) > len(packed):
+                return end
+            if size == 7:
+                size += int(packed[at])
+                at += 1
+            start = end - far - int(packed[at]) - 1
+            at, size = at + 1, size + 2
+            if start < 0 or end + size > len(out):
+                return end
+            for each in range(size):  # one by one: it may copy what it has just written
+                out[end + each] = out[start + each]
+        end += size
+    return end
 
 
 def read_ply(data: bytes) -> Points:

@@ -17,12 +17,12 @@ from occmap.readers.cloud_folder import (
     SPACING_NS,
     CloudFolder,
     Points,
+    inflate_lzf,
     read_bin,
     read_pcd,
     read_ply,
     read_time,
 )
-from occmap.readers.lzf import inflate
 from occmap.types import Cloud, Float32, Moments, Pose
 
 POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
@@ -95,7 +95,7 @@ def test_lzf_copies_what_it_has_just_written() -> None:
     packed = np.frombuffer(bytes([1]) + b"ab" + bytes([(2 << 5) | 0, 1, 7 << 5, 3, 0]), np.uint8)
     out = np.empty(2 + 4 + 12, np.uint8)
 
-    assert inflate(packed, out) == len(out)
+    assert inflate_lzf(packed, out) == len(out)
     assert out.tobytes() == b"ababab" + b"b" * 12
 
 
