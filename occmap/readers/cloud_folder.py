@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.jit import kernel
+from occmap.jit import kernel, step
 from occmap.readers import NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.report import count
@@ -112,6 +112,13 @@ def _unpack_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
     return out
 
 
+@step
+def copy_bytes(source: UInt8, start: int, out: UInt8, end: int, size: int) -> None:
+    """Copy bytes one by one, since they may be those that were just written."""
+    for each in range(size):
+        out[end + each] = source[start + each]
+
+
 @kernel
 def inflate_lzf(packed: UInt8, out: UInt8) -> int:
     """Unpack LZF (P,) into an array of the size that it should have; say how many bytes come.
@@ -126,8 +133,7 @@ def inflate_lzf(packed: UInt8, out: UInt8) -> int:
             size = head + 1
             if at + size > len(packed) or end + size > len(out):
                 return end
-            for each in range(size):
-                out[end + each] = packed[at + each]
+            copy_bytes(packed, at, out, end, size)
             at += size
         else:
             size, far = head >> 5, (head & 31) << 8
@@ -140,8 +146,7 @@ def inflate_lzf(packed: UInt8, out: UInt8) -> int:
             at, size = at + 1, size + 2
             if start < 0 or end + size > len(out):
                 return end
-            for each in range(size):  # one by one: it may copy what it has just written
-                out[end + each] = out[start + each]
+            copy_bytes(out, start, out, end, size)
         end += size
     return end
 
