@@ -275,7 +275,7 @@ def test_build_map_takes_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        ({"update": "polgon"}, "update is 'polgon'; did you mean 'polygon'"),
+        ({"update": "polgon"}, "update is 'polgon'; give .*polygon"),
         ({"model": "smiple"}, "no model is called 'smiple'; did you mean 'simple'"),
         ({"resolution": 0.0}, "a resolution of 0.0 m"),
         ({"jobs": 0}, "`jobs=0`"),

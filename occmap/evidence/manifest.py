@@ -52,9 +52,7 @@ def describe_build(
     chosen = write_options(options)
     if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
         del chosen["clouds"]
-    edits = chosen["writing"].pop("edits")
-    if edits:
-        chosen["writing"]["edits"] = Path(edits).name
+    edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
@@ -65,6 +63,7 @@ def describe_build(
         "inputs": [entry for path in files for entry in known.get(path) or describe_files(path)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
+        **({"edits": Path(edits).name} if edits else {}),
     }
 
 

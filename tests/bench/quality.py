@@ -26,7 +26,7 @@ from occmap.errors import OccmapError
 from occmap.evidence import render
 from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
-from occmap.jit import kernel
+from occmap.jit import array_kernel
 from occmap.options import BuildOptions
 from occmap.scans.tracing import ignore_progress
 from occmap.scoring import HoldOut, Score, SharedEvidence, estimate_error, score_map
@@ -135,7 +135,7 @@ def walk(grid: OccupancyMap, held_out: Sequence[Rays]) -> Float64:
     return np.concatenate(totals)
 
 
-@kernel
+@array_kernel
 def walk_beams(
     starts: Float64, ways: Float64, counts: Bool, occupied: Bool, totals: Float64
 ) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.grid import CellBox
-from occmap.jit import kernel
+from occmap.jit import array_kernel
 from occmap.types import Float32, Float64
 from tests.bench.workloads import Sensor, Workload
 
@@ -67,7 +67,7 @@ def trace_in_numba(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
     return hits, misses
 
 
-@kernel
+@array_kernel
 def _trace_scans(
     ranges: Float32,
     poses: Float64,
@@ -96,12 +96,12 @@ def _trace_scans(
                 hits[np.uint64(end_row), np.uint64(end_col)] += 1
 
 
-@kernel
+@array_kernel
 def _to_cell(metres: float, resolution: float) -> int:
     return int(np.rint(metres / resolution * 256)) >> 8
 
 
-@kernel
+@array_kernel
 def _trace_beam(misses: Counts, col: int, row: int, end_col: int, end_row: int) -> None:
     """Walk a Bresenham line up to, and without, its end."""
     right, up = (1 if end_col > col else -1), (1 if end_row > row else -1)

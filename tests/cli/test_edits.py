@@ -54,8 +54,8 @@ def test_evidence_names_the_file_of_edits_and_has_nothing_of_it() -> None:
     occmap("build", DRIVE, "-o", "edited.npz", "--edits", "edits.csv")
     plain, edited = (read_evidence(Path(name)) for name in ("plain.npz", "edited.npz"))
     assert (plain.cells == edited.cells).all()
-    assert "edits" not in plain.manifest.builds[0]["options"]["writing"]
-    assert edited.manifest.builds[0]["options"]["writing"]["edits"] == "edits.csv"
+    assert "edits" not in plain.manifest.builds[0]
+    assert edited.manifest.builds[0]["edits"] == "edits.csv"
 
 
 def test_the_counts_of_a_map_are_those_of_what_is_written() -> None:

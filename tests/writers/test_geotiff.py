@@ -79,7 +79,8 @@ def test_the_ground_of_a_planar_log_is_refused(tmp_path: Path) -> None:
 
 def test_the_longer_ending_is_another_format(tmp_path: Path) -> None:
     assert isinstance(find_writer(tmp_path / "a.ground.TIF"), GroundWriter)
-    assert isinstance(find_writer(tmp_path / "ground.tif"), GeoTiffWriter)
+    assert isinstance(find_writer(tmp_path / "ground.tif"), GroundWriter)
+    assert isinstance(find_writer(tmp_path / "a.underground.tif"), GeoTiffWriter)
     build_map(SAMPLE_LOGS / "hall.mcap", outputs=tmp_path / "hall.ground.tif")
     with rasterio.open(tmp_path / "hall.ground.tif") as image:
         heights = image.read(1)

@@ -51,7 +51,7 @@ class Beams(NamedTuple):
 
 
 @kernel
-def project_ends(beams: Beams, depth: float) -> None:
+def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
     """Compute where beams end, and their ranges where a model asks.
 
     A beam straight up or down has no direction on the map, and ends where it begins.
@@ -60,12 +60,18 @@ def project_ends(beams: Beams, depth: float) -> None:
     ----------
     depth
         How far beyond its range a HIT beam is followed on the map (m).
+
+    Returns
+    -------
+    The lowest x and y of all ends, and the highest x and y.
     """
     origin, turn, bearing = beams.rays.origin, beams.rays.turn, beams.rays.bearing
     distance, kinds, ranges = beams.rays.distance, beams.rays.kind, beams.ranges
     ends_x, ends_y, scale = beams.ends_x, beams.ends_y, beams.units_per_metre
     anchor_x, anchor_y = float(beams.anchor[0]), float(beams.anchor[1])
     turns, count = turn.shape[1], kinds.shape[1]
+    left = bottom = np.int32(2**31 - 1)
+    right = top = np.int32(-(2**31))
     for s in range(kinds.shape[0]):
         for t in range(turns):
             k = t if origin.shape[1] > 1 else 0
@@ -82,6 +88,11 @@ def project_ends(beams: Beams, depth: float) -> None:
                 ends_y[s, b] = np.int32(np.rint((at_y + reach * along_y) * scale) - anchor_y)
                 if ranges.size:
                     ranges[s, b] = distance[s, b] * length * scale
+        for beam in range(count):  # a loop of its own: many ends are compared at a time
+            b = np.uint64(beam)
+            left, right = min(left, ends_x[s, b]), max(right, ends_x[s, b])
+            bottom, top = min(bottom, ends_y[s, b]), max(top, ends_y[s, b])
+    return int(left), int(bottom), int(right), int(top)
 
 
 @kernel
@@ -180,13 +191,12 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
         links=links,
         box=CellBox(0, 0, 0, 0),  # known once it is known where they end
     )
-    project_ends(beams, spec.tables.depth)
+    left, bottom, right, top = project_ends(beams, spec.tables.depth)
     if drawing:
         links[0] = ALONE
         link_neighbours(rays, beams.ends_x, beams.ends_y, spec.jump, links)
-    ends = beams.ends_x, beams.ends_y
-    lowest = np.minimum(beams.origins.min(axis=(0, 1)), [end.min() for end in ends])
-    highest = np.maximum(beams.origins.max(axis=(0, 1)), [end.max() for end in ends])
+    lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
+    highest = np.maximum(beams.origins.max(axis=(0, 1)), (right, top))
     edges = np.stack([lowest, highest]) + anchor
     (col, row), (col_end, row_end) = (edges >> CELL_SHIFT).tolist()
     box = CellBox(row, col, row_end + 1, col_end + 1).grow(1 + _reach_beside(rays, spec))
