@@ -7,6 +7,8 @@
   const number = (value, digits) =>
     value.toLocaleString("en-US", {minimumFractionDigits: digits, maximumFractionDigits: digits});
 
+  const toText = (layer, value) => number(layer.start + value * layer.scale, layer.digits);
+
   function makeElement(kind, text, name) {
     const element = document.createElement(kind);
     element.textContent = text;
@@ -145,7 +147,7 @@
     if (layer.kind === "classes")
       layer.names.forEach((name, value) => name && legend.append(makeSwatch(layer.colours[value], name)));
     else if (layer.kind === "time") legend.append(...makeRamp(layer.colours, "early", "late"));
-    else legend.append(...makeRamp(layer.colours, "0", number(layer.top * layer.scale, layer.digits)));
+    else legend.append(...makeRamp(layer.colours, toText(layer, 0), toText(layer, layer.top)));
     repaint();
   }
   function makeSwatch(colour, name) {
@@ -183,7 +185,7 @@
     if (layer.kind === "classes") return layer.names[value];
     if (value === layer.none && layer.kind !== "log") return "\u2013";
     if (layer.kind === "time") return writeSlice(layer.start + value * layer.scale, layer.scale);
-    return number(value * layer.scale, layer.digits);
+    return toText(layer, value);
   }
   // Stamps as in the log, so that `occmap explain` has them, too; and dates, where they are some.
   const writeTime = seconds => `${seconds.toFixed(3)} s${date(seconds)}`;

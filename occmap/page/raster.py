@@ -17,6 +17,7 @@ import numpy as np
 from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, Range1d, WheelZoomTool
 from bokeh.palettes import (
     Blues256,
+    Cividis256,
     Greys256,
     Oranges256,
     Plasma256,
@@ -28,7 +29,7 @@ from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
-from occmap.cells import Box, Evidence, OccupancyMap, Slices, keep_largest
+from occmap.cells import Box, Evidence, Ground, OccupancyMap, Slices, keep_largest
 from occmap.evidence import make_empty
 from occmap.grid import CellBox, tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
@@ -95,17 +96,27 @@ class Seen(NamedTuple):
     """Those of all builds, in order"""
     slice_s: float
     """How long each of them is (s)"""
+    ground: Ground | None
+    """What clouds were traced over"""
 
     @classmethod
     def of(cls, evidence: Evidence) -> "Seen":
         """Make evidence ready."""
         grid = make_empty(evidence.manifest).like(tiles.view_tiles(evidence.tiles, evidence.cells))
-        return cls(grid, tiles.unite(evidence.slices), evidence.manifest.pass_gap_s)
+        slices, slice_s = tiles.unite(evidence.slices), evidence.manifest.pass_gap_s
+        return cls(grid, slices, slice_s, evidence.ground)
 
     @property
     def first(self) -> int:
         """The first slice, from which the layer of last sights counts."""
         return int(self.slices.numbers.min()) if self.slices.numbers.size else 0
+
+    @property
+    def lowest_cm(self) -> int:
+        """The lowest ground, from which its layer counts (cm)."""
+        if self.ground is None or not self.ground.measured.any():
+            return 0
+        return int(self.ground.height_mm[self.ground.measured].min()) // 10
 
 
 def make_raster(grid: OccupancyMap, seen: Seen | None, most_bytes: int = MOST_BYTES) -> Raster:
@@ -184,7 +195,18 @@ def read_seen(seen: Seen, box: CellBox) -> Layers:
         start = col * TILE - box.col
         band["visits"][:, start : start + TILE] = tiles.count_visits(slices)[1]
         band["last"][:, start : start + TILE] = find_last(slices, seen.first)
+    if seen.ground is not None:
+        band["ground"] = read_ground(seen.ground, seen.lowest_cm, box, seen.grid.lattice.resolution)
     return band
+
+
+def read_ground(ground: Ground, lowest_cm: int, box: CellBox, resolution: float) -> Int64:
+    """(64, W) how high the ground below the cells of a box is (cm), from 1 on; 0: not measured."""
+    rows, cols = np.mgrid[box.row : box.row_end, box.col : box.col_end]
+    place = (np.column_stack([cols.ravel(), rows.ravel()]) + 0.5) * resolution
+    above_cm = np.floor(100 * ground.find_heights(place)) - lowest_cm + 1
+    known: Int64 = np.nan_to_num(above_cm).astype(np.int64)
+    return known.reshape(box.shape)
 
 
 def find_last(slices: Slices, first: int) -> Int64:
@@ -267,7 +289,7 @@ class Layer:
     digits: int = 0
     """Decimals of what is shown"""
     start: float = 0.0
-    """The time at which the first slice begins (s)"""
+    """What is shown for 0: the time at which the first slice begins (s), the lowest ground (m)"""
 
 
 def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Layer]:
@@ -276,8 +298,10 @@ def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Lay
     unit = seen.grid.unit if seen else 1
     counts = {"none": 0, "scale": 1 / unit, "digits": 1 if unit > 1 else 0}
     times: dict[str, Any] = {"none": 0}
+    heights: dict[str, Any] = {"none": 0, "scale": 0.01, "digits": 2}
     if seen:
         times |= {"scale": seen.slice_s, "start": seen.first * seen.slice_s}
+        heights["start"] = (seen.lowest_cm - 1) / 100
 
     def shade(key: str, label: str, kind: Kind, palette: tuple[str, ...], **more: Any) -> Layer:
         colours = linear_palette(palette, SHADES)
@@ -292,6 +316,7 @@ def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Lay
         shade("looks", "looks", "log", Blues256[::-1], **counts),
         shade("visits", "visits", "ramp", Purples256[::-1], none=0),
         shade("last", "last seen", "time", Viridis256, **times),
+        shade("ground", "ground (m)", "ramp", Cividis256, **heights),
     )
     return [layer for layer in layers if layer.key in tops]
 

@@ -1,6 +1,7 @@
 import zlib
 from base64 import b64decode
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -153,3 +154,19 @@ def test_numbers_survive_with_as_few_bytes_as_they_need(largest: int, planes: in
 
 def test_a_number_too_large_is_the_largest() -> None:
     assert unpack(pack(np.array([[2**40]]))).tolist() == [[2**32 - 1]]
+
+
+def test_the_ground_of_clouds_is_a_layer_as_high_as_the_hall_s_floor_and_ramp(
+    tmp_path: Path,
+) -> None:
+    made = api.build_map("sample_logs/hall.mcap", resolution=0.1, outputs=tmp_path / "m.npz")
+    assert made.evidence
+    seen = Seen.of(made.evidence)
+    raster = make_raster(made, seen)
+    shown = next(each for each in name_layers([raster], seen) if each.key == "ground")
+    heights = shown.start + layer(raster, "ground") * shown.scale
+    known = layer(raster, "ground") > 0
+    col, row = ((np.array(at) - (raster.x, raster.y)) / 0.1 for at in ((1.0, 3.0), (8.0, 3.0)))
+    for (x, y), low, high in ((col, -0.03, 0.02), (row, 0.21, 0.27)):
+        assert known[int(y), int(x)]
+        assert low < heights[int(y), int(x)] < high
