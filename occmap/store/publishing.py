@@ -5,7 +5,7 @@ A map is made block by block: memory is that of the map and of a few blocks.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, reduce
 from pathlib import Path
@@ -110,7 +110,10 @@ class BlockMap:
         MapError
             A block cannot be read.
         """
-        blocks, model = self.source.blocks, self.model
+        model = self.model
+        blocks: Iterable[Block] = self.source.blocks
+        if self.is_part:  # maybe a tile of a large map, and most blocks lie far from it
+            blocks = self.source.blocks.keys() & set(list_blocks(self.box.grow(1)))
         beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
         # Cells that were forgotten count as lost, and may lie beyond those that are left.
         counts_beyond = self.min_passes is not None and not self.is_part
