@@ -128,14 +128,14 @@ def measure_smallest(folder: Path, rounds: int) -> list[Row]:
     timers = {
         "build": partial(time_process, *command),
         "python": partial(time_process, sys.executable, "-c", "pass"),
-        "numba": partial(time_process, sys.executable, "-c", "import numba"),
+        "numpy": partial(time_process, sys.executable, "-c", "import numpy"),
     }
     times = take_in_turn(timers, rounds)
     python = times.median("python")
     stages = json.loads(run(command).output)["seconds"]
     longest = ", ".join(f"{stage} {s:.3f}" for stage, s in stages.items() if s >= 0.005)
     detail = (
-        f"python {python:.3f}, import numba {times.median('numba') - python:.3f}, "
+        f"python {python:.3f}, import numpy {times.median('numpy') - python:.3f}, "
         f"stages {sum(stages.values()):.3f} ({longest})"
     )
     return [Row(f"build {log.name}, seconds", 1.0, times.median("build"), detail)]
