@@ -75,14 +75,14 @@ def _find_lines(data: bytes, is_scan: Callable[[bytes], bool]) -> list[Zone]:
 
 
 def find_unzipped_rows(data: bytes) -> list[Zone]:
-    """In gzip: up to where enough has come in for each row to come out."""
+    """In gzip: up to where each row is out, with the 4096 bytes behind it that are at risk."""
     inflater = zlib.decompressobj(wbits=31)
     text = b""
     zones: list[Zone] = []
     for at in range(0, len(data), 256):
         text += inflater.decompress(data[at : at + 256])
-        zones += [(0, at + 256)] * (len(find_rows(text)) - len(zones))
-    return zones
+        zones += [(0, at + 256)] * (len(find_rows(text[:-4096])) - len(zones))
+    return zones + [(0, len(data))] * (len(find_rows(text)) - len(zones))
 
 
 def find_ranges(data: bytes) -> list[Zone]:

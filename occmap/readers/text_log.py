@@ -31,7 +31,7 @@ FREE_LINES = 1_000_000
 """A gzip file of more lines than this, and of more lines than bytes, is a bomb of blank lines."""
 BLOCK_BYTES = 1 << 20
 """How much of a file is read before its lines are parsed together."""
-_PIECE_BYTES = 1 << 16
+_PIECE_BYTES = 1 << 12
 """How much of a gzip file is unpacked at a time: where it is corrupt, so much may be lost."""
 MAX_KEPT_BYTES = 1 << 26
 """The scans of a log that take no more memory are kept; larger logs are parsed once more."""
