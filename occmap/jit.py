@@ -82,7 +82,8 @@ class Kernel:
         kind = tuple(flatten(arg, values) for arg in args)
         if kind not in self.loaded:
             with _compiling:
-                self.loaded[kind] = self._load(kind) or self._compile(kind)
+                if kind not in self.loaded:  # another thread may have been first
+                    self.loaded[kind] = self._load(kind) or self._compile(kind)
         return self.loaded[kind](values)
 
     @cached_property
@@ -189,6 +190,9 @@ def compile_function(dispatcher: Any, kind: Any) -> bytes:
     compiled = dispatcher.overloads[signature]
     returned = compiled.signature.return_type
     result = "".join(RESULTS[str(each)] for each in getattr(returned, "types", [returned]))
+    if struct.calcsize(result) > RESULT_BYTES or compiled.library.has_dynamic_globals:
+        # The one writes beyond its room; the other knows an array by where it is in this process.
+        raise NotImplementedError(f"{compiled.fndesc.qualname}: its code cannot be kept")
     functions = compiled.library._final_module.functions
     needs = [each.name for each in functions if each.is_declaration]
     needs = [name for name in needs if not name.startswith("llvm.")]
@@ -223,7 +227,7 @@ def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
         place = ctypes.addressof(room)
         if function(place, place + RESULT_BYTES, *values):
             # Arrays find no room, or NUMBA_BOUNDSCHECK is set and an index is out of bounds.
-            raise MemoryError(name) if needs else IndexError(name)
+            raise MemoryError if needs else IndexError
         result = unpack(room)
         return result if len(result) > 1 else next(iter(result), None)
 
@@ -244,11 +248,14 @@ def warn_not_kept() -> None:
 def list_folders(source: Path) -> tuple[Path, ...]:
     """Name the folders for the machine code of the kernels in a folder, the preferred one first.
 
-    A kernel's code contains that of the kernels that it calls, and knows the fields of `Rays` by
-    their places. So the name is a digest of all of these, as .py or, in an install without sources,
-    as .pyc, of what turned them into code, and of the processor.
+    A kernel's code contains that of the kernels that it calls and the values of constants, maybe of
+    other folders of kernels, and knows the fields of `Rays` by their places. So the name is a
+    digest of all of these, as .py or, in an install without sources, as .pyc, of what turned them
+    into code, and of the processor.
     """
-    sources = sorted([Path(__file__), Path(types.__file__), *source.glob("*.py*")])
+    others = Path(__file__).parent.glob("*/kernels/*.py*")
+    found = {Path(__file__), Path(types.__file__), *source.glob("*.py*"), *others}
+    sources = sorted(each for each in found if each.is_file())
     digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources))
     settings = sorted(item for item in os.environ.items() if item[0].startswith("NUMBA_"))
     settings = [item for item in settings if item[0] != "NUMBA_CACHE_DIR"]  # says where, not how

@@ -53,7 +53,7 @@ def build(
         A log cannot be read, has no scans or no poses, the map would be too large, or an output
         cannot be written.
     """
-    check_outputs(outputs, list_inputs(paths, options))
+    check_outputs(outputs, list_inputs(paths, options), options.writing)
     with hold_alone(options.resume or options.resume_if_there, outputs):
         past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)

@@ -77,10 +77,15 @@ class GroundFinder:
 
     def __init__(self, clouds: int) -> None:
         """Make one for a build of so many clouds."""
+        self._clouds = clouds
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._path: list[Float64] = []
         self._lock = Lock()
+
+    def start_over(self) -> "GroundFinder":
+        """Make one for the same build that has seen nothing."""
+        return GroundFinder(self._clouds)
 
     def wants(self, stamp_ns: int, points: int) -> bool:
         """Whether a cloud is among those that are counted, however logs are cut into parts."""
@@ -111,7 +116,7 @@ class GroundFinder:
         return Counted(table, thin_path(np.array(self._path).reshape(-1, 3)))
 
     def join(self, counted: Counted) -> None:
-        """Add what another process counted."""
+        """Add what another finder counted, maybe in another process."""
         self._idle.append(counted.table)
         self._path += list(counted.path / 1000)
 

@@ -114,7 +114,7 @@ class Fleet:
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
     ) -> Report:
         """Build a store of which this process never holds the map; raises as `build`."""
-        writers.check_outputs([output], pipeline.list_inputs(paths, options))
+        writers.check_outputs([output], pipeline.list_inputs(paths, options), options.writing)
         options, unaligned = settle_align(paths, options)
         with self.work(paths, options, Keep(slices=True), progress) as work:
             tally, remarks, options = work.tally, work.remarks, work.setting.options

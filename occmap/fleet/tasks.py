@@ -316,7 +316,8 @@ def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]
     box = job.block.box
     grid, made = paint_block(job.store, job.block, keep=job.paints)
     reach = CellBox.around(made.observed, box.row, box.col)
-    cells = count_cells(made, job.setting.options.writing)
+    writing = job.setting.options.writing
+    cells = count_cells(writing.edit(made), writing)
     return reach, cells, count_agreeing(grid, made.occupied, box)
 
 

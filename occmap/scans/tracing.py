@@ -95,10 +95,15 @@ def find_ground(
 def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:
     """Let a finder of the ground see the clouds of a log."""
     drive = open_drive(log, options)
-    with name_log(log.path), Workers(finder.add, options.jobs) as workers:
-        for attached in drive.read(Tally(), finder.wants):
-            if attached.posed is not None:
-                workers.give(attached.posed)
+    for _ in range(2):  # the second time without clouds that leap away, where there are some
+        seen = finder.start_over()
+        with name_log(log.path), Workers(seen.add, options.jobs) as workers:
+            for attached in drive.read(Tally(), seen.wants):
+                if attached.posed is not None:
+                    workers.give(attached.posed)
+        if drive.settle():
+            break
+    finder.join(seen.count())
 
 
 def trace_stream(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:

@@ -171,8 +171,11 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     builds, slices = list(evidence.manifest.builds), list(evidence.slices)
     unknown = list(evidence.manifest.subtracted)
     for build in other.manifest.builds:
-        if build in builds and not other.manifest.subtracted:
-            place = builds.index(build)
+        # Edits are drawn over the map, and are nothing of what was observed.
+        plain = [{name: each[name] for name in each if name != "edits"} for each in builds]
+        sought = {name: build[name] for name in build if name != "edits"}
+        if sought in plain and not other.manifest.subtracted:
+            place = plain.index(sought)
             del builds[place], slices[place]
         else:
             unknown.append(build)

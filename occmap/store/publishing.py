@@ -270,7 +270,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     OccmapError
         As `render_kept`, or an output cannot be written.
     """
-    writers.check_outputs(outputs)
+    writers.check_outputs(outputs, options=options.writing)
     formats = [writers.find_writer(path) for path in outputs]
     for path, writer in zip(outputs, formats, strict=True):
         if writer.needs_journey:

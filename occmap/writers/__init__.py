@@ -10,6 +10,7 @@ names are found to be writable before the work starts, and written after it.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +20,7 @@ from occmap.errors import OutputError, UsageError
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import Journey
 from occmap.writers.atomic import check_parent, check_target, follow_links
-from occmap.writers.edits import apply_edits, read_edits
+from occmap.writers.edits import Shape, apply_edits, read_edits
 
 BAND_CELLS = 1 << 18
 """Cells that are turned into pixels at once: what is worked out for them fits a core's cache, and a
@@ -87,7 +88,7 @@ class WriteOptions:
     )
 
     def __post_init__(self) -> None:
-        read_edits(self.edits)  # refuses a file that is wrong
+        _ = self.shapes  # refuses a file that is wrong
         free, occupied = self.thresholds
         found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
         if not 0 < free < occupied < 1:
@@ -101,9 +102,14 @@ class WriteOptions:
         """Those of the YAML."""
         return self._choose(DEFAULT_THRESHOLDS)
 
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The user's edits; the file is read once, since it may be a pipe."""
+        return read_edits(self.edits)
+
     def edit(self, grid: OccupancyMap) -> OccupancyMap:
         """Draw the user's shapes over a map, or a part of one."""
-        return apply_edits(grid, read_edits(self.edits))
+        return apply_edits(grid, self.shapes)
 
     def decide(self, decision: Decision) -> Decision:
         """How the cells of a written map are decided, where the map itself has a decision."""
@@ -162,6 +168,9 @@ class Writer:
     def owns(self, path: Path) -> bool:  # noqa: ARG002  for a format that is a folder
         """Whether an existing folder is one that this writer made, which it may replace."""
         return False
+
+    def check(self, path: Path, options: WriteOptions) -> None:
+        """Refuse before the work starts, by a UsageError, what these options cannot make."""
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write a map; return the files written.
@@ -241,16 +250,22 @@ def find_writer(path: Path) -> Writer:
     return cast(Writer, kind())
 
 
-def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path] = ()) -> None:
+def check_outputs(
+    outputs: Sequence[Path], inputs: Sequence[Path] = (), options: WriteOptions | None = None
+) -> None:
     """Find out before the work starts what could not be written after it.
 
     Raises
     ------
     UsageError, OutputError
-        A suffix that no writer has, two outputs that are one file, a file that cannot be made, or
-        one that is an input.
+        A suffix that no writer has, two outputs that are one file, a file that cannot be made, one
+        that is an input or the file of edits, or one that `options` cannot make.
     """
     writers = [(path, find_writer(path)) for path in outputs]
+    if options is not None:
+        inputs = [*inputs, *([options.edits] if options.edits else [])]
+        for path, writer in writers:
+            writer.check(path, options)
     targets = [(target, writer) for path, writer in writers for target in writer.targets(path)]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):

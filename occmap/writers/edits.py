@@ -24,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import OccupancyMap, to_log_odds
+from occmap.cells import OccupancyMap
 from occmap.errors import UsageError
-from occmap.types import Bool, Float64, Int64
+from occmap.types import Bool, Float64
 
 LINE_WIDTH = 0.1
 """Of a line that states none (m)"""
@@ -44,7 +44,10 @@ class Change(StrEnum):
     """The map stays as it is, and a keepout mask has them."""
 
 
-LOG_ODDS = {Change.FREE: to_log_odds(0.01), Change.OCCUPIED: to_log_odds(0.99), Change.UNKNOWN: 0.0}
+LOG_ODDS = {Change.FREE: -30.0, Change.OCCUPIED: 30.0, Change.UNKNOWN: 0.0}
+"""Beyond every threshold that a user may give"""
+MOST_M = 1e9
+"""No corner lies farther away."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,27 +60,37 @@ class Shape:
     width: float | None = None
     """Of a line (m); None: it is an area"""
 
-    def find_cells(self, grid: OccupancyMap) -> tuple[Int64, Int64]:
-        """(N,) rows and columns of the cells whose middle is inside the area, or near the line."""
+    def find_cells(self, grid: OccupancyMap) -> tuple[tuple[slice, slice], Bool]:
+        """Find the cells whose middle is inside the area, or near the line.
+
+        Returns
+        -------
+        window, covered
+            Rows and columns of a part of the map, and which of its cells it covers.
+        """
         reach = 0.0 if self.width is None else max(self.width / 2, CLOSED * grid.resolution)
-        corners = np.concatenate(self.rings)
+        corners, place = np.concatenate(self.rings), grid.place
         ends = corners.min(axis=0) - reach, corners.max(axis=0) + reach
         (col, row), (col_end, row_end) = (
-            np.clip((end - grid.origin) / grid.resolution + beyond, 0, grid.shape[::-1]).astype(int)
-            for end, beyond in zip(ends, (0, 1), strict=True)
+            np.clip(end / grid.resolution - place[::-1] + beyond, 0, grid.shape[::-1]).astype(int)
+            for end, beyond in zip(ends, (-1, 2), strict=True)
         )
-        x = grid.origin[0] + (np.arange(col, col_end) + 0.5) * grid.resolution
-        y = grid.origin[1] + (np.arange(row, row_end)[:, np.newaxis] + 0.5) * grid.resolution
+        # Counted from the map's zero, so that a part of a map has the middles of the whole.
+        x = (place[1] + np.arange(col, col_end) + 0.5) * grid.resolution
+        y = (place[0] + np.arange(row, row_end) + 0.5) * grid.resolution
         covered = np.zeros((len(y), len(x)), np.bool_)
         for ring in self.rings:
-            if self.width is None:
-                for start, end in zip(ring, np.roll(ring, -1, axis=0), strict=True):
-                    covered ^= is_left_of(x, y, start, end)
-            else:
-                for start, end in pairwise(ring):
-                    covered |= measure_distance(x, y, start, end) <= reach
-        rows, cols = np.nonzero(covered)
-        return rows + row, cols + col
+            closed = ring if self.width is not None else np.vstack([ring, ring[:1]])
+            for start, end in pairwise(closed):
+                low, high = np.sort([start, end], axis=0)
+                rows = slice(*np.searchsorted(y, (low[1] - reach, high[1] + reach)))
+                if self.width is None:
+                    covered[rows] ^= is_left_of(x, y[rows, np.newaxis], start, end)
+                else:
+                    cols = slice(*np.searchsorted(x, (low[0] - reach, high[0] + reach)))
+                    apart = measure_distance(x[cols], y[rows, np.newaxis], start, end)
+                    covered[rows, cols] |= apart <= reach
+        return (slice(row, row_end), slice(col, col_end)), covered
 
 
 def is_left_of(x: Float64, y: Float64, start: Float64, end: Float64) -> Bool:
@@ -107,9 +120,9 @@ def apply_edits(grid: OccupancyMap, shapes: Sequence[Shape]) -> OccupancyMap:
         return grid
     log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
     for shape in drawn:
-        cells = shape.find_cells(grid)
-        log_odds[cells] = LOG_ODDS[shape.change]
-        observed[cells] = shape.change is not Change.UNKNOWN
+        window, cells = shape.find_cells(grid)
+        log_odds[window][cells] = LOG_ODDS[shape.change]
+        observed[window][cells] = shape.change is not Change.UNKNOWN
     return replace(grid, log_odds=log_odds, observed=observed)
 
 
@@ -118,7 +131,8 @@ def find_forbidden(grid: OccupancyMap, shapes: Sequence[Shape]) -> Bool:
     forbidden = np.zeros(grid.shape, np.bool_)
     for shape in shapes:
         if shape.change is Change.FORBIDDEN:
-            forbidden[shape.find_cells(grid)] = True
+            window, cells = shape.find_cells(grid)
+            forbidden[window] |= cells
     return forbidden
 
 
@@ -152,9 +166,11 @@ def read_lines(path: Path, text: str) -> Iterator[Shape]:
         words = [word.strip() for word in line.partition("#")[0].split(",")]
         if not any(words):
             continue
-        change, kind, *numbers = (*words, "", "")
+        while words and not words[-1]:
+            words.pop()
+        change, kind, *numbers = (*words, "", "")[: max(len(words), 2)]
         try:
-            values = [float(word) for word in numbers if word]
+            values = [float(word) for word in numbers]
             width = values.pop() if kind == "line" and len(values) % 2 else None
             yield make_shape(change, kind, [np.reshape(values, (-1, 2))], width)
         except ValueError:
@@ -165,7 +181,7 @@ def read_lines(path: Path, text: str) -> Iterator[Shape]:
 def read_features(path: Path, text: str) -> Iterator[Shape]:
     """Read the shapes of GeoJSON; raises UsageError."""
     try:
-        features = json.loads(text)["features"]
+        features = list(json.loads(text)["features"])
     except (ValueError, LookupError, TypeError, RecursionError):
         raise UsageError("is no GeoJSON of features", where=path, fix=FORM) from None
     for number, feature in enumerate(features, start=1):
@@ -176,7 +192,7 @@ def read_features(path: Path, text: str) -> Iterator[Shape]:
                 kind, rings = "line", [rings]
             corners = [np.array(ring, np.float64)[:, :2] for ring in rings]
             yield make_shape(said["class"], kind, corners, said.get("width"))
-        except (ValueError, LookupError, TypeError, AttributeError):
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError):
             found = "is no polygon or line with a property `class`"
             classes = f"`class` is {', '.join(Change)}"
             raise UsageError(found, where=f"{path}: feature {number}", fix=classes) from None
@@ -188,7 +204,10 @@ def make_shape(change: str, kind: str, rings: Sequence[Float64], width: Any = No
         ((x, y), (x_end, y_end)) = rings[0]
         rings = [np.array([(x, y), (x_end, y), (x_end, y_end), (x, y_end)])]
     fewest = {"polygon": 3, "box": 4, "line": 2}.get(kind, math.inf)
-    if not rings or any(len(ring) < fewest or not np.isfinite(ring).all() for ring in rings):
+    for ring in rings:
+        if ring.shape[1:] != (2,) or len(ring) < fewest or not (abs(ring) <= MOST_M).all():
+            raise ValueError(kind)
+    if not rings:
         raise ValueError(kind)
     if kind != "line":
         return Shape(Change(change), tuple(rings))

@@ -18,7 +18,7 @@ from occmap.errors import UsageError
 from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import open_atomic
-from occmap.writers.edits import find_forbidden, read_edits
+from occmap.writers.edits import find_forbidden
 
 UNKNOWN, FREE, OCCUPIED = 205, 254, 0
 GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
@@ -67,18 +67,21 @@ class KeepoutWriter(PgmWriter):
 
     description = "keepout mask for nav2: what edits forbid, as a PGM and its YAML"
 
+    def check(self, path: Path, options: WriteOptions) -> None:
+        """Refuse a mask where no edits are given; raises UsageError."""
+        if options.edits is None:
+            fix = "add `edits` with shapes that are forbidden"
+            raise UsageError("a keepout mask is of edits, and none are given", where=path, fix=fix)
+
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write the mask and its YAML; return both paths.
 
         Raises
         ------
-        UsageError, OutputError
-            No edits are given, or a file cannot be written; then neither is left behind.
+        OutputError
+            One of them cannot be written; then neither is left behind.
         """
-        if options.edits is None:
-            fix = "add `edits` with shapes that are forbidden"
-            raise UsageError("a keepout mask is of edits, and none are given", where=path, fix=fix)
-        forbidden = find_forbidden(grid, read_edits(options.edits))
+        forbidden = find_forbidden(grid, options.shapes)
         log_odds = np.where(forbidden, np.float32(1), np.float32(-1))
         mask = OccupancyMap(log_odds, np.ones_like(forbidden), grid.resolution, grid.origin)
         return super().write(path, mask, WriteOptions())
