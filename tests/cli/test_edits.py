@@ -1,7 +1,9 @@
 """What a person draws over a map outlives rebuilds, merges and fleets, and no evidence has it."""
 
 import json
+import os
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -74,8 +76,9 @@ def test_a_keepout_mask_has_what_is_forbidden() -> None:
 
 
 def test_a_keepout_mask_without_edits_says_what_to_give() -> None:
-    error = read_error(occmap("build", DRIVE, "-o", "site.keepout.pgm"), 2)
+    error = read_error(occmap("build", DRIVE, "-o", "m.pgm", "-o", "site.keepout.pgm"), 2)
     assert "site.keepout.pgm" in error
+    assert not list(Path().glob("*.pgm"))
     assert "--edits" in error
 
 
@@ -84,3 +87,34 @@ def test_a_file_that_is_wrong_is_refused_before_the_work() -> None:
     error = read_error(occmap("build", DRIVE, "-o", "m.pgm", "--edits", "edits.csv"), 2)
     assert "edits.csv: line 1" in error
     assert not Path("m.pgm").exists()
+
+
+def test_the_file_of_edits_is_never_written_over() -> None:
+    error = read_error(occmap("build", DRIVE, "-o", "edits.csv", "--edits", "edits.csv"), 2)
+    assert "edits.csv" in error
+    assert Path("edits.csv").read_text().startswith("free,box")
+
+
+def test_edits_may_come_from_a_pipe() -> None:
+    os.mkfifo("pipe")
+    writer = Thread(target=lambda: Path("pipe").write_text("free,box,10.9,-1.5,11.5,-0.9\n"))
+    writer.start()
+    assert occmap("build", DRIVE, "-o", "m.pgm", "--edits", "pipe").code == 0
+    writer.join()
+    assert (read_box("m.pgm", 10.9, -1.5, 11.5, -0.9) == 254).all()
+
+
+def test_free_is_free_whatever_the_cut() -> None:
+    words = ("--edits", "edits.csv", "--model", "counting:cut=0.005", "-o", "m.pgm")
+    assert occmap("build", DRIVE, *words).code == 0
+    assert (read_box("m.pgm", 10.9, -1.5, 11.5, -0.9) == 254).all()
+
+
+def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
+    occmap("build", DRIVE, "--end", 40, "-o", "a.npz")
+    occmap("build", DRIVE, "--start", 40, "-o", "b.npz")
+    occmap("build", DRIVE, "--start", 40, "--edits", "edits.csv", "-o", "edited.npz")
+    occmap("merge", "a.npz", "edited.npz", "-o", "both.npz")
+    done = occmap("merge", "both.npz", "--subtract", "b.npz", "-o", "rest.npz")
+    assert (done.code, done.err) == (0, "")
+    assert len(read_evidence(Path("rest.npz")).manifest.builds) == 1

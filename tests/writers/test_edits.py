@@ -114,9 +114,21 @@ def test_a_part_of_a_map_is_drawn_like_the_whole(tmp_path: Path) -> None:
         ("free,circle,1,1,2,2", "circle"),
         ("free,polygon,1,1,2,2", "polygon"),
         ("free,box,1,1,2,nan", "nan"),
+        ("free,box,1,,2,3,4", "line 1"),
+        ('{"features": null}', "GeoJSON"),
         ("occupied,line,0,0,5,0,-1", "-1"),
         ('{"features": 3', "GeoJSON"),
         ('{"features": [{"properties": {}, "geometry": null}]}', "feature 1"),
+        (
+            '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Polygon", '
+            '"coordinates": [[[1], [2], [3]]]}}]}',
+            "feature 1",
+        ),
+        (
+            '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Polygon", '
+            '"coordinates": [[[0, 0], [1e400, 1], [1, 0]]]}}]}',
+            "feature 1",
+        ),
         (
             '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Point", '
             '"coordinates": [1, 2]}}]}',
@@ -136,3 +148,22 @@ def test_what_is_no_shape_is_refused_with_its_place(tmp_path: Path, text: str, w
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"nowhere\.csv"):
         read_edits(tmp_path / "nowhere.csv")
+
+
+def test_parts_and_the_whole_agree_where_edges_lie_on_the_middles_of_cells(tmp_path: Path) -> None:
+    path = tmp_path / "edits.csv"
+    corners = [(0.05 + 0.1 * a, 0.15 + 0.1 * b) for a, b in ((-7, 3), (2, -9), (11, 4), (-3, 17))]
+    path.write_text(
+        "".join(f"free,box,{x:.2f},{y:.2f},{x + 0.7:.2f},{y + 0.4:.2f}\n" for x, y in corners)
+    )
+    grid = OccupancyMap(
+        np.zeros((40, 40), np.float32), np.ones((40, 40), np.bool_), 0.1, (-1.3, -1.7)
+    )
+    shapes = read_edits(path)
+    whole = apply_edits(grid, shapes).classes
+    assert (whole == 1).any()
+    for row in range(0, 40, 7):
+        for col in range(0, 40, 9):
+            rows, cols = slice(row, row + 7), slice(col, col + 9)
+            part = apply_edits(grid.take(rows, cols), shapes)
+            assert (part.classes == whole[rows, cols]).all()
