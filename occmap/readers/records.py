@@ -235,9 +235,7 @@ class RecordSource(ABC):
             if following and following.end > self._size and following.kind is not Kind.CHUNK:
                 following = None
             if following is None:
-                # What lies in a chunk does not follow it.
-                kinds = set(Kind) if record.kind is not Kind.CHUNK else {Kind.CHUNK, Kind.OTHER}
-                following = self._find_record(file, record.start, self._size, kinds)
+                following = self._find_following(file, record)
                 if following is None:
                     break
                 at = record.end if record.end < following.position else record.start
@@ -250,6 +248,15 @@ class RecordSource(ABC):
             self._note_rest(file, record)
         if record.end <= self._size or record.kind is Kind.CHUNK:
             yield record._replace(end=min(record.end, self._size))
+
+    def _find_following(self, file: BinaryIO, record: Record) -> Record | None:
+        """Find the next record behind the head of one; what lies in a chunk does not follow it."""
+        if record.kind is not Kind.CHUNK:
+            return self._find_record(file, record.start, self._size, set(Kind))
+        found = self._find_record(file, record.start, self._size, {Kind.CHUNK, Kind.OTHER})
+        # Before it may lie the messages of a chunk that lost its head.
+        until = found.position if found else self._size
+        return self._find_record(file, record.end, until, {Kind.PLAIN}) or found
 
     def _note_rest(self, file: BinaryIO, record: Record) -> None:
         """Note that the last bytes of the file, in or behind a record, hold no whole one."""
