@@ -67,6 +67,11 @@ def describe_build(
     }
 
 
+def leave_out_edits(build: BuildRecord) -> BuildRecord:
+    """What a build observed: edits are drawn over its map, and are nothing of that."""
+    return {name: value for name, value in build.items() if name != "edits"}
+
+
 def write_options(options: Any) -> dict[str, Any]:
     """Write the options that change what is observed."""
     return {name: value for name, value in write_value(options).items() if name not in UNRECORDED}

@@ -10,7 +10,7 @@ import numpy as np
 from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError
 from occmap.evidence import Described, list_misfit, read_model, to_grid
-from occmap.evidence.manifest import MEANING
+from occmap.evidence.manifest import MEANING, leave_out_edits
 from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
@@ -170,13 +170,12 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     tiles.drop_empty(grid)
     builds, slices = list(evidence.manifest.builds), list(evidence.slices)
     unknown = list(evidence.manifest.subtracted)
+    observed = list(map(leave_out_edits, builds))
     for build in other.manifest.builds:
-        # Edits are drawn over the map, and are nothing of what was observed.
-        plain = [{name: each[name] for name in each if name != "edits"} for each in builds]
-        sought = {name: build[name] for name in build if name != "edits"}
-        if sought in plain and not other.manifest.subtracted:
-            place = plain.index(sought)
-            del builds[place], slices[place]
+        sought = leave_out_edits(build)
+        if sought in observed and not other.manifest.subtracted:
+            place = observed.index(sought)
+            del builds[place], slices[place], observed[place]
         else:
             unknown.append(build)
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
