@@ -5,9 +5,9 @@ that time. Scans, in the order of time, are cut into parts where there is a paus
 rows where there is a leap. A row of at least four scans is long: it shows where the robot is. Two
 kinds of scans are outliers, and are left out:
 
-- A long row, or the first one of a part, ends with a leap, and at most ten seconds later a long row
-  continues where it ended. (After a long row, the last row of the part need not be long.) All scans
-  between the two rows are outliers.
+- A long row, or the first one of a part, ends with a leap, and at most ten seconds and a thousand
+  rows later a long row continues where it ended. (After a long row, the last row of the part need
+  not be long.) All scans between the two rows are outliers.
 - The first row of a part, or its last one, is a single scan beside a long row. It is an outlier.
 
 Where no row continues, the robot was carried, or stamps or poses do not mean what they seem to, and
@@ -30,6 +30,9 @@ SPARSE_S = 10.0
 """A longer step in time is a pause, in which a robot may have been carried."""
 FASTEST = 50.0
 """With `max_speed=inf` all scans are kept, and steps above this speed (m/s) are noted as leaps."""
+MOST_ROWS = 1000
+"""Ten seconds of scans that all leap. Where stamps are in a wrong unit, ten seconds hold the whole
+log, and to look at all of it for each row would take hours."""
 LONG_ROW_STEPS = 3
 """A row with at least this many steps shows where the robot is."""
 
@@ -74,7 +77,8 @@ class Rows:
         place, end = self.track.position, self.last[row]
         end_ns = int(self.track.stamp_ns[end])
         soon = np.searchsorted(self.begin_ns, end_ns + int(SPARSE_S * 1e9), side="right")
-        others = np.arange(row + 1, soon)  # no row of the next part begins so soon
+        # No row of the next part begins so soon.
+        others = np.arange(row + 1, min(soon, row + 1 + MOST_ROWS))
         metres = np.linalg.norm(place[self.first[others]] - place[end], axis=1)
         seconds = (self.begin_ns[others] - end_ns) / 1e9
         shows = self.is_long[others] | (self.is_long[row] & self.closes[others])

@@ -91,6 +91,14 @@ def state(xs: Sequence[float], seconds: Sequence[float] | None = None) -> ScanBa
 
 HERE = [0.5 * second for second in range(20)]
 THERE = [x + 300 for x in HERE]
+
+
+def leap_by_turns(times: int) -> ScanBatch:
+    """Scans of a drive, so many within five seconds that all leap, and the drive again."""
+    seconds = [*range(20), *(20 + 5 * leap / times for leap in range(times)), *range(26, 46)]
+    return state([*HERE, *(5e3 * (1 + leap % 2) for leap in range(times)), *HERE], seconds)
+
+
 WAYS = {
     "carried": (state([*HERE, *THERE]), []),
     "one scan": (state([*HERE[:9], 4e3, *HERE[10:]]), [9]),
@@ -113,6 +121,8 @@ WAYS = {
     "last after ten seconds": (state([*HERE, 9e3], [*range(20), 29]), [20]),
     "last a little later": (state([*HERE, 9e3], [*range(20), 29.001]), []),
     "two by turns": (state([x for pair in zip(HERE, THERE, strict=True) for x in pair]), []),
+    "back after a thousand rows": (leap_by_turns(999), [*range(20, 1019)]),
+    "back a row later": (leap_by_turns(1000), []),
     "a train": (state([80.0 * second for second in range(40)]), []),
     "three scans": (state([0, 1e3, 0]), []),
 }
