@@ -16,7 +16,7 @@ from tests.readers.ros import ROS2, SECOND, Written, drive, scan, transforms, wr
 MEMORY = 1 << 31
 FRAMES = 1000
 SECONDS = 20
-"""Where it grows with the square it takes minutes."""
+"""Of the processor, as it may have much else to do; what grows with the square takes minutes."""
 
 
 def many_lasers() -> list[Written]:
@@ -63,6 +63,12 @@ def test_check_of_a_log_of_very_many_topics(tmp_path: Path) -> None:
     assert "agreement are estimated for 100 of 1,001 topics with scans" in run.stderr + run.stdout
 
 
+def limit() -> None:
+    """End this process by a signal where it takes more."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+
+
 def run_bounded(words: list[str]) -> subprocess.CompletedProcess[str]:
     """Run a command that may take neither much memory nor much time."""
     return subprocess.run(
@@ -70,8 +76,7 @@ def run_bounded(words: list[str]) -> subprocess.CompletedProcess[str]:
         check=False,
         capture_output=True,
         text=True,
-        timeout=SECONDS,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
+        preexec_fn=limit,
     )
 
 

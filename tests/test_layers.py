@@ -169,7 +169,8 @@ def test_what_is_imported_is_named_as_a_dependency_and_nothing_else() -> None:
     imported = {name.split(".")[0] for path in MODULES for name in list_imports(path)}
     foreign = imported - sys.stdlib_module_names - {"occmap", "_typeshed"}
     # A namespace such as google is shared by several packages.
-    owners = [{name.lower() for name in packages_distributions()[each]} for each in foreign]
+    known = packages_distributions()
+    owners = [{name.lower() for name in known[each]} for each in foreign]
     assert all(names & named for names in owners)
     assert not named - set().union(*owners)
 

@@ -78,7 +78,7 @@ class Rows:
         end_ns = int(self.track.stamp_ns[end])
         soon = np.searchsorted(self.begin_ns, end_ns + int(SPARSE_S * 1e9), side="right")
         # No row of the next part begins so soon.
-        others = np.arange(row + 1, min(soon, row + 1 + MOST_ROWS))
+        others = np.arange(row + 1, soon)[:MOST_ROWS]
         metres = np.linalg.norm(place[self.first[others]] - place[end], axis=1)
         seconds = (self.begin_ns[others] - end_ns) / 1e9
         shows = self.is_long[others] | (self.is_long[row] & self.closes[others])

@@ -46,7 +46,7 @@ def flood(mask: Bool) -> int:
     return max(sizes)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))))
 def test_it_is_what_a_flood_fill_finds(mask: Bool) -> None:
     blob = find_largest_blob(mask)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from hypothesis import HealthCheck, settings
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from occmap.grid.engine import GridEngine
@@ -22,10 +22,8 @@ STAMPS = st.integers(-20, 30)
 
 FEW = settings(
     max_examples=40,
-    deadline=None,
     derandomize=True,
     database=None,
-    suppress_health_check=[HealthCheck.too_slow],  # as for the deadline: machines are noisy
 )
 MANY = settings(FEW, max_examples=100)
 

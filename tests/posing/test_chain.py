@@ -249,7 +249,7 @@ MOVING = st.dictionaries(st.integers(0, 20), POSES, min_size=2, max_size=6).filt
 TRACKS = MOVING.map(lambda keyed: [(10**18 + t * 10**8, keyed[t]) for t in sorted(keyed)])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(TRACKS, TRACKS, st.lists(st.integers(-(10**8), 21 * 10**8), min_size=1, max_size=8))
 def test_chains_equal_the_slow_reference(
     upper: list[tuple[int, Pose]], lower: list[tuple[int, Pose]], offsets: list[int]

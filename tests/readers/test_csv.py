@@ -283,7 +283,7 @@ def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
             assert len(read_text(tmp_path, bytes(flipped))) <= 6
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     ranges=st.lists(st.lists(st.floats(width=32), min_size=3, max_size=3), min_size=1, max_size=4),
     stamps=st.integers(0, 2**62),

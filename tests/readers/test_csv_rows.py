@@ -53,7 +53,7 @@ def read(tmp_path: Path, content: str) -> object:
 
 
 @given(rows=st.lists(ROW_ENDS, max_size=6))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_no_row_is_read_in_two_ways(
     rows: list[tuple[str, ...]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -39,7 +39,7 @@ def to_bytes(values: Float64) -> list[bytes]:
 
 @pytest.mark.parametrize("separator", [",", " ", "  "])
 @given(st.lists(NUMBERS, min_size=1, max_size=9), st.integers(0, 2))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @example(["9007199254740993", "999999999999999", "0.1", ".5", "5.", "-0", "123456."], 1)
 @example(["1.23456", "inf", "-inf", "nan", "-nan"], 0)
 @example(["1.25", "2.50", "0.01", "9.99", "1.2", "8", "9", "10"], 0)
@@ -59,7 +59,7 @@ FORMS = st.sampled_from(["{:.2f}", "{:.2f}", "{:.3f}", "{:.0f}", "{:.6f}", "{:g}
 
 
 @given(st.lists(st.tuples(st.floats(0, 100), FORMS), min_size=2, max_size=60), st.booleans())
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_ranges_of_changing_forms_are_the_nearest_float32(
     written: list[tuple[float, str]], by_commas: bool
 ) -> None:
@@ -124,7 +124,6 @@ STAMPS = st.decimals(-(10**9), 10**10, allow_nan=False, places=12)
 
 @given(st.lists(st.tuples(STAMPS, st.integers(0, 12)), min_size=1, max_size=9))
 @example([("9223372036.854775807", 9), ("8999999999.999999999", 9), ("0", 0)])
-@settings(deadline=None)
 def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]) -> None:
     words = [f"{Decimal(seconds):.{places}f}" for seconds, places in stamps]
     whole = [str(int(Decimal(seconds) * 10**8)) for seconds, _ in stamps]

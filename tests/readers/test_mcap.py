@@ -236,7 +236,7 @@ def sound(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_damage_is_answered_with_anything_but_a_log_error(
     sound: Path, data: st.DataObject
 ) -> None:

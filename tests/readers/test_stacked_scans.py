@@ -55,7 +55,7 @@ def make_channel(encoding: str, topic: str = "/scan", count: int = 99) -> Channe
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_scans_of_a_run_are_those_read_one_by_one(encoding: str, data: st.DataObject) -> None:
     written = data.draw(st.lists(MESSAGES, max_size=12))
     channels = [make_channel(encoding, topic) for topic in ("/front", "/rear")]

@@ -66,7 +66,7 @@ def split(item: PoseSample | PoseBatch) -> list[PoseSample]:
 
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 @given(data=st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_stacked_transforms_are_those_read_one_by_one(encoding: str, data: st.DataObject) -> None:
     written = data.draw(st.lists(st.tuples(EDGES, st.integers(0, 1), DAMAGE), max_size=12))
     channels = [make_channel(topic, 9, encoding) for topic in ("/tf", "/tf_static")]

@@ -94,7 +94,7 @@ def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: Le
     st.integers(1, 3),
     st.booleans(),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_runs_are_selected_as_single_scans_are(
     sizes: Sequence[tuple[bool, int]], start_s: float, end_s: float, stride: int, record: bool
 ) -> None:

@@ -142,7 +142,7 @@ def test_limits_that_cross_count_each_beam_once() -> None:
 LIMITS = st.sampled_from([0.0, 0.1, 2.5, 10.0, INF])
 
 
-@settings(max_examples=100, deadline=None, derandomize=True, database=None)
+@settings(max_examples=100, derandomize=True, database=None)
 @given(
     values=st.lists(st.floats(width=32), min_size=1, max_size=20),
     range_min=LIMITS,
