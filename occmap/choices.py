@@ -213,6 +213,7 @@ PLANAR = Form(
 TRANSFORM = Form(
     _read_transform, "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians"
 )
+TILT = Form(lambda value: _read_numbers(value, 2), "(roll, pitch) in degrees, such as (2.5, -1)")
 SECTOR = Form(_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from occmap.cells import Evidence, Ground, Slices
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
-from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
+from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest, recall_level
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report.results import (
@@ -58,13 +58,9 @@ def build(
         past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)
         wants_evidence = want_evidence(outputs)
-        keep = Keep(
-            options.min_passes is not None or wants_evidence,
-            want_journey(outputs),
-            open_ground(options, past),
-        )
-        observed = observe(paths, options, keep, progress)
-        tiles, slices, tally, remarks, ground, options = observed
+        options, ground = open_ground(options, past)
+        keep = Keep(options.min_passes is not None or wants_evidence, want_journey(outputs), ground)
+        tiles, slices, tally, remarks, ground, options = observe(paths, options, keep, progress)
         slices, misfit = add_past(tiles, slices, past, options)
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, tiles.tiles)
@@ -134,8 +130,10 @@ def open_past(
     return past, replace(options, posing=replace(options.posing, transform=transform)), [note]
 
 
-def open_ground(options: BuildOptions, past: Evidence | None) -> Ground | None:
+def open_ground(options: BuildOptions, past: Evidence | None) -> tuple[BuildOptions, Ground | None]:
     """Read the ground that clouds are traced over, where the user names a file or adds to one.
+
+    Where the user names no angles, the options level the map as that one is levelled.
 
     Raises
     ------
@@ -143,12 +141,13 @@ def open_ground(options: BuildOptions, past: Evidence | None) -> Ground | None:
         The file cannot be read, or has no ground.
     """
     path = options.clouds.file
-    if path is None:
-        return past.ground if past else None
-    ground = read_all(open_saved(path)).ground
-    if ground is None:
-        raise MapError("has no ground: its evidence is not of clouds", where=path)
-    return ground
+    whose = past if path is None else read_all(open_saved(path))
+    if whose is None or whose.ground is None:
+        if path is not None:
+            raise MapError("has no ground: its evidence is not of clouds", where=path)
+        return options, None
+    level = options.posing.level or recall_level(whose.manifest)
+    return replace(options, posing=replace(options.posing, level=level)), whose.ground
 
 
 def add_past(

@@ -93,6 +93,7 @@ GIVEN: dict[str, dict[str, tuple[Any, Any]]] = {
         "map_frame": ("map", "map"),
         "transform": ((1, 2, math.pi / 2), Pose(1.0, 2.0, 0.0, 0.0, 0.0, HALF, HALF)),
         "align": (None, None),
+        "level": ([2, -1.5], (2.0, -1.5)),
         "base_frame": ("base", "base"),
         "max_pose_gap_s": (None, None),
         "max_speed": (2, 2.0),

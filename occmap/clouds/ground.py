@@ -4,6 +4,7 @@ Its tilt against the floor that clouds see says whether a sensor sits, or its po
 otherwise than they are said to.
 """
 
+import math
 from collections.abc import Iterable, Iterator
 from itertools import product
 from threading import Lock
@@ -15,7 +16,7 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import BIN_MM, EMPTY, FAR_M, WIDE, Histogram, list_clouds
+from occmap.clouds.kernels.heights import BIN_MM, EMPTY, FAR_M, WIDE, Cloud, Histogram, list_clouds
 from occmap.errors import MapError
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
@@ -55,6 +56,8 @@ LEVEL_MM, LEVEL_SHARE, LEAST_LEVEL = 50, 0.95, 500
 level, which goes on where nobody saw it. A street has 0.4 there, a hall with a platform 0.8"""
 LEVEL_FILLED = 128
 """It goes on over so many columns"""
+UPRIGHT_CLOUDS, UPRIGHT_CELL_M = 20, 0.05
+"""About so many clouds show, by the cells that their points lie in, if walls stand upright"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -70,6 +73,8 @@ class Counted(NamedTuple):
     table: Histogram
     path: Int64
     """(P, 3) where the sensor went (mm)"""
+    cells: Int64
+    """(N,) the cell of the map that each point of a sample lies in, whatever its height"""
 
 
 class GroundFinder:
@@ -81,6 +86,7 @@ class GroundFinder:
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._path: list[Float64] = []
+        self._cells: list[Int64] = []
         self._lock = Lock()
 
     def start_over(self) -> "GroundFinder":
@@ -95,15 +101,18 @@ class GroundFinder:
         """Count the points of some clouds."""
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(1 << 14)
-        path = []
-        for cloud in list_clouds(posed):
+        path, cells = [], []
+        for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start = 0
             while (start := heights.count_heights(cloud, table, start)) < len(cloud.points):
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
+            if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
+                cells.append(find_cells(cloud))
         with self._lock:
             self._idle.append(table)
             self._path += path
+            self._cells += cells
 
     def count(self) -> Counted:
         """Give what was counted so far."""
@@ -113,12 +122,21 @@ class GroundFinder:
             table = grow_table(table, max(size, len(table.keys)))
             heights.add_histogram(other.keys, other.counts, table)
         self._idle = [table]
-        return Counted(table, thin_path(np.array(self._path).reshape(-1, 3)))
+        path = thin_path(np.array(self._path).reshape(-1, 3))
+        return Counted(table, path, np.concatenate([np.zeros(0, np.int64), *self._cells]))
 
     def join(self, counted: Counted) -> None:
         """Add what another finder counted, maybe in another process."""
         self._idle.append(counted.table)
         self._path += list(counted.path / 1000)
+        self._cells.append(counted.cells)
+
+    @property
+    def spread(self) -> float:
+        """How widely a sample of points lies over cells (entropy): upright walls fill few."""
+        _, points = np.unique(self.count().cells, return_counts=True)
+        share = points / points.sum()
+        return float(-(share * np.log(share)).sum())
 
     def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
         """Find the ground below the drive, and say what there is to say of it.
@@ -133,7 +151,25 @@ class GroundFinder:
         MapError
             No ground is found.
         """
-        return find_ground(*self.count(), options, known)
+        table, path, _ = self.count()
+        return find_ground(table, path, options, known)
+
+
+def find_cells(cloud: Cloud) -> Int64:
+    """Find the cells (N,) of the map that the points of a cloud lie in, those that are finite."""
+    points, pose = pose_points(cloud, 1)
+    with np.errstate(invalid="ignore"):
+        place = np.einsum("nij,nj->ni", pose[:, :2, :3], points) + pose[:, :2, 3]
+    known = place[np.isfinite(place).all(axis=1)]
+    column, row = np.floor(known / UPRIGHT_CELL_M).astype(np.int64).T
+    return np.asarray((row << 32) + column)
+
+
+def pose_points(cloud: Cloud, every: int) -> tuple[Float64, Float64]:
+    """Take every n-th point (N, 3) of a cloud, and the pose (N, 3, 4) of each."""
+    points = cloud.points[::every].astype(np.float64)
+    which = cloud.which[::every] if cloud.which.size else np.zeros(len(points), np.int64)
+    return points, cloud.poses[which]
 
 
 def make_table(size: int) -> Histogram:
@@ -426,13 +462,11 @@ def measure_tilts(clouds: Iterable[PosedScans], ground: Ground) -> Tilts | None:
 
 def list_levers(posed: PosedScans, ground: Ground) -> Iterable[tuple[Float64, Float64, Float64]]:
     """List, cloud by cloud, how high points lie over the ground, and what they would be lifted."""
-    for points, which, poses, origin in list_clouds(posed):
-        every = max(len(points) // POINTS, 1)
-        some = points[::every].astype(np.float64)
-        pose = poses[which[::every] if which.size else np.zeros(len(some), np.int64)]
+    for cloud in list_clouds(posed):
+        some, pose = pose_points(cloud, max(len(cloud.points) // POINTS, 1))
         turned = np.einsum("nij,nj->ni", pose[:, :, :3], some)
         place = turned + pose[:, :, 3]
-        distance = np.linalg.norm((place - origin)[:, :2], axis=1)
+        distance = np.linalg.norm((place - cloud.origin)[:, :2], axis=1)
         with np.errstate(invalid="ignore"):
             near = (distance > NEAREST_M) & (distance < FARTHEST_M)
         above = np.full(len(some), np.inf)
@@ -466,3 +500,26 @@ def measure_slope(ground: Ground) -> tuple[float, float]:
         rise = (height[:, APART:] - height[:, :-APART])[both]
         slopes.append(float(np.median(rise)) / (APART * COLUMN_MM) if rise.size else 0.0)
     return slopes[0], slopes[1]
+
+
+def level_floor(ground: Ground, level: tuple[float, float]) -> tuple[float, float]:
+    """Find the roll and pitch (degrees) that lay most of the ground flat.
+
+    Parameters
+    ----------
+    level
+        Those by which the map is turned in which the ground was found.
+    """
+    along, aside = measure_slope(ground)
+    roll, pitch = map(math.radians, level)
+    # The ground's normal, turned back: first the pitch, then the roll.
+    x, z = (
+        -along * math.cos(pitch) - math.sin(pitch),
+        -along * math.sin(pitch) + math.cos(pitch),
+    )
+    y, z = (
+        -aside * math.cos(roll) + z * math.sin(roll),
+        aside * math.sin(roll) + z * math.cos(roll),
+    )
+    found = math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
+    return round(math.degrees(found[0]), 2), round(math.degrees(found[1]), 2)

@@ -52,6 +52,8 @@ def describe_build(
     chosen = write_options(options)
     if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
         del chosen["clouds"]
+    if options.posing.level is None:
+        del chosen["posing"]["level"]
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
@@ -70,6 +72,12 @@ def describe_build(
 def leave_out_edits(build: BuildRecord) -> BuildRecord:
     """What a build observed: edits are drawn over its map, and are nothing of that."""
     return {name: value for name, value in build.items() if name != "edits"}
+
+
+def recall_level(manifest: Manifest) -> tuple[float, float] | None:
+    """Recall the roll and pitch (degrees) that lay the floor of the last build flat, if any do."""
+    level = manifest.builds[-1]["options"]["posing"].get("level")
+    return level and tuple(level)
 
 
 def write_options(options: Any) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap import pipeline, writers
-from occmap.cells import Ground, Manifest
+from occmap.cells import Manifest
 from occmap.errors import require
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
@@ -33,7 +33,14 @@ from occmap.options import BuildOptions
 from occmap.report.results import MapFacts, Report, list_notes
 from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import Keep, Observed, Progress, Remarks
+from occmap.scans.tracing import (
+    BuildGround,
+    Keep,
+    Observed,
+    Progress,
+    Remarks,
+    level_ground,
+)
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
@@ -179,9 +186,10 @@ class Fleet:
             jobs = [replace(job, setting=setting) for job in jobs]
             if settled[0].update is Update.CLOUD and settled[0].clouds.file is None:
                 with tally.time("ground"):
-                    ground, notes = find_ground(cluster, jobs)
-                remarks.notes += notes
-                setting = replace(setting, keep=keep._replace(ground=ground))
+                    found = find_ground(cluster, jobs)
+                remarks.notes += found.notes
+                keep = keep._replace(ground=found.ground)
+                setting = replace(setting, keep=keep, options=found.options)
                 jobs = [replace(job, setting=setting) for job in jobs]
             traced = cluster.run(
                 "trace", tasks.trace_log, jobs, lambda one: progress(one.tally.scans_read, total)
@@ -199,15 +207,22 @@ class Fleet:
             yield Work(cluster, setting, jobs, tally, remarks, reductions)
 
 
-def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> tuple[Ground, list[str]]:
-    """Find the ground below the clouds of all logs; say what there is to say of it."""
+def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> BuildGround:
+    """Find the ground below the clouds of all logs."""
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
     setting = jobs[0].setting
-    finder = GroundFinder(setting.scans)
-    for counted in cluster.run("ground", tasks.survey_ground, jobs):
-        finder.join(counted)
-    return finder.find(setting.options.clouds, setting.keep.ground)
+
+    def count(options: BuildOptions) -> GroundFinder:
+        turned = replace(setting, options=options)
+        suffix = "" if options is setting.options else "-level"
+        some = [replace(job, setting=turned, name=job.name + suffix) for job in jobs]
+        finder = GroundFinder(setting.scans)
+        for counted in cluster.run("ground", tasks.survey_ground, some):
+            finder.join(counted)
+        return finder
+
+    return level_ground(count, setting.options, setting.keep.ground)
 
 
 @contextmanager

@@ -268,7 +268,7 @@ def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFin
     if not problem and any(topic.is_of_clouds for topic in scans):
         below, posed = None, replace(options, posing=poser.options)
         try:
-            below, ground = find_ground([log], posed, None)
+            below, ground, posed = find_ground([log], posed, None)
             ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))

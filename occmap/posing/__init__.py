@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple, TypeVar
 
-from occmap.choices import ABOVE_ZERO, MOUNT, PLANAR, TRANSFORM, check_bounds, option
+from occmap.choices import ABOVE_ZERO, MOUNT, PLANAR, TILT, TRANSFORM, check_bounds, option
 from occmap.errors import require
 from occmap.types import Pose, PoseSample
 
@@ -148,6 +148,15 @@ class PosingOptions:
         none=("auto", "so that walls run along the axes"),
     )
 
+    # None: SLAM without gravity has its map in the frame of the first cloud, however that was held.
+    level: tuple[float, float] | None = option(
+        None,
+        "Turn the logs' map by these angles (degrees), so that its floor is level; by default "
+        "clouds show whether it is not. 0,0: never.",
+        metavar="ROLL,PITCH",
+        form=TILT,
+    )
+
     def __post_init__(self) -> None:
         for name in ("map_frame", "base_frame", "poses"):
             found = f"`{name}` is empty"
@@ -156,6 +165,8 @@ class PosingOptions:
         if self.transform:
             is_near = all(abs(value) <= MAX_PLACE_M for value in self.transform)
             require(is_near, f"no log lies at {self.transform[:3]}", "give metres and radians")
+        is_turn = all(abs(angle) <= 180 for angle in self.level or ())
+        require(is_turn, f"no floor is tilted by {self.level}", "give degrees within -180 and 180")
         if self.sensor_pose is not None:
             _check_pose(self.sensor_pose, "the sensor's pose")
         for sample in self.static_transforms:

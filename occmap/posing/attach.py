@@ -72,7 +72,9 @@ class Poser:
         # Where the log's map frame lies in the map that is made: mostly, they are one.
         turned = Pose.planar(0.0, 0.0, math.radians(self.options.align or 0.0))
         moved = Transforms.fixed(self.options.transform or IDENTITY)
-        self._above = Transforms.fixed(turned).then(moved)
+        roll, pitch = np.radians(self.options.level or (0.0, 0.0)).tolist()
+        level = Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
+        self._above = Transforms.fixed(turned).then(moved).then(level)
 
     @classmethod
     def build(

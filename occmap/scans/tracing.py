@@ -1,7 +1,8 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
@@ -74,10 +75,24 @@ def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) 
     return drive.is_settled or drive.settle()
 
 
-def find_ground(
-    logs: Sequence[Log], options: BuildOptions, known: Ground | None
-) -> tuple[Ground, list[str]]:
-    """Find the ground below all drives, in a pass of its own; say what there is to say of it.
+LEAST_LEAN_DEG = 1.0
+"""Walls of a map that leans by less are sharp enough."""
+LEVEL_ROUNDS = 3
+"""A floor that leans much shows its angle roughly at first."""
+
+
+class BuildGround(NamedTuple):
+    """The ground below all drives of a build."""
+
+    ground: Ground
+    notes: list[str]
+    """What there is to say of it"""
+    options: BuildOptions
+    """With the angles by which its floor is laid flat"""
+
+
+def find_ground(logs: Sequence[Log], options: BuildOptions, known: Ground | None) -> BuildGround:
+    """Find the ground below all drives, in a pass of its own.
 
     Parameters
     ----------
@@ -86,10 +101,51 @@ def find_ground(
     """
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    finder = GroundFinder(sum(count_scans(log, options.selection.topics) for log in logs))
-    for log in logs:
-        count_ground(log, options, finder)
-    return finder.find(options.clouds, known)
+    def count(options: BuildOptions) -> GroundFinder:
+        finder = GroundFinder(sum(count_scans(log, options.selection.topics) for log in logs))
+        for log in logs:
+            count_ground(log, options, finder)
+        return finder
+
+    return level_ground(count, options, known)
+
+
+def level_ground(
+    count: Callable[[BuildOptions], "GroundFinder"], options: BuildOptions, known: Ground | None
+) -> BuildGround:
+    """Find the ground, and lay a map flat of which the floor leans, and the walls with it.
+
+    SLAM that knows no gravity has its map in the frame of the first cloud, however the sensor was
+    held. Of a street that climbs the walls stand upright, and it stays as it is.
+
+    Parameters
+    ----------
+    count
+        Reads all clouds, and counts what they show of the ground.
+    """
+    from occmap.clouds import ground as clouds  # noqa: PLC0415  late: it brings numba
+
+    finder, level = count(options), (0.0, 0.0)
+    found = BuildGround(*finder.find(options.clouds, known), options)
+    if known is not None or options.posing.level is not None:
+        return found
+    for _ in range(LEVEL_ROUNDS):
+        wanted = clouds.level_floor(found.ground, level)
+        if math.dist(wanted, level) < LEAST_LEAN_DEG:
+            break
+        laid = replace(options, posing=replace(options.posing, level=wanted))
+        flat = count(laid)
+        if flat.spread >= finder.spread:
+            break
+        finder, level = flat, wanted
+        found = BuildGround(*finder.find(options.clouds), laid)
+    if any(level):
+        found.notes.append(
+            f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
+            "walls with it: `level=({:g},{:g})` lays it flat, and `level=(0,0)` leaves it as it "
+            "is".format(*level)
+        )
+    return found
 
 
 def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:
@@ -212,7 +268,7 @@ def observe(
     ground = keep.ground
     if options.update is Update.CLOUD and options.clouds.file is None:
         with tally.time("ground"):
-            ground, found = find_ground(logs, options, ground)
+            ground, found, options = find_ground(logs, options, ground)
         remarks.notes += found
     tiles = make_grid(options)
     slices: list[Slices] = []

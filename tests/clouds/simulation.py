@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -11,8 +12,11 @@ from occmap.clouds import CloudOptions
 from occmap.clouds.engine import CloudEngine
 from occmap.clouds.ground import GroundFinder
 from occmap.grid import CellBox, Lattice
-from occmap.options import choose_model
+from occmap.options import BuildOptions, choose_model
+from occmap.pipeline import build
+from occmap.posing.tracks import rotate_by, to_quaternions
 from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
+from tests.samples import SAMPLE_LOGS
 
 Solid: TypeAlias = tuple[float, float, float, float, float, float]
 """x, y and z from and to"""
@@ -160,3 +164,16 @@ def find_cells(x: tuple[float, float], y: tuple[float, float]) -> tuple[slice, s
     """The cells between some x and y (m), in arrays of the room."""
     rows, cols = (slice(round(low / 0.05) + 10, round(high / 0.05) + 10) for low, high in (y, x))
     return rows, cols
+
+
+HALL = SAMPLE_LOGS / "hall.mcap"
+
+
+def write_leaning(path: Path, tilt: Float64) -> Path:
+    """Write the trajectory of the hall's robot in a map that is turned as a whole."""
+    build([HALL], BuildOptions(), [path])
+    rows = np.loadtxt(path)
+    rows[:, 1:4] = rows[:, 1:4] @ tilt.T
+    rows[:, 4:] = to_quaternions(tilt @ rotate_by(rows[:, 4:]))
+    np.savetxt(path, rows, fmt="%.9f")
+    return path

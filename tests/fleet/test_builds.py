@@ -12,7 +12,8 @@ from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.report.results import Report
-from tests.samples import DRIVES, SAMPLE_LOGS
+from tests.clouds.simulation import HALL, turn, write_leaning
+from tests.samples import DRIVES
 
 LOGS = [*DRIVES, DRIVES[0]]
 """One of them twice"""
@@ -77,11 +78,18 @@ def test_a_worker_of_its_own_makes_the_same(
     hold_equal(alone(PLAIN), PLAIN, Fleet("local", tmp_path / "scratch"), tmp_path)
 
 
-def test_clouds_of_several_logs_are_traced_over_one_ground(address: str, tmp_path: Path) -> None:
-    logs, options = [SAMPLE_LOGS / "hall.mcap"] * 2, BuildOptions(jobs=1)
+@pytest.mark.parametrize("leans", [False, True])
+def test_clouds_of_several_logs_are_traced_over_one_ground(
+    address: str, tmp_path: Path, leans: bool
+) -> None:
+    logs, options = [HALL] * 2, BuildOptions(jobs=1)
+    if leans:
+        poses = write_leaning(tmp_path / "leaning.tum", turn(4, -6, 0))
+        options = replace(options, posing=PosingOptions(poses=str(poses)))
     files = [tmp_path / name for name in ("alone.npz", "fleet.npz")]
     alone = build(logs, options, files[:1]).report
     fleet = Fleet(address, tmp_path / "scratch")
     report = build(logs, options, files[1:], observe=fleet.observe).report
     assert files[0].read_bytes() == files[1].read_bytes()
     assert sorted(report.notes) == sorted(alone.notes)
+    assert any("level=" in note for note in alone.notes) == leans

@@ -1,0 +1,98 @@
+"""A map whose floor leans, and its walls with it, is laid flat; a street that climbs is not."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from occmap.clouds.ground import GroundFinder
+from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
+from occmap.scans.tracing import level_ground
+from occmap.types import Float64, PosedScans
+from occmap.writers.npz import read_evidence
+from tests.cli.runner import occmap
+from tests.clouds.simulation import HALL, Room, drive, place, turn, write_leaning
+
+
+def lean(clouds: Sequence[PosedScans], tilt: Float64) -> list[PosedScans]:
+    """The same drive in a map that is turned as a whole."""
+    return [
+        replace(each, position=each.position @ tilt.T, rotation=tilt @ each.rotation)
+        for each in clouds
+    ]
+
+
+def climb(clouds: Sequence[PosedScans], slope: float) -> list[PosedScans]:
+    """The same place on a hill: what lies farther along x lies higher, and walls stay upright."""
+    made = []
+    for each in clouds:
+        (cloud,) = each.batch.clouds or ()
+        points = cloud.points + np.outer(cloud.points[:, 0] * slope, [0, 0, 1])
+        origin = each.position[0] + [0, 0, slope * each.position[0, 0]]
+        made.append(place(cloud._replace(points=points.astype(np.float32)), origin, each.rotation))
+    return made
+
+
+def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder]:
+    """Count clouds as a build does, in a map that is levelled as the options say."""
+
+    def count_levelled(options: BuildOptions) -> GroundFinder:
+        finder = GroundFinder(len(clouds))
+        roll, pitch = options.posing.level or (0.0, 0.0)
+        for each in lean(clouds, turn(roll, pitch, 0)):
+            finder.add(each)
+        return finder
+
+    return count_levelled
+
+
+@pytest.mark.parametrize("angles", [(1.5, 0), (-3, 2), (0, 20), (12, -9)])
+def test_a_map_that_leans_is_laid_flat(angles: tuple[float, float]) -> None:
+    tilt = turn(*angles, 0)
+    ground, notes, options = level_ground(count(lean(drive(Room()), tilt)), BuildOptions(), None)
+
+    assert options.posing.level is not None
+    up = turn(*options.posing.level, 0) @ tilt @ [0, 0, 1]
+    assert math.degrees(math.acos(up[2])) < 0.3
+    heights = ground.height_mm[ground.measured]
+    assert np.ptp(np.quantile(heights, [0.05, 0.95])) < 60
+    assert "`level=(0,0)` leaves it as it is" in notes[-1]
+
+
+def test_a_street_that_climbs_stays_as_it_is() -> None:
+    clouds = climb(drive(Room()), math.tan(math.radians(5)))
+    _, notes, options = level_ground(count(clouds), BuildOptions(), None)
+    assert options == BuildOptions()
+    assert len(notes) == 1
+
+
+@pytest.mark.parametrize("level", [(0.0, 0.0), (2.0, 0.0)])
+def test_what_the_user_says_goes_before_what_clouds_show(level: tuple[float, float]) -> None:
+    given = BuildOptions(posing=PosingOptions(level=level))
+    clouds = lean(drive(Room()), turn(-3, 0, 0))
+    _, notes, options = level_ground(count(clouds), given, None)
+    assert options is given
+    assert len(notes) == 1
+
+
+def test_a_build_says_how_it_was_levelled_and_a_session_takes_it_over(tmp_path: Path) -> None:
+    first, both = tmp_path / "first.npz", tmp_path / "both.npz"
+    line = ["build", HALL, "--poses", write_leaning(tmp_path / "leaning.tum", turn(4, -6, 0))]
+    done = occmap(*line, "--end", "2", "-o", first, "--json")
+    assert done.code == 0
+    (note,) = (note for note in json.loads(done.out)["notes"] if "--level" in note)
+    roll, pitch = map(float, note.split("--level ")[1].split()[0].split(","))
+    assert (turn(roll, pitch, 0) @ turn(4, -6, 0))[2, 2] > math.cos(math.radians(0.5))
+
+    assert occmap(*line, "--start", "2", "--resume", first, "-o", both).code == 0
+    one, other = read_evidence(first), read_evidence(both)
+    levels = [build["options"]["posing"]["level"] for build in other.manifest.builds]
+    assert levels == [[roll, pitch]] * 2
+    assert one.ground
+    assert other.ground
+    assert other.ground.measured.sum() > one.ground.measured.sum()
