@@ -290,7 +290,10 @@ class Poser:
                     yield topic, tilt
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns
-                if jumped := warn_of_jumps(course.find_jumps(track), track.stamp_ns, first):
+                jumps = course.find_jumps(track)
+                # Where a clock was set back, poses jump for no other reason.
+                jumped = course.warn_of_clock() or warn_of_jumps(jumps, track.stamp_ns, first)
+                if jumped:
                     yield topic, jumped
 
     def _note(self, *sentences: str) -> None:

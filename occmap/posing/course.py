@@ -39,6 +39,8 @@ LONG_STEPS = 2.0
 """A stride is this many times as long as nearly all steps: all steps of a sparse log are long."""
 SLOW_M_PER_S = 0.3
 """A robot that stands or creeps may set out at this speed."""
+SET_BACK_S = 1.0
+"""Messages of one frame are late by less."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
 """Offsets from a step to those beside it, which say how fast the robot drives there."""
 FASTEST_BESIDE = 3
@@ -239,6 +241,17 @@ class Course:
     def build(self) -> Track | None:
         """Put all that was seen in the order of time; None where no scan had a pose."""
         return self._poses.build()
+
+    def warn_of_clock(self) -> Concern | None:
+        """Say if a clock was set back, so that poses of two times lie among each other."""
+        legs = self._chain.legs if self._chain else ()
+        for step in (leg.step for leg in legs if isinstance(leg, Moving)):
+            if step.track.set_back_s > SET_BACK_S:
+                found = f"the stamps of {step.parent} -> {step.child} were set back by"
+                why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
+                text = f"{found} {step.track.set_back_s:.3g} s: {why}"
+                return Concern(text, {"stamps": Stamps.RECORD.value})
+        return None
 
     def find_jumps(self, track: Track) -> list[Jump]:
         """Find when it jumped; poses beside scans show that only when all of them are known."""

@@ -9,7 +9,7 @@ import pytest
 
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
-from occmap.posing import Concern, DropReason
+from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.course import find_strides
 from occmap.posing.tracks import Track
@@ -100,6 +100,16 @@ def test_the_options_are_by_the_clock_of_the_scans() -> None:
     ((_, concern),) = poser.list_concerns(5 * SECOND, math.inf)
     # The jump at 12 s is at 10 s by the scans, 5 s after the first of them.
     assert concern.remedy == {"start_s": "5"}
+
+
+def test_a_clock_that_was_set_back_is_told_in_place_of_the_jumps_that_it_makes() -> None:
+    driven = [at(s, "odom", "base_link", Pose.planar(0.1 * s, 0, 0)) for s in SECONDS]
+    again = [at(s, "odom", "base_link", Pose.planar(-9 - 0.1 * s, 0, 0)) for s in range(40)]
+    late = [each._replace(record_ns=each.stamp_ns + 101 * SECOND) for each in again]
+    (concern,) = watch(build(*driven, MOUNT, *late))
+    assert "odom -> base_link were set back by 100 s" in concern.text
+    assert concern.remedy == {"stamps": "record"}
+    assert not watch(build(*driven, MOUNT, *late, stamps=Stamps.RECORD))
 
 
 def test_odometry_that_is_carried_elsewhere_is_told() -> None:
