@@ -334,8 +334,11 @@ def measure_depth(
     Raises
     ------
     MapError
-        Nothing lies below it.
+        Nothing lies below it, or there is no path.
     """
+    if not len(path):
+        fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
+        raise MapError("no cloud is used that has points and a pose", fix=fix)
     depths = np.zeros(MOST_DEPTH // BIN_MM + 1, np.int64)
     for beside in BESIDE:
         depths[:] = 0
