@@ -291,8 +291,8 @@ class Poser:
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns
                 jumps = course.find_jumps(track)
-                # Where a clock was set back, poses jump for no other reason.
-                jumped = course.warn_of_clock() or warn_of_jumps(jumps, track.stamp_ns, first)
+                # Where poses are mixed, they jump for no other reason.
+                jumped = course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first)
                 if jumped:
                     yield topic, jumped
 

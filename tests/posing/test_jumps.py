@@ -112,6 +112,16 @@ def test_a_clock_that_was_set_back_is_told_in_place_of_the_jumps_that_it_makes()
     assert not watch(build(*driven, MOUNT, *late, stamps=Stamps.RECORD))
 
 
+@pytest.mark.parametrize(("apart_m", "is_told"), [(0.2, True), (0.04, False)])
+def test_a_transform_that_two_nodes_send_is_told(apart_m: float, is_told: bool) -> None:
+    one = [at(s, "odom", "base_link", Pose.planar(0.01 * s, 0, 0)) for s in SECONDS]
+    other = [at(s + 0.4, "odom", "base_link", Pose.planar(0.01 * s, apart_m, 0)) for s in SECONDS]
+    concerns = watch(build(*one, *other, MOUNT))
+    # Each sample but the first and the last lies between two of the other node.
+    told = [each.text.partition(":")[0] for each in concerns]
+    assert told == ["odom -> base_link jumps to and fro at 99% of its 202 samples"][: int(is_told)]
+
+
 def test_odometry_that_is_carried_elsewhere_is_told() -> None:
     driven = [
         at(s, "odom", "base_link", Pose.planar(0.1 * s + 4 * (s >= 30), 0, 0)) for s in SECONDS
