@@ -189,8 +189,7 @@ def _read_ply_header(data: bytes) -> tuple[str, list[tuple[str, int, list[list[s
 def read_bin(data: bytes, values: int = 4) -> Points:
     """Read KITTI's x, y, z and reflectance, each a float of 32 bits."""
     if len(data) % (4 * values):
-        found = f"has {len(data):,} bytes, where points of {values} floats take {4 * values} each"
-        raise DamageError(found)
+        raise DamageError(f"has {len(data):,} bytes, where a point takes {4 * values}")
     rows = np.frombuffer(data, "<f4").reshape(-1, values)
     return Points(dict(zip("xyz", rows.T, strict=False)), len(rows))
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,21 @@ def test_a_clock_that_was_set_back_is_told_in_place_of_the_jumps_that_it_makes()
     assert "odom -> base_link were set back by 100 s" in concern.text
     assert concern.remedy == {"stamps": "record"}
     assert not watch(build(*driven, MOUNT, *late, stamps=Stamps.RECORD))
+
+
+@pytest.mark.parametrize(
+    ("late_s", "frame", "told"), [(0, "laser", 1), (0.01, "laser", 0), (0, "rear", 0)]
+)
+def test_scans_that_were_filtered_and_those_that_were_not_are_told(
+    late_s: float, frame: str, told: int
+) -> None:
+    mounts = MOUNT, bolted("base_link", "rear", NOWHERE)
+    poser = build(*drive("odom", "base_link", seconds=SECONDS), *mounts)
+    raw, filtered = batch_at(range(50)), batch_at([s + late_s for s in range(50)], frame)
+    attach(poser, replace(raw, topic="/raw"), replace(filtered, topic="/scan"))
+    concerns = list(poser.list_concerns(0, math.inf))
+    assert [topic for topic, _ in concerns] == ["/scan"] * told
+    assert all("stamps of /raw" in concern.text for _, concern in concerns)
 
 
 @pytest.mark.parametrize(("apart_m", "is_told"), [(0.2, True), (0.04, False)])
