@@ -41,7 +41,7 @@ SLOW_M_PER_S = 0.3
 """A robot that stands or creeps may set out at this speed."""
 SET_BACK_S = 1.0
 """Messages of one frame are late by less."""
-FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.05, 0.05, 100
+FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 """A robot that drives turns back at once at hardly any of its poses, and by less"""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
 """Offsets from a step to those beside it, which say how fast the robot drives there."""

@@ -128,7 +128,7 @@ def test_scans_that_were_filtered_and_those_that_were_not_are_told(
     assert all("stamps of /raw" in concern.text for _, concern in concerns)
 
 
-@pytest.mark.parametrize(("apart_m", "is_told"), [(0.2, True), (0.04, False)])
+@pytest.mark.parametrize(("apart_m", "is_told"), [(0.11, True), (0.09, False)])
 def test_a_transform_that_two_nodes_send_is_told(apart_m: float, is_told: bool) -> None:
     one = [at(s, "odom", "base_link", Pose.planar(0.01 * s, 0, 0)) for s in SECONDS]
     other = [at(s + 0.4, "odom", "base_link", Pose.planar(0.01 * s, apart_m, 0)) for s in SECONDS]
