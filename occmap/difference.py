@@ -200,7 +200,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         It is not YAML.
     """
     from ruamel.yaml import YAML  # noqa: PLC0415  late: it takes long to load
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415  late: rarely wanted
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError  # noqa: PLC0415  late: as above
 
     try:
         with path.open("rb") as file:
@@ -210,6 +210,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise MapError(f"cannot be read ({error.strerror})", where=path) from None
     except (YAMLError, ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]
+        if isinstance(error, MarkedYAMLError) and error.problem_mark:
+            reason = f"line {error.problem_mark.line + 1}: {error.problem}"
         raise MapError(f"is not YAML ({reason})", where=path) from None
     if not isinstance(values, dict):
         raise MapError("is not the YAML of a map: it holds no names with values", where=path)

@@ -205,6 +205,8 @@ def describe(function: Callable[..., Any]) -> str:
 
 
 NAME = "occmap.toml"
+BESIDE = frozenset({"edits", "ground", "poses"})
+"""Options that may name a file beside the file of options: it is looked for there first"""
 OTHER_COMMANDS = ("build", "compare")
 """Between them they have the options that a file beside logs may hold."""
 
@@ -229,6 +231,9 @@ class ConfigOption(Option):
             own = list_options(ctx.command)
             stated = read_config(path, ctx.command.name or "", own)
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
+            for name in BESIDE.intersection(taken):
+                if isinstance(taken[name], str) and (path.parent / taken[name]).is_file():
+                    taken[name] = str(path.parent / taken[name])
             ctx.default_map = {
                 str(own[name].name): convert(f"{path}: {name}", own[name], value, ctx)
                 for name, value in taken.items()

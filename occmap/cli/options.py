@@ -22,7 +22,7 @@ from occmap.choices import list_options, parse_number
 from occmap.cli.console import Console, spell
 from occmap.cli.declaring import PATH, RUN, Option
 from occmap.clouds import CloudOptions
-from occmap.errors import UsageError
+from occmap.errors import OutputError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
 from occmap.options import (
@@ -267,6 +267,12 @@ def send_to_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[
         saved = Path(folder) / f"stdout{file_name.suffix}"
         yield tuple(saved if path == name else path for path in outputs)
         if saved.exists():
-            with saved.open("rb") as file:
-                shutil.copyfileobj(file, sys.stdout.buffer)
-            sys.stdout.buffer.flush()
+            try:
+                with saved.open("rb") as file:
+                    shutil.copyfileobj(file, sys.stdout.buffer)
+                sys.stdout.buffer.flush()
+            except BrokenPipeError:  # its reader has seen enough
+                raise
+            except OSError as error:
+                found = f"cannot be written ({error.strerror})"
+                raise OutputError(found, where="stdout") from None

@@ -212,7 +212,7 @@ def find_ground(
     MapError
         No ground is found.
     """
-    columns = read_columns(table, known)
+    columns = read_columns(table, path, known)
     blocks, peaks, filled = columns
     depth, spread, beside = measure_depth(columns, path, options.sensor_height)
     if options.ground == FLAT:
@@ -322,8 +322,8 @@ def list_storeys(path: Int64) -> Iterator[str]:
         )
 
 
-def read_columns(table: Histogram, known: Ground | None) -> Columns:
-    """Read what was counted of columns, and lay them out in blocks."""
+def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns:
+    """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
     kept = np.flatnonzero(table.keys != EMPTY)
     kept = kept[np.argsort(table.keys[kept])]
     keys, counts = table.keys[kept], table.counts[kept]
@@ -332,7 +332,9 @@ def read_columns(table: Histogram, known: Ground | None) -> Columns:
     weight = np.empty(room, np.int32)
     many = heights.list_peaks(keys, counts, column, level, weight)
     every = np.unique(keys >> heights.PIECE_BITS)
-    blocks = make_blocks(np.stack([(every >> 21) - WIDE, every % (2 * WIDE) - WIDE], axis=1), known)
+    start = path[:1, 1::-1] // COLUMN_MM - WIDE // 2
+    packed = np.stack([every >> 21, every % WIDE], axis=1)
+    blocks = make_blocks(start + (packed - start) % WIDE, known)
     size = len(blocks.places) << 2 * BLOCK_BITS
     none = np.zeros(size, np.int32)
     peaks = Peaks(none, none.copy(), level[:many].copy(), weight[:many].copy())
@@ -368,8 +370,11 @@ def measure_depth(
     Raises
     ------
     MapError
-        Nothing lies below it.
+        Nothing lies below it, or there is no path.
     """
+    if not len(path):
+        fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
+        raise MapError("no cloud is used that has points and a pose", fix=fix)
     depths = np.zeros(MOST_DEPTH // BIN_MM + 1, np.int64)
     for beside in BESIDE:
         depths[:] = 0

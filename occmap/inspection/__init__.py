@@ -35,6 +35,8 @@ SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
 DRIFT_S = 0.1
 """Stamps that drift by more against the record times are worth a warning (s)."""
+FAR_M = 50.0
+"""Some beam of a laser that measures metres is shorter."""
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"
@@ -204,6 +206,9 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
+    if topic.ranges.smallest > FAR_M:
+        nearest = f"no range is below {topic.ranges.smallest:.4g} m"
+        yield Concern(f"{nearest}: ranges are metres; are these millimetres?", None)
     if not topic.ranges.measured and not topic.is_of_clouds:
         yield Concern("no range value is a measurement")
 
@@ -265,7 +270,7 @@ def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFin
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {found}"
     ground = list[str]()
-    if not problem and any(topic.is_of_clouds for topic in scans):
+    if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         below, posed = None, replace(options, posing=poser.options)
         try:
             below, ground, posed = find_ground([log], posed, None)

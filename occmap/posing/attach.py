@@ -42,6 +42,8 @@ POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
     "leave that out if they are the laser's own"
 )
+TWIN_SHARE = 0.5
+"""Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
 Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
 
@@ -282,6 +284,7 @@ class Poser:
             Beams are used up to here (m).
         """
         jumped = None
+        yield from self._list_twins()
         for (topic, _), course in sorted(self.courses.items()):
             if (track := course.build()) is None:
                 continue
@@ -292,8 +295,22 @@ class Poser:
                     yield topic, tilt
             if not jumped:  # of several sensors on one robot, one tells it
                 first = first_ns + self._offset_ns
-                if jumped := warn_of_jumps(course.find_jumps(track), track.stamp_ns, first):
+                jumps = course.find_jumps(track)
+                # Where poses are mixed, they jump for no other reason.
+                jumped = course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first)
+                if jumped:
                     yield topic, jumped
+
+    def _list_twins(self) -> Iterator[tuple[str, Concern]]:
+        """Say which topics hold the scans of another one, such as those that were filtered."""
+        known: dict[str, tuple[str, Int64]] = {}
+        for (topic, frame), course in sorted(self.courses.items()):
+            if track := course.build():
+                other, stamp_ns = known.setdefault(frame, (topic, track.stamp_ns))
+                if topic != other and np.isin(track.stamp_ns, stamp_ns).mean() > TWIN_SHARE:
+                    found = f"has the frame and the stamps of {other}, and both count"
+                    why = "if one is filtered from the other, choose with `topics`"
+                    yield topic, Concern(f"{found}: {why}")
 
     def _note(self, *sentences: str) -> None:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]

@@ -39,6 +39,10 @@ LONG_STEPS = 2.0
 """A stride is this many times as long as nearly all steps: all steps of a sparse log are long."""
 SLOW_M_PER_S = 0.3
 """A robot that stands or creeps may set out at this speed."""
+SET_BACK_S = 1.0
+"""Messages of one frame are late by less."""
+FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
+"""A robot that drives turns back at once at hardly any of its poses, and by less"""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
 """Offsets from a step to those beside it, which say how fast the robot drives there."""
 FASTEST_BESIDE = 3
@@ -195,6 +199,14 @@ def find_strides(track: Track) -> Int64:
     return strides
 
 
+def measure_flicker(track: Track) -> float:
+    """Measure at what share of the samples of a track it turns back at once."""
+    before, here, after = (track.position[at : len(track) - 2 + at] for at in range(3))
+    aside = np.linalg.norm(here - (before + after) / 2, axis=1)
+    turns = aside > np.maximum(FLICKER_M, np.linalg.norm(after - before, axis=1))
+    return np.count_nonzero(turns) / len(track)
+
+
 TILTED_RAD = math.radians(3)
 """A tilted scan plane meets the floor: at 3 degrees and 30 cm above it, within 6 m."""
 STEEP_RAD = math.radians(30)
@@ -239,6 +251,21 @@ class Course:
     def build(self) -> Track | None:
         """Put all that was seen in the order of time; None where no scan had a pose."""
         return self._poses.build()
+
+    def warn_of_mixed(self) -> Concern | None:
+        """Say if a track holds poses of two times, or of two nodes, among each other."""
+        legs = self._chain.legs if self._chain else ()
+        for step in (leg.step for leg in legs if isinstance(leg, Moving)):
+            name, track = f"{step.parent} -> {step.child}", step.track
+            if track.set_back_s > SET_BACK_S:
+                found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
+                why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
+                return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
+            share = measure_flicker(track)
+            if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
+                found = f"{name} jumps to and fro at {share:.0%} of its {len(track):,} samples"
+                return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
+        return None
 
     def find_jumps(self, track: Track) -> list[Jump]:
         """Find when it jumped; poses beside scans show that only when all of them are known."""

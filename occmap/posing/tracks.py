@@ -128,6 +128,8 @@ class Track:
     """(N, 4) unit x y z w"""
     static: bool = False
     """The log says that it holds at all times; N = 1."""
+    set_back_s: float = 0.0
+    """By how much stamps went back, at most, from one moment of recording to the next"""
 
     @classmethod
     def fixed(cls, pose: Pose) -> Self:
@@ -214,9 +216,23 @@ class TrackBuilder:
         if not len(kept):
             return None
         stamp, record = times.T
+        set_back_s = measure_set_back(stamp[kept], record[kept])
         kept = kept[np.lexsort((record[kept], stamp[kept]))]
         kept = kept[np.append(np.diff(stamp[kept]) > 0, True)]
-        return Track(stamp[kept], values[kept, :3], values[kept, 3:] / norm[kept, None])
+        unit = values[kept, 3:] / norm[kept, None]
+        return Track(stamp[kept], values[kept, :3], unit, set_back_s=set_back_s)
+
+
+def measure_set_back(stamp_ns: Int64, record_ns: Int64) -> float:
+    """Measure by how many seconds stamps (N,) went back at most while the recorder's went on.
+
+    Of what was recorded at once the latest counts: a path is sent again and again from its start.
+    """
+    if (stamp_ns == record_ns).all():  # the log knows one time only, or the user chose the other
+        return 0.0
+    order = np.lexsort((stamp_ns, record_ns))
+    latest = stamp_ns[order][np.append(np.diff(record_ns[order]) > 0, True)]
+    return float(-np.diff(latest).min(initial=0)) / 1e9
 
 
 def differ(

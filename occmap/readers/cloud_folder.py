@@ -61,7 +61,9 @@ def read_cloud(path: Path) -> Points:
     DamageError
         It is not what its suffix says.
     """
-    points = READERS[path.suffix.lower()](path.read_bytes())
+    data = path.read_bytes()
+    is_nuscenes = path.name.lower().endswith(".pcd.bin")  # whose points have their ring, too
+    points = read_bin(data, 5) if is_nuscenes else READERS[path.suffix.lower()](data)
     _require_places(points.columns)
     return points
 
@@ -184,11 +186,11 @@ def _read_ply_header(data: bytes) -> tuple[str, list[tuple[str, int, list[list[s
     return order, elements, at
 
 
-def read_bin(data: bytes) -> Points:
+def read_bin(data: bytes, values: int = 4) -> Points:
     """Read KITTI's x, y, z and reflectance, each a float of 32 bits."""
-    if len(data) % 16:
-        raise DamageError(f"has {len(data):,} bytes, where KITTI's points take 16 each")
-    rows = np.frombuffer(data, "<f4").reshape(-1, 4)
+    if len(data) % (4 * values):
+        raise DamageError(f"has {len(data):,} bytes, where a point takes {4 * values}")
+    rows = np.frombuffer(data, "<f4").reshape(-1, values)
     return Points(dict(zip("xyz", rows.T, strict=False)), len(rows))
 
 

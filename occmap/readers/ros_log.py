@@ -214,7 +214,7 @@ class RosLog:
                 self.notes.add_damage(f"{text}; the standard one is used")
             if reader.failures:
                 text = f"{reader.failures} of {announced} messages on {topic} are damaged"
-                self.notes.add_damage(f"{text} and not used")
+                self.notes.add_damage(f"{text} and not used: the first {reader.first_fault}")
 
 
 class _ChannelReader(Generic[T]):
@@ -227,6 +227,7 @@ class _ChannelReader(Generic[T]):
         self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
+        self.first_fault = ""
         try:
             self.decode, self.is_plain = make_reader(channel, convert, parse)
         except LogError:
@@ -238,9 +239,11 @@ class _ChannelReader(Generic[T]):
 
     def read(self, data: Buffer, record_ns: int) -> Sequence[T]:
         """Read what a message holds. One that is damaged is counted, and gives nothing."""
-        with suppress(DamageError):
+        try:
             return self.decode(memoryview(data), record_ns)
-        self.failures += 1
+        except DamageError as error:
+            self.failures += 1
+            self.first_fault = self.first_fault or str(error)
         return ()
 
     def read_many(

@@ -106,7 +106,14 @@ class Bag2Source:
         there = [file for file in named if file.is_file()]
         if not there:
             refuse_mixed(self.path, present)
-        return there or present
+            return present
+        # A player unpacks a .zstd beside it.
+        known = {name.removesuffix(".zstd") for name in names}
+        others = [each.name for each in present if each.name.removesuffix(".zstd") not in known]
+        if others:
+            text = f"{METADATA} does not name {', '.join(others)}: not read"
+            self.notes.add_damage(f"{text}; move {METADATA} away to read all files")
+        return there
 
     def _open_parts(self, files: Sequence[Path]) -> list[Source]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""

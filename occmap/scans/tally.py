@@ -266,7 +266,8 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     if tally.scans_read:
         found = write_unused(tally.scans_read, tally.dropped)
         raise PoseError(found, where=where, fix="`occmap check` shows the times of scans and poses")
-    raise LogError("holds no laser scan that can be read", where=where)
+    fix = "`occmap check` shows what is damaged"
+    raise LogError("holds no scan that can be read", where=where, fix=fix)
 
 
 def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]) -> None:

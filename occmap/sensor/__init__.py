@@ -144,6 +144,8 @@ def read_limits(scan: Scan) -> tuple[float, float]:
 
     A limit that leaves no range, or NaN, counts as none: some drivers write zero there.
     """
+    if scan.range_min >= scan.range_max > 0:
+        return 0.0, math.inf
     return (
         scan.range_min if scan.range_min >= 0 else 0.0,
         scan.range_max if scan.range_max > 0 else math.inf,

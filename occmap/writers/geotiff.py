@@ -98,7 +98,8 @@ def write_image(path: Path, layout: dict[str, Any], parts: Iterable[tuple[Any, A
             rasterio.shutil.copy(plain, done, **how)
             with open_atomic(path) as (file,), done.open("rb") as made:
                 shutil.copyfileobj(made, file)
-    except (OSError, rasterio.errors.RasterioError) as error:
+    # What GDAL itself reports, such as a full disk, is no error of rasterio's own.
+    except (OSError, rasterio.errors.RasterioError, rasterio._err.CPLE_BaseError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise OutputError(f"cannot be written ({reason})", where=path) from None
 

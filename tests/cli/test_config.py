@@ -170,3 +170,14 @@ def test_a_file_that_is_not_there_and_two_that_are(log: Path, tmp_path: Path) ->
     error = read_error(occmap("check", log, other), 2)
     assert "the logs have several files of options" in error
     assert error.endswith("name one with --config")
+
+
+def test_files_are_looked_for_beside_the_file_that_names_them(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (log.parent / "shapes.csv").write_text("occupied,box,0,0,1,1\n")
+    path = write(log, 'edits = "shapes.csv"')
+    monkeypatch.chdir(Path(__file__).parent)
+    notes = map_of(log)["notes"]
+    assert isinstance(notes, list)
+    assert notes[0] == f'{path}: edits = "{log.parent / "shapes.csv"}"'

@@ -91,6 +91,15 @@ def test_a_folder_does_not_fit_through_stdout(tmp_path: Path, suffix: str) -> No
     )
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a disk that is full")
+def test_a_full_disk_behind_stdout_is_named() -> None:
+    command = [sys.executable, "-m", "occmap", "build", "-q", str(DRIVE), "-o", "-"]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 1
+    assert done.stderr == b"error: stdout: cannot be written (No space left on device)\n"
+
+
 def test_an_empty_stdin_is_said(tmp_path: Path) -> None:
     done = pipe(["build", "-", "-o", "m.pgm"], b"", tmp_path)
     assert (done.returncode, done.stderr) == (1, b"error: stdin: is empty; pipe a log into it\n")

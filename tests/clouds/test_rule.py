@@ -180,6 +180,19 @@ def test_the_ground_is_measured_to_a_centimetre() -> None:
     assert np.quantile(np.abs(height - level)[measured], 0.95) < 15
 
 
+def test_the_ground_is_the_same_wherever_in_the_world_a_drive_is() -> None:
+    near = drive(Room([BOX]), clouds=6)
+    far_away = np.array([600_000, -6_000_000, 300])
+    far = [replace(each, position=each.position + far_away) for each in near]
+
+    here, there = find_ground(near), find_ground(far)
+
+    assert here.measured.any()
+    blocks_away = np.array([-625_000, 62_500])  # rows and columns of 9.6 m
+    np.testing.assert_array_equal(there.blocks, here.blocks + blocks_away)
+    np.testing.assert_array_equal(there.height_mm - 300_000, here.height_mm)
+
+
 def test_no_floor_in_view_is_refused_with_what_to_type() -> None:
     posed = drive(Room(), clouds=4)
     above = [

@@ -93,6 +93,7 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
         ("", "holds no names with values"),
         ("- 1\n- 2\n", "holds no names with values"),
         ("a: [1\n", "is not YAML"),
+        ("a: 1\nb:\t2\n", "is not YAML (line 2: found character"),
         ("a: \xff\n", "names no image"),
         (THRESHOLDS, "names no image"),
         (META, "occupied_thresh is None, where a number belongs"),

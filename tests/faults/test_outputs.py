@@ -129,6 +129,7 @@ INPUTS = [
     "build a.csv --poses m.yaml -o m.pgm",
     "build m.npz -o m.npz",
     "build bag -o bag/metadata.pgm",
+    "build bag -o bag/bag_0.mcap",
     "compare m.png -o m.png",
 ]
 
@@ -139,6 +140,7 @@ def test_an_input_is_never_overwritten(folder: Path, line: str) -> None:
     for name in ("sub", "bag"):
         (folder / name).mkdir()
     Path("bag/metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    Path("bag/bag_0.mcap").write_bytes(b"what was recorded")
     Path("link.npz").symlink_to("m.npz")
     os.link("m.npz", "hard.npz")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}

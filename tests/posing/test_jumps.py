@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from occmap.inspection import inspect
 from occmap.options import BuildOptions
-from occmap.posing import Concern, DropReason
+from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.course import find_strides
 from occmap.posing.tracks import Track
@@ -100,6 +101,41 @@ def test_the_options_are_by_the_clock_of_the_scans() -> None:
     ((_, concern),) = poser.list_concerns(5 * SECOND, math.inf)
     # The jump at 12 s is at 10 s by the scans, 5 s after the first of them.
     assert concern.remedy == {"start_s": "5"}
+
+
+def test_a_clock_that_was_set_back_is_told_in_place_of_the_jumps_that_it_makes() -> None:
+    driven = [at(s, "odom", "base_link", Pose.planar(0.1 * s, 0, 0)) for s in SECONDS]
+    again = [at(s, "odom", "base_link", Pose.planar(-9 - 0.1 * s, 0, 0)) for s in range(40)]
+    late = [each._replace(record_ns=each.stamp_ns + 101 * SECOND) for each in again]
+    (concern,) = watch(build(*driven, MOUNT, *late))
+    assert "odom -> base_link were set back by 100 s" in concern.text
+    assert concern.remedy == {"stamps": "record"}
+    assert not watch(build(*driven, MOUNT, *late, stamps=Stamps.RECORD))
+
+
+@pytest.mark.parametrize(
+    ("late_s", "frame", "told"), [(0, "laser", 1), (0.01, "laser", 0), (0, "rear", 0)]
+)
+def test_scans_that_were_filtered_and_those_that_were_not_are_told(
+    late_s: float, frame: str, told: int
+) -> None:
+    mounts = MOUNT, bolted("base_link", "rear", NOWHERE)
+    poser = build(*drive("odom", "base_link", seconds=SECONDS), *mounts)
+    raw, filtered = batch_at(range(50)), batch_at([s + late_s for s in range(50)], frame)
+    attach(poser, replace(raw, topic="/raw"), replace(filtered, topic="/scan"))
+    concerns = list(poser.list_concerns(0, math.inf))
+    assert [topic for topic, _ in concerns] == ["/scan"] * told
+    assert all("stamps of /raw" in concern.text for _, concern in concerns)
+
+
+@pytest.mark.parametrize(("apart_m", "is_told"), [(0.11, True), (0.09, False)])
+def test_a_transform_that_two_nodes_send_is_told(apart_m: float, is_told: bool) -> None:
+    one = [at(s, "odom", "base_link", Pose.planar(0.01 * s, 0, 0)) for s in SECONDS]
+    other = [at(s + 0.4, "odom", "base_link", Pose.planar(0.01 * s, apart_m, 0)) for s in SECONDS]
+    concerns = watch(build(*one, *other, MOUNT))
+    # Each sample but the first and the last lies between two of the other node.
+    told = [each.text.partition(":")[0] for each in concerns]
+    assert told == ["odom -> base_link jumps to and fro at 99% of its 202 samples"][: int(is_told)]
 
 
 def test_odometry_that_is_carried_elsewhere_is_told() -> None:

@@ -69,6 +69,26 @@ def test_of_one_stamp_the_sample_recorded_last_stays(reverse: bool) -> None:
     assert unusable == 0
 
 
+@pytest.mark.parametrize(
+    ("times", "set_back_s"),
+    [
+        ([(10, 10), (11, 11), (4, 12), (5, 13)], 7),  # a simulation that begins anew
+        ([(10, 10), (4, 12), (11, 11), (5, 13)], 7),  # however the log is sorted
+        ([(10, 10), (9, 11), (11, 12)], 1),
+        ([(1, 10), (2, 10), (1, 11), (2, 11), (3, 11)], 0),  # a path that grows
+        ([(5, 5), (4, 4), (6, 6)], 0),  # a log that knows one time
+    ],
+)
+def test_how_far_the_clock_of_a_sender_was_set_back(
+    times: list[tuple[int, int]], set_back_s: float
+) -> None:
+    second = 10**9
+    samples = [sample(stamp * second, record_ns=record * second) for stamp, record in times]
+    track, _ = build(*samples)
+    assert track is not None
+    assert track.set_back_s == set_back_s
+
+
 def test_of_samples_recorded_at_once_the_last_in_the_log_stays() -> None:
     track, _ = build(sample(10, HERE._replace(x=8)), sample(10, HERE._replace(x=9)))
     assert track is not None

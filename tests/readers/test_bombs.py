@@ -124,7 +124,7 @@ def test_a_message_that_announces_2_to_31_beams(tmp_path: Path) -> None:
             log = open_log(path)
             assert list(log.scans({"/scan"})) == []
         assert any("6 of 6 messages on /scan are damaged" in note.text for note in log.notes)
-        refuse(path, "no laser scan that can be read")
+        refuse(path, "no scan that can be read")
 
 
 def test_a_line_that_announces_2_to_31_beams(tmp_path: Path) -> None:

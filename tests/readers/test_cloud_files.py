@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.errors import DamageError, LogError
+from occmap.errors import DamageError, LogError, MapError
+from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import DropReason, PosingOptions
@@ -184,6 +185,13 @@ def test_times_in_names(name: str, stamp_ns: int | None) -> None:
     assert read_time(Path(name)) == stamp_ns
 
 
+def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:
+    rows = np.array([[1, 2, 3, 9, 0]] * 4, "<f4")  # 80 bytes, which are five points of KITTI, too
+    (tmp_path / "1533151603547590.pcd.bin").write_bytes(rows.tobytes())
+    (cloud,) = read(tmp_path)
+    assert cloud.points.tolist() == [[1, 2, 3]] * 4
+
+
 def test_points_have_the_times_that_a_file_gives_them(tmp_path: Path) -> None:
     rows = np.array(
         [(1, 2, 3, 0.0), (4, 5, 6, 0.05)], [(n, "<f4") for n in ("x", "y", "z", "time")]
@@ -294,6 +302,19 @@ def test_a_folder_makes_the_map_and_a_cloud_without_a_pose_is_left_out(tmp_path:
     assert len(columns) > 50
     x = built.map.origin[0] + (columns + 0.5) * built.map.resolution
     assert abs(x - 3.0).max() < 0.11
+
+
+def test_clouds_without_poses_are_told_by_check_and_refused_by_a_build(tmp_path: Path) -> None:
+    np.save(tmp_path / "1700000000.0.npy", make_room(0.0))
+    found = inspect([tmp_path], BuildOptions())
+    assert [topic.scans for topic in found.topics] == [1]
+    assert "the scans have no poses" in found.problems[0]
+
+    (tmp_path / "poses.txt").write_text(TUM)  # of other times
+    options = BuildOptions(posing=PosingOptions(poses=str(tmp_path / "poses.txt")))
+    assert "1 after the last pose" in inspect([tmp_path], options).problems[0]
+    with pytest.raises(MapError, match="no cloud is used that has points and a pose"):
+        build([tmp_path], options)
 
 
 def test_a_folder_of_which_no_file_can_be_read_is_refused(tmp_path: Path) -> None:

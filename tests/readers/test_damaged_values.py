@@ -60,9 +60,8 @@ def test_a_value_of_a_wrong_type_damages_its_scan(path: str, value: Any, tmp_pat
 
     assert [one.stamp_ns // SECOND for one in log.scans({"/scan"})] == [100, 102]
     assert list(log.poses()) == []
-    assert [note.text for note in log.notes] == [
-        "1 of 3 messages on /scan are damaged and not used"
-    ]
+    (note,) = log.notes
+    assert note.text.startswith("1 of 3 messages on /scan are damaged and not used: the first ")
 
 
 @pytest.mark.parametrize(
@@ -86,7 +85,8 @@ def test_a_value_of_a_wrong_type_damages_its_transform(
     )
 
     assert [one.record_ns // SECOND for one in log.poses()] == [100, 100, 102, 103, 104]
-    assert [note.text for note in log.notes] == ["1 of 5 messages on /tf are damaged and not used"]
+    (note,) = log.notes
+    assert note.text.startswith("1 of 5 messages on /tf are damaged and not used: the first ")
 
 
 def test_json_nested_without_end_is_damaged() -> None:

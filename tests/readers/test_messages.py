@@ -126,9 +126,8 @@ def test_a_field_of_another_type_is_damage_of_the_message(kind: str) -> None:
     log = read(text, data)
 
     assert list(log.scans({"/scan"})) == []
-    assert [note.text for note in log.notes] == [
-        "1 of 1 messages on /scan are damaged and not used"
-    ]
+    (note,) = log.notes
+    assert note.text.startswith("1 of 1 messages on /scan are damaged and not used: the first ")
 
 
 def make_chain(length: int) -> FileDescriptorSet:

@@ -359,8 +359,10 @@ def test_a_message_that_does_not_decode_is_counted_and_passed_over(tmp_path: Pat
     log = open_log(path)
 
     assert count_scans(log) == count_scans(log) == 5
-    text = "1 of 6 messages on /scan are damaged and not used"
-    assert log.notes == [Note(text, damage=True)]
+    (note,) = log.notes
+    assert note.damage
+    why = f": the first is not a {SCAN} ("
+    assert note.text.startswith(f"1 of 6 messages on /scan are damaged and not used{why}")
 
 
 def test_where_a_definition_is_damaged_the_standard_one_is_used(tmp_path: Path) -> None:
@@ -462,6 +464,17 @@ def test_files_that_the_metadata_names_and_are_missing_are_named(tmp_path: Path)
     log = open_log(renamed)
     assert count_scans(log) == 6
     assert log.notes == [Note("metadata.yaml names files that are missing: drive.db3", True)]
+
+
+def test_a_file_that_the_metadata_does_not_name_is_told_of(tmp_path: Path) -> None:
+    folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
+    shutil.copy(folder / "drive.db3", folder / "drive_1.db3")
+    (folder / "drive.db3.zstd").write_bytes(b"what a player unpacked")
+
+    (note,) = open_log(folder).notes
+
+    assert note.damage
+    assert "does not name drive_1.db3: not read" in note.text
 
 
 def test_a_storage_file_that_cannot_be_read_does_not_spoil_the_others(tmp_path: Path) -> None:

@@ -147,4 +147,5 @@ def test_a_message_without_a_byte_is_damaged(encoding: str) -> None:
     samples = by_key(log.stacked_poses())["/tf", "odom", "base", False]
 
     assert [sample.record_ns for sample in samples] == [2]
-    assert [note.text for note in log.notes] == ["2 of 3 messages on /tf are damaged and not used"]
+    (note,) = log.notes
+    assert note.text.startswith("2 of 3 messages on /tf are damaged and not used: the first is not")

@@ -14,7 +14,7 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.scans import stream
-from occmap.sensor import Band, RangeLimits, RangeTally, ReturnOptions
+from occmap.sensor import Band, RangeLimits, RangeTally, ReturnOptions, read_limits
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
 from tests.samples import PLAIN, write_late
@@ -297,6 +297,15 @@ def test_what_was_found_is_said(ranges: list[float], stated: float, expected: li
     limits = RangeLimits(ReturnOptions())
     limits.see(scan(ranges, range_max=stated))
     assert list(limits.list_notes()) == expected
+
+
+def test_limits_that_leave_no_range_are_none() -> None:
+    swapped = scan([0.5, 2.0, 29.0], range_max=0.1)._replace(range_min=30.0)
+    assert read_limits(swapped) == (0, math.inf)
+    limits = RangeLimits(ReturnOptions())
+    limits.see(swapped)
+    (note,) = limits.list_notes()
+    assert note.startswith("scan states 0.1 m as its range limit, which is not a usable one; ")
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,9 @@ BINS = 16
 AROUND = 10
 """A peak is compared with so many bins on either side"""
 PEAK_PERCENT = 35
-WIDE = 1 << 20
-"""Rows and columns of the ground are packed into 21 bits each."""
+WIDE = 1 << 21
+"""Rows and columns of the ground are packed modulo this: a drive is less than 314 km wide, wherever
+in the world it is."""
 PIECE_BITS = 20
 HALF = 1 << PIECE_BITS - 1
 EMPTY = -1
@@ -59,7 +60,7 @@ class Histogram(NamedTuple):
 @step
 def pack(row: int, col: int, piece: int) -> int:
     """One number for a piece of a column."""
-    return ((((row + WIDE) << 21) | (col + WIDE)) << PIECE_BITS) | (piece + HALF)
+    return ((((row & WIDE - 1) << 21) | (col & WIDE - 1)) << PIECE_BITS) | (piece + HALF)
 
 
 @step
