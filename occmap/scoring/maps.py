@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from occmap.cells import CellClass, Decision, OccupancyMap
-from occmap.difference import ClassMap, Place
-from occmap.errors import MapError
+from occmap.difference import ClassMap, Place, load_map
+from occmap.errors import MapError, require
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
@@ -20,7 +20,10 @@ from occmap.scans.tracing import AddRays, Progress, ignore_progress
 from occmap.scoring import Trial, read_scans, score_map
 from occmap.scoring.fit import STAY, Transform, Walls, fit, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
+from occmap.writers import check_picture, refuse_input
 
+WITHIN_M = 0.1
+"""A wall that is drawn on the wrong side of a cell's edge is still right."""
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
 FIRST_GUESS = 0.9
@@ -33,6 +36,36 @@ FREE, OCCUPIED, NEITHER = CellClass.FREE, CellClass.OCCUPIED, CellClass.NEITHER
 WHITE, BLACK, GREY = (254, 254, 254), (0, 0, 0), (205, 205, 205)
 INVENTED, DANGER, MISSED = (213, 94, 0), (0, 114, 178), (230, 159, 0)
 """Colours that colour-blind people tell apart, too (Okabe and Ito, 2008)"""
+
+
+@dataclass(frozen=True)
+class Against:
+    """What a map is held against, and how.
+
+    Raises
+    ------
+    UsageError
+        It is held against nothing, or a value makes no sense.
+    """
+
+    logs: tuple[Path, ...] = ()
+    """Recordings of the place"""
+    truth: Path | None = None
+    """The map that is true"""
+    within_m: float = WITHIN_M
+    """How far a wall may be off (m)"""
+    is_fitted: bool = False
+    """Move the recordings onto the map, and the map onto the truth, as they fit best"""
+    picture: Path | None = None
+    """Where to draw how the map and the truth differ"""
+
+    def __post_init__(self) -> None:
+        nothing = "there is nothing to score by"
+        require(bool(self.truth or self.logs), nothing, "add `logs=LOG` or `truth=MAP`")
+        is_drawn = self.picture is not None
+        require(bool(self.truth) or not is_drawn, "the picture shows the truth", "add `truth=MAP`")
+        found = f"`within_m={self.within_m:g}` is not from 0 to 1 m"
+        require(0 <= self.within_m <= 1, found, "give metres such as 0.1")
 
 
 @dataclass(frozen=True)
@@ -111,6 +144,42 @@ class MapScore(Printed):
     """What a user should know, one sentence each, as on stderr"""
     files: tuple[str, ...] = ()
     """Files that were written"""
+
+
+def score(
+    path: Path, against: Against, options: BuildOptions, progress: Progress = ignore_progress
+) -> MapScore:
+    """Say how good a written map is, by recordings or by the truth, and draw it if wanted.
+
+    Raises
+    ------
+    OccmapError
+        A map or a log cannot be read, or says not where it lies, or the picture cannot be written.
+    """
+    truth, picture = against.truth, against.picture
+    check_picture(picture, [path, *([truth] if truth else []), *against.logs], [".png"])
+    written = load_map(path, options.writing)
+    true = load_map(truth, options.writing) if truth else None
+    if picture:
+        refuse_input(picture, [each.image for each in (written, true) if each and each.image])
+    made = MapScore(
+        map=str(path),
+        resolution=find_place(written).resolution,
+        occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
+        free=int(np.count_nonzero(written.classes == FREE)),
+    )
+    if against.logs:
+        by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
+        made = replace(made, by_logs=by_logs, notes=tuple(notes))
+    if true:
+        by_truth = score_by_truth(written, true, against.within_m, against.is_fitted)
+        made = replace(made, by_truth=by_truth)
+        if picture:
+            from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
+
+            write_colours(picture, by_truth.picture)
+            made = replace(made, files=(str(picture),))
+    return made
 
 
 def find_place(written: ClassMap) -> Place:
