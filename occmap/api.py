@@ -366,17 +366,7 @@ def score(  # noqa: PLR0913  what a caller gives, by name
 
 
 @refuse_exhaustion()
-def explain(  # noqa: PLR0913  what a caller gives, by name
-    path: AnyPath,
-    x: float,
-    y: float,
-    *,
-    logs: Iterable[AnyPath] = (),
-    poses: Iterable[AnyPath] = (),
-    model: str | SensorModel | None = None,
-    min_passes: int | None = None,
-    **thresholds: Any,
-) -> explanation.Explanation:
+def explain(path: AnyPath, x: float, y: float, **options: Any) -> explanation.Explanation:
     """Say what was seen at a point of saved evidence, and by which scans: `occmap explain`.
 
     Parameters
@@ -385,14 +375,10 @@ def explain(  # noqa: PLR0913  what a caller gives, by name
         Evidence (.npz or .zarr).
     x, y
         The point in the map frame (m).
-    logs
-        Logs that the evidence was made of, to list the scans that observed the cell.
-    poses
-        The trajectories that these logs were built with.
-    model, min_passes
-        How the cell is judged; the default model is what the evidence was built with.
-    thresholds
-        occupied_thresh and free_thresh.
+    options
+        logs: those that the evidence was made of, to list the scans that observed the cell; poses:
+        the trajectories that these were built with; model (the default is what the evidence was
+        built with), min_passes, occupied_thresh and free_thresh: how the cell is judged.
 
     Returns
     -------
@@ -402,17 +388,10 @@ def explain(  # noqa: PLR0913  what a caller gives, by name
     Raises
     ------
     OccmapError
-        A file cannot be read, the evidence was not made of a log, or a value makes no sense.
+        A file cannot be read, the evidence was not made of a log, or an option is unknown or out of
+        its range.
     """
-    question = explanation.Question(
-        x=read_value("x", float, x),
-        y=read_value("y", float, y),
-        logs=read_value("logs", tuple[Path, ...], logs),
-        poses=read_value("poses", tuple[Path, ...], poses),
-        model=None if model is None else read_value("model", SensorModel, model, MODEL),
-        min_passes=None if min_passes is None else read_value("min_passes", int, min_passes),
-        writing=read_options(WriteOptions, thresholds, "explain"),
-    )
+    question = read_options(explanation.Question, {"x": x, "y": y, **options}, "explain")
     return explanation.explain(open_saved(read_value("path", Path, path)), question)
 
 

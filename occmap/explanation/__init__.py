@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from occmap.cells import Box, Evidence, OccupancyMap
+from occmap.choices import option
 from occmap.errors import UsageError
 from occmap.evidence import (
     check_passes,
@@ -38,7 +39,7 @@ from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, find_unit, unite
 from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
-from occmap.sensor.models import SensorModel, describe_model
+from occmap.sensor.models import MODEL, SensorModel, describe_model
 from occmap.store import Saved, Store, read_part
 from occmap.store.publishing import open_map
 from occmap.types import Update
@@ -56,7 +57,7 @@ class Question:
     """The logs whose scans are looked for; none: only the evidence is asked"""
     poses: tuple[Path, ...] = ()
     """The trajectory files of the builds that had one"""
-    model: SensorModel | None = None
+    model: SensorModel | None = option(None, form=MODEL)
     """None: the one that the evidence was built with"""
     min_passes: int | None = None
     """The cell keeps its hits only if they came on so many visits; None: it keeps all"""

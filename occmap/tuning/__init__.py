@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,36 +57,9 @@ class TriedCorrection(Correction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TunedLog:
-    """What a correction for all logs does for one of them, in a map of its own."""
+class Improvement:
+    """How much better held-out beams are predicted with a correction."""
 
-    log: str
-    """The log, as it was given"""
-    beams: Count
-    """Held-out beams that measured a range"""
-    share_before: Share
-    """Share of these that the map predicts, with the options given"""
-    share: Share
-    """The same share with the correction"""
-    gain: float
-    """How much larger the share is"""
-    gain_error: Finite
-    """Standard error of the gain; null where one scan is all there is"""
-    agreement: float | None
-    """Share of the hits in occupied cells with the correction; null without any"""
-
-    @property
-    def loses(self) -> bool:
-        """Whether it certainly loses."""
-        return Gain(-self.gain, self.gain_error).certain
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tuning(Scored):
-    """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
-
-    scans: KeptScans
-    """What became of the scans"""
     beams: Count
     """Held-out beams that measured a range"""
     share_before: Share
@@ -98,6 +72,29 @@ class Tuning(Scored):
     gain_error: Finite
     """Standard error of the gain, from the differences scan by scan; null where one scan is all
     there is"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunedLog(Improvement):
+    """What a correction for all logs does for one of them, in a map of its own."""
+
+    log: str
+    """The log, as it was given"""
+    agreement: float | None
+    """Share of the hits in occupied cells with the correction; null without any"""
+
+    @property
+    def loses(self) -> bool:
+        """Whether it certainly loses."""
+        return Gain(-self.gain, self.gain_error).certain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning(Improvement, Scored):
+    """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
+
+    scans: KeptScans
+    """What became of the scans"""
     correction: Correction
     """All that is recommended; zeros where nothing is"""
     time: Finding
@@ -162,17 +159,12 @@ def tune(
     best = together.correction
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda fare: fare.share)
-    gain, gain_error = Gain.measure(before.predicted, after.predicted)
     better = replace(options, posing=best.apply(options.posing, mount))
     tuning = Tuning(
         **vars(remarks),
         scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
         resolution=options.resolution,
-        beams=before.beams,
-        share_before=before.share,
-        share=after.share,
-        gain=gain,
-        gain_error=gain_error,
+        **improve(before, after),
         correction=best,
         time=time,
         mount=mounted,
@@ -191,19 +183,17 @@ def tune(
     return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
 
 
+def improve(before: Fare, after: Fare) -> dict[str, Any]:
+    """Measure how much better maps fare, as fields of an `Improvement`."""
+    gain, error = Gain.measure(before.predicted, after.predicted)
+    shares = {"share_before": before.share, "share": after.share}
+    return {"beams": before.beams, **shares, "gain": gain, "gain_error": error}
+
+
 def list_gains(logs: Sequence[str], before: Fare, after: Fare) -> Iterator[TunedLog]:
     """List how the maps of single logs fare, before and after."""
     for log, old, new in zip(logs, before.parts, after.parts, strict=True):
-        gain, error = Gain.measure(old.predicted, new.predicted)
-        yield TunedLog(
-            log=log,
-            beams=old.beams,
-            share_before=old.share,
-            share=new.share,
-            gain=gain,
-            gain_error=error,
-            agreement=new.agreement,
-        )
+        yield TunedLog(**improve(old, new), log=log, agreement=new.agreement)
 
 
 def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
