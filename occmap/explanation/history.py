@@ -7,7 +7,7 @@ Options are read back from the JSON that `write_value` made of them.
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,7 +21,7 @@ from occmap.grid import CellBox, Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
 from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
-from occmap.report import Count, join_names
+from occmap.report import HIDDEN, Count, join_names
 from occmap.scans import plan_grid
 from occmap.scans.logs import count_scans
 from occmap.scans.mounts import open_drive
@@ -227,25 +227,18 @@ class Seen:
     observations: Count
     """Observations: hits and misses, or those that the sum is of"""
 
+    numbers: Numbers = field(metadata=HIDDEN)
+    """The two numbers of the cell"""
+    kind: EvidenceKind = field(metadata=HIDDEN)
+    """What these are"""
+
     @classmethod
     def read(cls, numbers: Iterable[int], kind: EvidenceKind) -> Self:
         """Read the two numbers of a cell."""
         first, second = numbers
         if kind is EvidenceKind.LOG_ODDS:
-            return cls(None, None, first * LOG_ODDS_UNIT, second)
-        return cls(first, second, None, first + second)
-
-    @property
-    def kind(self) -> EvidenceKind:
-        """What the two numbers of the cell are."""
-        return EvidenceKind.COUNTS if self.log_odds is None else EvidenceKind.LOG_ODDS
-
-    @property
-    def numbers(self) -> Numbers:
-        """The two numbers of the cell."""
-        if self.log_odds is not None:
-            return round(self.log_odds / LOG_ODDS_UNIT), self.observations
-        return self.hits or 0, self.misses or 0
+            return cls(None, None, first * LOG_ODDS_UNIT, second, (first, second), kind)
+        return cls(first, second, None, first + second, (first, second), kind)
 
 
 @dataclass(frozen=True)
