@@ -8,7 +8,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from occmap.api import Map, build_map, check, compare, diff, merge, read_log, tune
+    from occmap.api import (
+        Map,
+        build_map,
+        check,
+        compare,
+        diff,
+        explain,
+        merge,
+        read_log,
+        score,
+        tune,
+    )
     from occmap.cells import OccupancyMap
     from occmap.errors import OccmapError
     from occmap.options import BuildOptions
@@ -31,31 +42,31 @@ __all__ = [
     "check",
     "compare",
     "diff",
+    "explain",
     "merge",
     "read_log",
+    "score",
     "tune",
 ]
 
+_API = "occmap.api"
 _HOMES = {
     "Build": "occmap.report.results",
     "BuildOptions": "occmap.options",
     "Log": "occmap.readers",
-    "Map": "occmap.api",
     "OccmapError": "occmap.errors",
     "OccupancyMap": "occmap.cells",
     "build": "occmap.pipeline",
-    **dict.fromkeys(
-        ("build_map", "check", "compare", "diff", "merge", "read_log", "tune"), "occmap.api"
-    ),
 }
+"""Where public names are that are not in the API's own module"""
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for (PEP 562)."""
     if name == "__version__":
         value: Any = import_module("importlib.metadata").version("occmap")
-    elif name in _HOMES:
-        value = getattr(import_module(_HOMES[name]), name)
+    elif name in __all__:
+        value = getattr(import_module(_HOMES.get(name, _API)), name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value

@@ -1,13 +1,13 @@
 """What a notebook or a program calls: the commands as functions, and the map that they give."""
 
 from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
 from typing import Any, Self
 
-from occmap import difference, inspection, page, tuning
+from occmap import difference, explanation, inspection, page, tuning
 from occmap.cells import Evidence, OccupancyMap
 from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_exhaustion
@@ -18,10 +18,10 @@ from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.report.results import Build, Report
 from occmap.scans.logs import find_inputs
-from occmap.scoring import combine
+from occmap.scoring import combine, maps
 from occmap.scoring import compare as scoring
 from occmap.sensor.models import MODEL, SensorModel
-from occmap.store import merging, publishing, read_all
+from occmap.store import merging, open_saved, publishing, read_all
 from occmap.types import Float64, Update
 from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
 
@@ -124,6 +124,12 @@ class Map(OccupancyMap):
 
 AnyPath = str | Path
 
+OF_A_BUILD = {*OF_ONE_MAP, "extent", "margin", "align"}
+"""Options that do not concern what is read of logs"""
+OF_A_SCORED_MAP = OF_A_BUILD | {"resolution", "max_cells", "jump", "border_gap", "hit_offset"}
+OF_A_SCORED_MAP -= {"occupied_thresh", "free_thresh"}
+"""Those that do not concern what is read of logs and of a written map"""
+
 
 @refuse_exhaustion()
 def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **options: Any) -> Map:
@@ -221,8 +227,7 @@ def compare(
         read_value("updates", tuple[Update, ...], updates),
         read_value("models", tuple[SensorModel, ...], models, MODEL),
     )
-    drawn = None if picture is None else read_value("picture", Path, picture)
-    return page.compare_logs(paths, variants, common, drawn)
+    return page.compare_logs(paths, variants, common, read_path("picture", picture))
 
 
 @refuse_exhaustion()
@@ -303,8 +308,91 @@ def diff(
     """
     one, other = read_value("before", Path, before), read_value("after", Path, after)
     chosen = read_options(WriteOptions, thresholds, "diff")
-    drawn = None if picture is None else read_value("picture", Path, picture)
-    return page.compare_files(one, other, chosen, drawn)
+    return page.compare_files(one, other, chosen, read_path("picture", picture))
+
+
+@refuse_exhaustion()
+def score(  # noqa: PLR0913  what a caller gives, by name
+    path: AnyPath,
+    *,
+    logs: AnyPath | Iterable[AnyPath] = (),
+    truth: AnyPath | None = None,
+    within_m: float = maps.WITHIN_M,
+    fit: bool = False,
+    picture: AnyPath | None = None,
+    **options: Any,
+) -> maps.MapScore:
+    """Say how good a written map is, whatever tool made it: `occmap score`.
+
+    Parameters
+    ----------
+    path
+        A map as PGM with YAML, or evidence (.npz or .zarr).
+    logs
+        Recordings of the place; best such as the map was not made of.
+    truth
+        The map that is true: a plan, a simulator's, or another tool's.
+    within_m
+        A wall is found, and not invented, if it is off by at most so much (m).
+    fit
+        First move the recordings onto the map, and the map onto the truth, as they fit best.
+    picture
+        A PNG to draw in where the map and the truth differ.
+    options
+        Of `build_map`: how logs are read and posed, occupied_thresh and free_thresh, and jobs.
+
+    Returns
+    -------
+    MapScore
+        `by_logs`: `share`, `log_likelihood` and `agreement`; `by_truth`: `edges_found`,
+        `edges_invented` and others; None each where it is not asked for.
+
+    Raises
+    ------
+    OccmapError
+        Neither logs nor the truth are given, a map or a log cannot be read, no beam measured a
+        range, an option is unknown or out of its range, or the picture cannot be written.
+    """
+    chosen = read_common(options, "score", OF_A_SCORED_MAP)
+    several = list_paths([logs] if isinstance(logs, AnyPath) else list(logs))
+    against = maps.Against(
+        logs=tuple(find_inputs(several, chosen.reading).logs) if several else (),
+        truth=read_path("truth", truth),
+        within_m=read_value("within_m", float, within_m),
+        is_fitted=read_value("fit", bool, fit),
+        picture=read_path("picture", picture),
+    )
+    return maps.score(read_value("path", Path, path), against, chosen)
+
+
+@refuse_exhaustion()
+def explain(path: AnyPath, x: float, y: float, **options: Any) -> explanation.Explanation:
+    """Say what was seen at a point of saved evidence, and by which scans: `occmap explain`.
+
+    Parameters
+    ----------
+    path
+        Evidence (.npz or .zarr).
+    x, y
+        The point in the map frame (m).
+    options
+        logs: those that the evidence was made of, to list the scans that observed the cell; poses:
+        the trajectories that these were built with; model (the default is what the evidence was
+        built with), min_passes, occupied_thresh and free_thresh: how the cell is judged.
+
+    Returns
+    -------
+    Explanation
+        `verdict`, `probability`, what was `seen` in the cell and `around` it, and the `scans`.
+
+    Raises
+    ------
+    OccmapError
+        A file cannot be read, the evidence was not made of a log, or an option is unknown or out of
+        its range.
+    """
+    question = read_options(explanation.Question, {"x": x, "y": y, **options}, "explain")
+    return explanation.explain(open_saved(read_value("path", Path, path)), question)
 
 
 @refuse_exhaustion()
@@ -329,12 +417,22 @@ def read_request(
     UsageError
         No log is given, or an option is unknown, out of its range, or concerns one map alone.
     """
-    for name in options:
-        if name in {*OF_ONE_MAP, "extent", "margin", "align"}:
-            raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
     paths = list_logs(logs, call)
-    common = read_options(BuildOptions, options, call)
+    common = read_common(options, call, OF_A_BUILD)
     return find_inputs(paths, common.reading).logs, common
+
+
+def read_common(options: Mapping[str, Any], call: str, refused: Container[str]) -> BuildOptions:
+    """Make options of those that a caller gives; raises UsageError, also for a refused one."""
+    for name in options:
+        if name in refused:
+            raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
+    return read_options(BuildOptions, options, call)
+
+
+def read_path(name: str, path: AnyPath | None) -> Path | None:
+    """Make a path of what a caller gave, or None; raises UsageError where it is neither."""
+    return None if path is None else read_value(name, Path, path)
 
 
 def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:

@@ -26,6 +26,7 @@ import numpy as np
 from llvmlite import binding
 
 from occmap import types
+from occmap.errors import UsageError
 
 F = TypeVar("F", bound=Callable[..., Any])
 DIGEST_BYTES = hashlib.sha256().digest_size
@@ -163,6 +164,11 @@ def load_numba() -> Any:
     import numba  # noqa: PLC0415  late: it takes long to load
     from numba.extending import typeof_impl  # noqa: PLC0415  likewise
 
+    if getattr(
+        numba.config, "DISABLE_JIT", 0
+    ):  # Python's integers do not wrap, nor does 1 / 0 give inf
+        found = "NUMBA_DISABLE_JIT is set, and occmap's kernels are right only as machine code"
+        raise UsageError(found, fix="unset it")
     typeof_impl.register(Kernel)(lambda called, _: numba.types.Dispatcher(called.dispatcher))
     return numba
 

@@ -155,10 +155,11 @@ OPTIONS = list_options(BuildOptions)
 """All of them by name"""
 
 OTHER_FLAGS = {
-    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview")},
+    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview", "truth")},
     "limits": "--fail-if",
     "logs": "--log",
     "outputs": "-o",
+    "within_m": "--within",
 }
 """How what is no option of a build is typed, where texts name it"""
 FLAGS = {name: option.flag for name, option in OPTIONS.items()} | OTHER_FLAGS

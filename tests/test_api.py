@@ -565,6 +565,47 @@ def test_diff_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> Non
         occmap.diff(before, after, occupied=0.6)
 
 
+def test_score_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> None:
+    mine, its, plan = tmp_path / "mine.png", tmp_path / "its.png", DRIVE.parent / "floor_plan.yaml"
+    path = halves / "whole.pgm"
+    found = occmap.score(path, logs=DRIVE, truth=plan, within_m=0.05, picture=mine, stride=4)
+    logs = ("--log", DRIVE, "--stride", "4")
+    printed = run("score", path, *logs, "--truth", plan, "--within", "0.05", "-o", its)
+    assert printed == {**printed, **as_printed(found.to_json()), "files": [str(its)]}
+    assert found.by_truth is not None
+    assert found.by_logs is not None
+    assert min(found.by_truth.edges_found, found.by_logs.share) > 0.9
+    assert mine.read_bytes() == its.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({}, "add `logs=LOG` or `truth=MAP`"),
+        ({"logs": DRIVE, "picture": "a.png"}, "add `truth=MAP`"),
+        ({"truth": "a.yaml", "within_m": 2}, "not from 0 to 1 m"),
+        ({"truth": "a.yaml", "fit": 1}, "give True or False"),
+        ({"logs": DRIVE, "resolution": 0.1}, "score has no option 'resolution'"),
+        ({"logs": DRIVE, "occupied_tresh": 0.1}, "did you mean 'occupied_thresh'"),
+        ({"logs": [3]}, "3 is not a path"),
+    ],
+)
+def test_score_names_what_it_cannot_use(given: dict[str, Any], found: str, halves: Path) -> None:
+    with pytest.raises(UsageError, match=re.escape(found)):
+        occmap.score(halves / "whole.pgm", **given)
+
+
+def test_explain_gives_what_the_command_prints(halves: Path) -> None:
+    path = halves / "a.npz"
+    found = occmap.explain(path, 1.5, -0.25, logs=[DRIVE], model="simple", min_passes=1)
+    words = ("--log", DRIVE, "--model", "simple", "--min-passes", "1")
+    printed = run("explain", path, "1.5", "-0.25", *words)
+    assert printed == {**printed, **as_printed(found.to_json())}
+    assert found.scans
+    with pytest.raises(UsageError, match=r"^x is 'here'; give a number"):
+        occmap.explain(path, "here", 0)  # type: ignore[arg-type]
+
+
 def test_the_version_is_that_of_the_package() -> None:
     assert occmap.__version__ == version("occmap")
 

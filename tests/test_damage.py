@@ -23,7 +23,9 @@ from occmap.errors import LogError, OccmapError
 from occmap.readers import Role, open_log
 
 SAMPLES = Path(__file__).parents[1] / "sample_logs"
-CUTS, FLIPS = (200, 1000) if "OCCMAP_FUZZ" in os.environ else (8, 16)
+MUCH = float(os.environ.get("OCCMAP_FUZZ", "0"))
+"""How much more than a plain test run `make fuzz` does, which is 1"""
+CUTS, FLIPS = max(8, round(200 * MUCH)), max(16, round(1000 * MUCH))
 SEED = 20_240_229
 TIME_LIMIT_S = 10.0
 

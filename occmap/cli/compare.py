@@ -19,10 +19,10 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
 from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE, Limit, parse_bound
-from occmap.scoring import DEFAULT_MODELS, combine
+from occmap.scoring import DEFAULT_MODELS, SMALL, Gain, combine
 from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.sensor.models import parse_model
-from occmap.tuning import Tuning, tune
+from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import WriteOptions
@@ -131,7 +131,11 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     and if both halves of the held-out scans show it. What is found is added to the --time-offset
     and --sensor-pose that you give.
 
+    Several logs are taken for recordings of one robot, whose mount is one: each has a map of its
+    own, in whatever frame, and a table says what each gains by what suits all of them best.
+
       occmap tune drive.mcap
+      occmap tune monday.bag tuesday.bag wednesday.bag
       occmap tune room.bag --sensor-pose 0,0,3.14159
       occmap tune drive.bag --fail-if "gain > 2%"
     """
@@ -145,7 +149,7 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
     gain = format_gain(tuning.gain, tuning.gain_error)
-    found = tuning.correction != Correction()
+    found = tuning.correction.is_any
     gained, rise = (f" -> {tuning.share:.4f}", f", a gain of {gain}") if found else ("", "")
     held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
@@ -156,6 +160,9 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         yield f"together {together}"
     yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
     yield f"scored   by {held}, on {maps} each"
+    if len(tuning.by_log) > 1:
+        table = [TUNED, *map(list_tuned, tuning.by_log)]
+        yield from ("", *align(table, labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
     unsure = disagree or tuning.is_doubtful or (found and not tuning.is_sure)
     nothing = "nothing is recommended" if unsure else "nothing to gain"
@@ -166,19 +173,36 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    if finding.verdict is Verdict.NOTHING:
-        return "nothing to gain"
     (first, one), (second, other) = (
         (describe(half.correction, names), format_gain(half.gain, half.gain_error))
         for half in finding.halves
     )
+    if finding.verdict is Verdict.DISAGREE:
+        return (
+            f"the halves of the scans do not agree: the first gains {one} by {first}, "
+            f"the second {other} by {second}"
+        )
+    if finding.verdict is Verdict.NOTHING and finding.halves[0].correction == finding.correction:
+        return "nothing to gain"
+    gain = format_gain(finding.gain, finding.gain_error)
+    halves = f"the first half of the scans gains {one}, the second {other}"
     if finding.verdict is Verdict.FOUND:
-        gain = format_gain(finding.gain, finding.gain_error)
-        return f"{first} gains {gain}; the first half of the log gains {one}, the second {other}"
-    return (
-        "the halves of the log do not agree, so nothing is recommended: the first "
-        f"gains {one} by {first}, the second {other} by {second}"
-    )
+        return f"{first} gains {gain}; {halves}"
+    why = "too little to show in a map" if finding.gain <= SMALL else "which may be chance"
+    if Gain(finding.gain, finding.gain_error).certain:
+        why = halves
+    return f"nothing sure to gain: the best, {first}, gains {gain}, {why}"
+
+
+TUNED = ("log", "share before", "share", "gain", "agreement")
+"""What `list_tuned` lists"""
+
+
+def list_tuned(tuned: TunedLog) -> list[str]:
+    """Write what tuning does for one of several logs as a row of a table."""
+    agreement = "-" if tuned.agreement is None else f"{tuned.agreement:.1%}"
+    shares = f"{tuned.share_before:.4f}", f"{tuned.share:.4f}"
+    return [tuned.log, *shares, format_gain(tuned.gain, tuned.gain_error), agreement]
 
 
 def describe(correction: Correction, names: Sequence[str]) -> str:

@@ -7,32 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
 
-from occmap.cells import CellClass
 from occmap.choices import parse_number, take
 from occmap.cli import options
 from occmap.cli.console import Console, show_progress, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
-from occmap.difference import load_map
-from occmap.errors import require
 from occmap.options import BuildOptions
 from occmap.report import count
 from occmap.report.limits import SCORE
 from occmap.scoring.fit import STAY, Transform
-from occmap.scoring.maps import MapScore, find_place, score_by_logs, score_by_truth
-from occmap.writers import WriteOptions, check_picture, refuse_input
+from occmap.scoring.maps import WITHIN_M, Against, MapScore, score
 
 AGAINST = "What it is held against"
-WITHIN_M = 0.1
-"""A wall that is drawn on the wrong side of a cell's edge is still right"""
-
-
-def read_within(text: str) -> float:
-    """Read how far a wall may be off (m); raises UsageError where that is no length."""
-    metres = parse_number(text, f"--within {text}", "write metres such as 0.1")
-    require(0 <= metres <= 1, f"--within {text} is not from 0 to 1 m", "write metres such as 0.1")
-    return metres
 
 
 @command(
@@ -50,7 +36,8 @@ def read_within(text: str) -> float:
     Option(
         AGAINST,
         "--within",
-        type=read_within,
+        "within_m",
+        type=lambda text: parse_number(text, f"--within {text}", "write metres such as 0.1"),
         default=str(WITHIN_M),
         show_default=True,
         metavar="M",
@@ -85,45 +72,20 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
       occmap score map.yaml --truth plan.yaml --fit -o score.png
       occmap score map.yaml --truth plan.yaml --fail-if "edges_found < 95%"
     """
-    truth, logs, thresholds = values["truth"], values["logs"], take(WriteOptions, values)
-    require(bool(truth or logs), "there is nothing to score by", "add --log LOG or --truth MAP")
-    if values["picture"]:
-        require(bool(truth), "the picture shows the truth", "add --truth MAP")
-        check_picture(values["picture"], [path, truth, *logs], [".png"])
-    written = load_map(path, thresholds)
-    true = load_map(truth, thresholds) if truth else None
-    if values["picture"]:
-        refuse_input(
-            values["picture"], [each.image for each in (written, true) if each and each.image]
-        )
-    score = MapScore(
-        map=str(path),
-        resolution=find_place(written).resolution,
-        occupied=int(np.count_nonzero(written.classes == CellClass.OCCUPIED)),
-        free=int(np.count_nonzero(written.classes == CellClass.FREE)),
-    )
-    if logs:
-        common = take(BuildOptions, values)
-        found = options.gather_logs(console, logs, common)
-        with show_progress(console) as progress:
-            by_logs, notes = score_by_logs(written, found, common, values["is_fitted"], progress)
-        score = replace(score, by_logs=by_logs, notes=tuple(notes))
-    if true:
-        by_truth = score_by_truth(written, true, values["within"], values["is_fitted"])
-        score = replace(score, by_truth=by_truth)
-        if values["picture"]:
-            from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
-
-            write_colours(values["picture"], by_truth.picture)
-            score = replace(score, files=(str(values["picture"]),))
-    return Answer(score, write_rows(list_score(score)))
+    common, against = take(BuildOptions, values), take(Against, values)
+    if against.logs:
+        found = options.gather_logs(console, against.logs, common)
+        against = replace(against, logs=tuple(found))
+    with show_progress(console) as progress:
+        made = score(path, against, common, progress)
+    return Answer(made, write_rows(list_score(made)))
 
 
-def list_score(score: MapScore) -> Iterator[tuple[str, str]]:
+def list_score(made: MapScore) -> Iterator[tuple[str, str]]:
     """Write a score in a few rows."""
-    occupied, free = count(score.occupied, "occupied cell"), count(score.free, "free one")
-    yield "map", f"{score.map}: {occupied} and {free} of {score.resolution:g} m"
-    if it := score.by_logs:
+    occupied, free = count(made.occupied, "occupied cell"), count(made.free, "free one")
+    yield "map", f"{made.map}: {occupied} and {free} of {made.resolution:g} m"
+    if it := made.by_logs:
         error = f" +- {it.share_error:.4f}" if math.isfinite(it.share_error) else ""
         yield "logs", f"share {it.share:.4f}{error} of {count(it.beams, 'beam')}"
         yield "", f"log-likelihood {it.log_likelihood:.3f}"
@@ -131,7 +93,7 @@ def list_score(score: MapScore) -> Iterator[tuple[str, str]]:
         stops = f"{it.stops_in_occupied:.1%} of the looks at occupied cells"
         yield "", f"beams stop at {stops} and {it.stops_in_free:.1%} of those at free ones"
         yield from tell_move(it.transform, "the logs fit with --transform ")
-    if found := score.by_truth:
+    if found := made.by_truth:
         near = f"within {found.within_m:g} m"
         yield "truth", f"{found.edges_found:.1%} of the edges of {found.truth} found {near}"
         yield "", f"{found.edges_invented:.1%} of the occupied cells invented"
@@ -141,7 +103,7 @@ def list_score(score: MapScore) -> Iterator[tuple[str, str]]:
         mean, most = found.wall_distance_m, found.wall_distance_95_m
         yield "walls", f"{mean:.3f} m from those of the truth, 95 in 100 within {most:.3f} m"
         yield from tell_move(found.transform, "the map fits moved by ")
-    yield from (("file", file) for file in score.files)
+    yield from (("file", file) for file in made.files)
 
 
 def tell_move(moved: Transform, text: str) -> Iterator[tuple[str, str]]:

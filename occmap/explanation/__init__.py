@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 
 from occmap.cells import Box, Evidence, OccupancyMap
+from occmap.choices import option
 from occmap.errors import UsageError
 from occmap.evidence import (
     check_passes,
-    choose_tiles,
     keep_lasting,
     paint_box,
     read_model,
@@ -34,12 +34,11 @@ from occmap.explanation.history import (
     list_missing,
 )
 from occmap.grid import Lattice
-from occmap.grid.rendering import measure_bounds
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, find_unit, unite
 from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
-from occmap.sensor.models import SensorModel, describe_model
-from occmap.store import Saved, Store, read_part
+from occmap.sensor.models import MODEL, SensorModel, describe_model
+from occmap.store import Saved, Store, as_blocks, read_part
 from occmap.store.publishing import open_map
 from occmap.types import Update
 from occmap.writers import WriteOptions
@@ -56,7 +55,7 @@ class Question:
     """The logs whose scans are looked for; none: only the evidence is asked"""
     poses: tuple[Path, ...] = ()
     """The trajectory files of the builds that had one"""
-    model: SensorModel | None = None
+    model: SensorModel | None = option(None, form=MODEL)
     """None: the one that the evidence was built with"""
     min_passes: int | None = None
     """The cell keeps its hits only if they came on so many visits; None: it keeps all"""
@@ -142,11 +141,8 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     cell = Cell.find(Lattice(saved.manifest.resolution), question.x, question.y)
     # All that is in memory, or the tile that holds the point and those beside it.
     evidence = read_part(saved, cell.box)
-    manifest, around, layers = (
-        evidence.manifest,
-        cell.read_around(evidence),
-        cell.read_slices(evidence),
-    )
+    manifest, around = evidence.manifest, cell.read_around(evidence)
+    layers = cell.read_slices(evidence)
     uses = find_uses(evidence, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, cell, progress)
     lasting = keep_lasting(to_grid(evidence), evidence.slices, question.min_passes)
@@ -181,12 +177,12 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
 
 def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
     """Name what the one cell of a map is."""
-    if not made.observed.all():
-        return "unknown"
     decided = replace(made, decision=writing.decide(made.decision))
     if decided.occupied.all():
         return "occupied"
-    return "free" if decided.free.all() else "undecided"
+    if decided.free.all():
+        return "free"
+    return "undecided" if made.observed.all() else "unknown"
 
 
 def measure_ground(saved: Saved, question: Question) -> float | None:
@@ -199,10 +195,8 @@ def measure_ground(saved: Saved, question: Question) -> float | None:
 
 def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
     """Lowest x and y, highest x and y of the map that a model makes (m); None if it is empty."""
-    if not isinstance(saved, Evidence):
-        return open_map(saved, model).extent if saved.blocks else None
-    box = measure_bounds(choose_tiles(to_grid(saved), model))
-    return None if box is None else Lattice(saved.manifest.resolution).measure(box)
+    blocks = as_blocks(saved)
+    return open_map(blocks, model).extent if blocks.blocks else None
 
 
 def list_unexplained(

@@ -7,39 +7,28 @@ Options are read back from the JSON that `write_value` made of them.
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import NoneType
-from typing import Any, Self, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Self
 
 import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, Slices
-from occmap.choices import drop_none
+from occmap.choices import take
 from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
-from occmap.grid import CellBox, Lattice
-from occmap.grid.tiles import (
-    LOG_ODDS_UNIT,
-    TILE,
-    EvidenceKind,
-    count_visits,
-    take,
-    unpack,
-)
-from occmap.options import BuildOptions
+from occmap.grid import CellBox, Lattice, tiles
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
+from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
-from occmap.report import Count, join_names
+from occmap.report import HIDDEN, Count, join_names
 from occmap.scans import plan_grid
 from occmap.scans.logs import count_scans
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Progress
 from occmap.sensor import interpret
-from occmap.sensor.models import parse_model
-from occmap.types import PosedScans
-
-Value = TypeVar("Value")
+from occmap.types import Pose, PosedScans, PoseSample
 
 
 @dataclass(frozen=True)
@@ -180,57 +169,42 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
     MapError
         This occmap does not know an option, or a value of it.
     """
-    model_text = plain.get("model")
     try:
-        chosen = {name: value for name, value in plain.items() if name != "model"}
-        # Clouds were once flattened between two heights over the sensor.
-        reading = chosen.get("reading", {}).items()
-        gone = ("min_height", "max_height")
-        chosen["reading"] = {name: value for name, value in reading if name not in gone}
-        return make_group(BuildOptions, chosen, model=parse_model(str(model_text)))
-    except (OccmapError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        values: dict[str, Any] = {}
+        for name, value in plain.items():
+            values |= value if isinstance(value, dict) else {name: value}
+        if "clouds" not in plain:  # once they were flattened between two heights over the sensor
+            for name in ("min_height", "max_height"):
+                values.pop(name, None)
+        return take(BuildOptions, {name: recall(name, value) for name, value in values.items()})
+    except (OccmapError, TypeError, ValueError, OverflowError) as error:
         found = f"the options of a build in it cannot be read ({error})"
         fix = "use the occmap that built it, or build it again"
         raise MapError(found, where=where, fix=fix) from None
 
 
-def make_group(group: type[Value], plain: dict[str, Any], **others: Any) -> Value:
-    """Make a group of options from values of JSON; `others` are taken as they are.
+def recall(name: str, plain: Any) -> Any:
+    """Turn the value of an option back that was written as JSON.
+
+    JSON has no infinite numbers, and poses and transforms are lists of all their fields.
 
     Raises
     ------
-    TypeError, ValueError, AttributeError, UsageError
-        It has no option of such a name, or none that takes such a value.
+    TypeError, ValueError, UsageError
+        There is no such option, or it is not such a value.
     """
-    kinds = get_type_hints(group)
-    unknown = sorted(plain.keys() - {field.name for field in fields(group)})  # type: ignore[arg-type]  # dataclass
-    if unknown:
-        raise ValueError(f"no option is called {unknown[0]!r}")
-    made = {name: make_value(kinds[name], value) for name, value in plain.items()}
-    return group(**made, **others)
-
-
-def make_value(kind: Any, plain: Any) -> Any:
-    """Turn a value of JSON back into one of a type.
-
-    Raises
-    ------
-    TypeError, ValueError, AttributeError, UsageError
-        It is not of that type.
-    """
-    if is_dataclass(kind) and isinstance(kind, type):
-        return make_group(kind, plain)
-    if plain is None and NoneType in get_args(kind):
-        return None
-    kind = drop_none(kind)
-    if get_origin(kind) is tuple:
-        kinds = get_args(kind)
-        kinds = kinds[:1] * len(list(plain)) if kinds[1:] == (Ellipsis,) else kinds
-        return tuple(make_value(each, value) for each, value in zip(kinds, plain, strict=True))
-    if issubclass(kind, tuple):  # a NamedTuple
-        hints = get_type_hints(kind).values()
-        return kind(*[make_value(each, value) for each, value in zip(hints, plain, strict=True)])
-    return kind(plain)
+    if name not in OPTIONS:
+        raise ValueError(f"no option is called {name!r}")
+    option = OPTIONS[name]
+    if option.kind is float and isinstance(plain, str):
+        plain = float(plain)
+    elif option.kind is Pose and plain is not None:
+        plain = Pose(*plain)
+    elif name == "static_transforms":
+        names = PoseSample._fields
+        samples = (dict(zip(names, each, strict=True)) for each in plain)
+        plain = [PoseSample(**{**each, "pose": Pose(*each["pose"])}) for each in samples]
+    return option.read(plain)
 
 
 FARTHEST_CELL = 1 << 44
@@ -253,25 +227,18 @@ class Seen:
     observations: Count
     """Observations: hits and misses, or those that the sum is of"""
 
+    numbers: Numbers = field(metadata=HIDDEN)
+    """The two numbers of the cell"""
+    kind: EvidenceKind = field(metadata=HIDDEN)
+    """What these are"""
+
     @classmethod
     def read(cls, numbers: Iterable[int], kind: EvidenceKind) -> Self:
         """Read the two numbers of a cell."""
         first, second = numbers
         if kind is EvidenceKind.LOG_ODDS:
-            return cls(None, None, first * LOG_ODDS_UNIT, second)
-        return cls(first, second, None, first + second)
-
-    @property
-    def kind(self) -> EvidenceKind:
-        """What the two numbers of the cell are."""
-        return EvidenceKind.COUNTS if self.log_odds is None else EvidenceKind.LOG_ODDS
-
-    @property
-    def numbers(self) -> Numbers:
-        """The two numbers of the cell."""
-        if self.log_odds is not None:
-            return round(self.log_odds / LOG_ODDS_UNIT), self.observations
-        return self.hits or 0, self.misses or 0
+            return cls(None, None, first * LOG_ODDS_UNIT, second, (first, second), kind)
+        return cls(first, second, None, first + second, (first, second), kind)
 
 
 @dataclass(frozen=True)
@@ -324,7 +291,9 @@ class Cell:
         """Take from each layer of slices, one of each build, that of the cell's tile."""
         tile = self.row // TILE, self.column // TILE
         layers = evidence.slices
-        return [take(each, np.flatnonzero((each.tiles == tile).all(axis=1))) for each in layers]
+        return [
+            tiles.take(each, np.flatnonzero((each.tiles == tile).all(axis=1))) for each in layers
+        ]
 
     def read_around(self, evidence: Evidence) -> list[list[Seen]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
@@ -340,12 +309,12 @@ class Cell:
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
         row, col = self.row % TILE, self.column % TILE
-        seen = np.unpackbits(unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
+        seen = np.unpackbits(tiles.unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
         if not seen.any():
             return None
         numbers = slices.numbers[seen].tolist()
         slice_ns = round(manifest.pass_gap_s * 1e9)
-        hit, seen_visits = count_visits(slices)[:, row, col].tolist()
+        hit, seen_visits = tiles.count_visits(slices)[:, row, col].tolist()
         hit_visits = hit if manifest.kind == EvidenceKind.COUNTS else None
         return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
 

@@ -38,6 +38,10 @@ _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
+_CHUNK_NUMBERS = 28
+"""Bytes of the times, the size and the checksum with which the body of a chunk begins"""
+_CHUNK_HEAD = _CHUNK_NUMBERS + 4 + len("zstd") + 8
+"""Bytes before the records of a chunk, at most: its compression and their length follow"""
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_SUMMARY = 1 << 30
@@ -73,7 +77,10 @@ class McapSource(RecordSource):
             return Record(Kind.OTHER, position, start, size)
         if opcode == Opcode.FOOTER or opcode not in _OPCODES:
             return None
-        return Record(_KINDS.get(opcode, Kind.OTHER), position, start, end)
+        kind = _KINDS.get(opcode, Kind.OTHER)
+        if kind is Kind.OTHER and _holds_chunk(file.read(_CHUNK_HEAD), length):
+            kind = Kind.CHUNK
+        return Record(kind, position, start, end)
 
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
         message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
@@ -99,6 +106,8 @@ class McapSource(RecordSource):
             return b""
         data = memoryview(record)[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
+        if not problem and record[0] != Opcode.CHUNK:
+            problem = "is marked as another kind of record, and is used"
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
             problem = f"has {count(left, 'byte')} that it does not state"
         if not problem and position not in self._verified:
@@ -174,6 +183,18 @@ class McapSource(RecordSource):
             described = {key for key, channel in summary.channels.items() if channel.type}
             summary.is_whole = summary.counts.keys() <= described
         return summary
+
+
+def _holds_chunk(body: bytes, length: int) -> bool:
+    """Whether a body of some length begins as that of a chunk does, whatever its opcode says."""
+    unpacked = int.from_bytes(body[16:24], "little")
+    for name in (b"", b"lz4", b"zstd"):
+        start = _CHUNK_NUMBERS + 4 + len(name) + 8
+        size = int.from_bytes(body[start - 8 : start], "little")
+        named = body.startswith(struct.pack("<I", len(name)) + name, _CHUNK_NUMBERS)
+        if named and 0 < size <= length - start and (name or size == unpacked):
+            return True
+    return False
 
 
 def _open_body(record: bytes) -> ReadDataStream:

@@ -277,15 +277,9 @@ class HoldOut:
 
 def make_scans(scans: int) -> Rays:
     """A corner of a room, from one place."""
-    return Rays(
-        origin=np.zeros((scans, 1, 2)),
-        turn=np.tile(np.eye(2), (scans, 1, 1, 1)),
-        bearing=np.array([[1.0, 0.0], [0.0, 1.0]]),
-        distance=np.ones((scans, 2), np.float32),
-        kind=np.full((scans, 2), Kind.HIT, np.uint8),
-        stamp_ns=np.zeros(scans, np.int64),
-        full_circle=False,
-    )
+    ways, reach = np.tile(np.eye(2), (scans, 1, 1)), np.ones((scans, 2), np.float32)
+    kind, stamp_ns = np.full((scans, 2), Kind.HIT, np.uint8), np.zeros(scans, np.int64)
+    return Rays.along(np.zeros((scans, 1, 2)), ways, reach, kind, stamp_ns, full_circle=False)
 
 
 class SharedEvidence:

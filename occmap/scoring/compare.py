@@ -12,7 +12,7 @@ from occmap.report import HIDDEN, Count, Noted, count, printed_as
 from occmap.report.results import list_frames
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Remarks, ignore_progress
-from occmap.scoring import SMALL, HoldOut, ScoredVariant, Trials, Variant, read_scans
+from occmap.scoring import SMALL, ScoredVariant, Trials, Variant, read_scans
 from occmap.types import Update
 
 FEW_SCANS = 10
@@ -93,7 +93,7 @@ def compare(
     with trials.tracing() as workers:
         tally, remarks = read_scans(paths, options, partial(trials.begin, workers), progress)
     hold_out = trials.hold_out
-    refuse_unscored(remarks.logs, hold_out)
+    refuse_unscored(remarks.logs, hold_out.scans, hold_out.hits)
     remarks.notes += list_frames(tally)
     if hold_out.scans < FEW_SCANS:
         held_out = count(hold_out.scans, "held-out scan")
@@ -141,17 +141,17 @@ def compose_variant(
     return compose_build(logs, options, {"model": variant.model}, variant.update.value)
 
 
-def refuse_unscored(logs: Sequence[str], hold_out: HoldOut) -> None:
-    """Refuse to rank maps by nothing.
+def refuse_unscored(logs: Sequence[str], held_out: int, beams: float) -> None:
+    """Refuse to rank maps by nothing: so many held-out scans, whose beams measured so many ranges.
 
     Raises
     ------
     LogError
         No held-out beam measured a range.
     """
-    if not hold_out.hits:
+    if not beams:
         raise LogError(
-            f"no beam of the {hold_out.scans} scans held out for scoring measured a range",
+            f"no beam of the {held_out} scans held out for scoring measured a range",
             where=", ".join(logs),
             fix="give more scans: every fifth is held out",
         )

@@ -136,6 +136,10 @@ class Match(NamedTuple):
         """Whether no other place is nearly as good, as along a corridor or in another building."""
         return self.share >= LEAST_SHARE and self.rival <= MOST_RIVAL * self.share
 
+    def tell(self, what: str) -> str:
+        """Say how well it fits, of what lies where, such as "hits lie on its walls"."""
+        return f"{self.share:.0%} of {what}, and {self.rival:.0%} at the best other place"
+
 
 def fit(points: Float64, walls: Walls) -> Match:
     """Find by which transform points (N, 2) lie nearest to walls, and how sure that is.
@@ -227,10 +231,7 @@ def find_transform(
     sample = sample_rays(paths, options)
     hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
     found = fit(hits, walls) if len(hits) else Match(STAY, 0.0, 0.0)
-    told = (
-        f"{found.share:.0%} of their hits lie on its walls, and {found.rival:.0%} at the best "
-        "other place"
-    )
+    told = found.tell("their hits lie on its walls")
     logs = ", ".join(map(str, paths))
     if not found.is_sure:
         text = f"it is not sure where {logs} lie on it: {told}"

@@ -9,18 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from occmap.cells import CellClass, Decision, OccupancyMap
-from occmap.difference import ClassMap, Place
-from occmap.errors import MapError
+from occmap.difference import ClassMap, Place, load_map
+from occmap.errors import MapError, require
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share
+from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import AddRays, Progress, ignore_progress
 from occmap.scoring import Trial, read_scans, score_map
-from occmap.scoring.fit import STAY, Transform, Walls, fit, list_hits
+from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
+from occmap.writers import check_picture, refuse_input
 
+WITHIN_M = 0.1
+"""A wall that is drawn on the wrong side of a cell's edge is still right."""
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
 FIRST_GUESS = 0.9
@@ -33,6 +37,36 @@ FREE, OCCUPIED, NEITHER = CellClass.FREE, CellClass.OCCUPIED, CellClass.NEITHER
 WHITE, BLACK, GREY = (254, 254, 254), (0, 0, 0), (205, 205, 205)
 INVENTED, DANGER, MISSED = (213, 94, 0), (0, 114, 178), (230, 159, 0)
 """Colours that colour-blind people tell apart, too (Okabe and Ito, 2008)"""
+
+
+@dataclass(frozen=True)
+class Against:
+    """What a map is held against, and how.
+
+    Raises
+    ------
+    UsageError
+        It is held against nothing, or a value makes no sense.
+    """
+
+    logs: tuple[Path, ...] = ()
+    """Recordings of the place"""
+    truth: Path | None = None
+    """The map that is true"""
+    within_m: float = WITHIN_M
+    """How far a wall may be off (m)"""
+    is_fitted: bool = False
+    """Move the recordings onto the map, and the map onto the truth, as they fit best"""
+    picture: Path | None = None
+    """Where to draw how the map and the truth differ"""
+
+    def __post_init__(self) -> None:
+        nothing = "there is nothing to score by"
+        require(bool(self.truth or self.logs), nothing, "add `logs=LOG` or `truth=MAP`")
+        is_drawn = self.picture is not None
+        require(bool(self.truth) or not is_drawn, "the picture shows the truth", "add `truth=MAP`")
+        found = f"`within_m={self.within_m:g}` is not from 0 to 1 m"
+        require(0 <= self.within_m <= 1, found, "give metres such as 0.1")
 
 
 @dataclass(frozen=True)
@@ -87,6 +121,8 @@ class TruthScore:
     """95 in 100 of these distances are no larger (m)"""
     transform: Transform
     """By what the map was moved so that it fits the truth: x, y (m) and yaw (rad)"""
+    doubt: str = field(metadata=HIDDEN)
+    """What speaks against that; "" where nothing does"""
     picture: UInt8 = field(metadata=HIDDEN)
     """(H, W, 3) red, green, blue, highest y on top"""
 
@@ -111,6 +147,43 @@ class MapScore(Printed):
     """What a user should know, one sentence each, as on stderr"""
     files: tuple[str, ...] = ()
     """Files that were written"""
+
+
+def score(
+    path: Path, against: Against, options: BuildOptions, progress: Progress = ignore_progress
+) -> MapScore:
+    """Say how good a written map is, by recordings or by the truth, and draw it if wanted.
+
+    Raises
+    ------
+    OccmapError
+        A map or a log cannot be read, or says not where it lies, or the picture cannot be written.
+    """
+    truth, picture = against.truth, against.picture
+    check_picture(picture, [path, *([truth] if truth else []), *against.logs], [".png"])
+    written = load_map(path, options.writing)
+    true = load_map(truth, options.writing) if truth else None
+    if picture:
+        refuse_input(picture, [each.image for each in (written, true) if each and each.image])
+    made = MapScore(
+        map=str(path),
+        resolution=find_place(written).resolution,
+        occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
+        free=int(np.count_nonzero(written.classes == FREE)),
+    )
+    if against.logs:
+        by_logs, said = score_by_logs(written, against.logs, options, against.is_fitted, progress)
+        made = replace(made, by_logs=by_logs, notes=tuple(said))
+    if true:
+        by_truth = score_by_truth(written, true, against.within_m, against.is_fitted)
+        notes = (*made.notes, *filter(None, [by_truth.doubt]))
+        made = replace(made, by_truth=by_truth, notes=notes)
+        if picture:
+            from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
+
+            write_colours(picture, by_truth.picture)
+            made = replace(made, files=(str(picture),))
+    return made
 
 
 def find_place(written: ClassMap) -> Place:
@@ -156,14 +229,22 @@ def score_by_logs(
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place, FARTHEST_M)
-    moved = fit(hits, walls).transform if is_fitted else STAY
-    if is_fitted and moved.is_far(walls.pivot):
+    found = fit(hits, walls) if is_fitted else Match(STAY, 1.0, 0.0)
+    moved = found.transform
+    if moved.is_far(walls.pivot):
         remarks.notes.append(
             "the logs fit best at the end of what is searched, and perhaps better beyond: try "
             "again with a first `transform`"
         )
+    elif not found.is_sure:
+        told = found.tell("their hits lie on its walls")
+        remarks.notes.append(f"it is not sure how the logs lie on the map: {told}")
     seen = [move_rays(rays, moved) for rays in seen]
     trial, occupied, free = weigh(written, seen, options.jobs)
+    agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
+    if agreement < LEAST_AGREEMENT and not is_fitted:
+        text = f"only {agreement:.0%} of the hits lie in occupied cells of the map or beside one"
+        remarks.notes.append(f"{text}: if the logs have another frame, `fit` may find it")
     score = LogScore(
         logs=remarks.logs,
         scans=tally.scans,
@@ -171,7 +252,7 @@ def score_by_logs(
         share=trial.score.share,
         share_error=trial.score.share_error,
         log_likelihood=trial.score.log_likelihood,
-        agreement=float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution)),
+        agreement=agreement,
         stops_in_occupied=occupied,
         stops_in_free=free,
         transform=moved.after(options.posing.transform or IDENTITY) if is_fitted else STAY,
@@ -230,10 +311,14 @@ def score_by_truth(
         One of them says not where it lies, or both together are too large.
     """
     true, said = find_place(truth), find_place(written)
-    moved = STAY
+    moved, doubt = STAY, ""
     if is_fitted:
         walls = said.list_middles(written.classes == OCCUPIED)
-        moved = fit(walls, Walls.of(truth.classes == OCCUPIED, true, FARTHEST_M)).transform
+        found = fit(walls, Walls.of(truth.classes == OCCUPIED, true, FARTHEST_M))
+        moved = found.transform
+        if not found.is_sure:
+            told = found.tell("its walls lie on those of the truth")
+            doubt = f"it is not sure how the map lies on {truth.path}: {told}"
     place, shape = cover(written, truth, moved)
     is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)
     side = place.resolution
@@ -270,6 +355,7 @@ def score_by_truth(
         wall_distance_m=float(distances.mean()) if distances.size else math.inf,
         wall_distance_95_m=float(np.quantile(distances, 0.95)) if distances.size else math.inf,
         transform=moved,
+        doubt=doubt,
         picture=picture[::-1],
     )
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,8 @@ from occmap.scoring import Gain
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tuning import search
 from occmap.tuning.search import (
-    MOST_SCANS,
     Correction,
+    Fare,
     Finding,
     KeptLog,
     Knob,
@@ -25,8 +26,9 @@ from occmap.tuning.search import (
     Verdict,
     find_mount,
     keep_logs,
+    limit_scans,
 )
-from occmap.types import Pose, Rays
+from occmap.types import Float64
 
 USUAL_SCORINGS = 35
 """About how many maps a search scores, for the progress bar"""
@@ -55,11 +57,9 @@ class TriedCorrection(Correction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tuning(Scored):
-    """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
+class Improvement:
+    """How much better held-out beams are predicted with a correction."""
 
-    scans: KeptScans
-    """What became of the scans"""
     beams: Count
     """Held-out beams that measured a range"""
     share_before: Share
@@ -72,6 +72,29 @@ class Tuning(Scored):
     gain_error: Finite
     """Standard error of the gain, from the differences scan by scan; null where one scan is all
     there is"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TunedLog(Improvement):
+    """What a correction for all logs does for one of them, in a map of its own."""
+
+    log: str
+    """The log, as it was given"""
+    agreement: float | None
+    """Share of the hits in occupied cells with the correction; null without any"""
+
+    @property
+    def loses(self) -> bool:
+        """Whether it certainly loses."""
+        return Gain(-self.gain, self.gain_error).certain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tuning(Improvement, Scored):
+    """What is wrong with time and mount, by held-out beams: what occmap tune prints."""
+
+    scans: KeptScans
+    """What became of the scans"""
     correction: Correction
     """All that is recommended; zeros where nothing is"""
     time: Finding
@@ -83,6 +106,8 @@ class Tuning(Scored):
     """What came of the search for both once more, where a mount was found"""
     tried: list[TriedCorrection]
     """All corrections that were tried, in the order of the search"""
+    by_log: list[TunedLog]
+    """What the correction does for each log; where it is zero, what the best that was tried does"""
     command: tuple[str, ...]
     """The command line that builds the better map, word by word; empty where nothing is
     recommended, or where what was found is not sure"""
@@ -96,8 +121,9 @@ class Tuning(Scored):
 
     @property
     def is_sure(self) -> bool:
-        """Whether enough scans say what was found, and fit each other with it."""
-        return not self.is_doubtful and self.scans.held_out // 2 >= FEW_SCANS
+        """Whether enough scans say what was found, fit each other with it, and no log loses."""
+        enough = self.scans.held_out // 2 >= FEW_SCANS
+        return enough and not self.is_doubtful and not any(each.loses for each in self.by_log)
 
 
 def tune(
@@ -105,8 +131,9 @@ def tune(
 ) -> Tuning:
     """Search for a time offset and for a mount, by the share of held-out beams.
 
-    What is found must gain more than noise, and in both halves of the held-out scans. The logs are
-    read once; at most a thousand scans are kept.
+    What is found must gain more than noise, and in both halves of the held-out scans. Several logs
+    are taken for those of one robot: one time offset and one mount suit them all best, each in a
+    map of its own. The logs are read once; at most a thousand scans of each are kept.
 
     Raises
     ------
@@ -116,7 +143,7 @@ def tune(
     tally = Tally()
     opened = open_scans(paths, options)
     total = sum(count_scans(log, options.selection.topics) for log in opened)
-    planned = total + USUAL_SCORINGS * min(total, MOST_SCANS)
+    planned = total + USUAL_SCORINGS * min(total, limit_scans(len(opened)) * len(opened))
     tally.tell = lambda scans: progress(scans, planned)
     remarks = Remarks([str(log.path) for log in opened])
     logs = keep_logs(opened, options, tally, remarks)
@@ -124,66 +151,72 @@ def tune(
     mount = find_mount(logs, options.posing)
     scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
     before = scorer.score(Correction())
-    timed, place, unsearched = plan_search(logs, mount, scorer.trace(Correction()))
+    timed, place, unsearched = plan_search(scorer)
     time, mounted, best = search.find_both(scorer, timed, place)
     # Both once more, since one may have hidden part of the other.
     again = search.TOGETHER if timed and mounted.verdict is Verdict.FOUND else []
     together = search.find_correction(scorer, best, again)
     best = together.correction
     after = scorer.score(best)
-    gain, gain_error = Gain.measure(before.predicted, after.predicted)
+    leading = max(scorer.tried.values(), key=lambda fare: fare.share)
     better = replace(options, posing=best.apply(options.posing, mount))
     tuning = Tuning(
         **vars(remarks),
         scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
         resolution=options.resolution,
-        beams=before.score.beams,
-        share_before=before.score.share,
-        share=after.score.share,
-        gain=gain,
-        gain_error=gain_error,
+        **improve(before, after),
         correction=best,
         time=time,
         mount=mounted,
         together=together,
         tried=[
-            TriedCorrection(**vars(correction), share=trial.score.share)
-            for correction, trial in scorer.tried.items()
+            TriedCorrection(**vars(correction), share=fare.share)
+            for correction, fare in scorer.tried.items()
         ],
+        by_log=list(list_gains(remarks.logs, before, after if best.is_any else leading)),
         command=(),
-        agreement=scorer.measure_agreement(best),
+        agreement=after.agreement,
     )
-    if tuning.is_sure and best != Correction():
+    if tuning.is_sure and best.is_any:
         tuning = replace(tuning, command=compose_build(remarks.logs, better, {}))
     doubts = list_doubts(tuning, options.posing.time_offset_s)
     return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
 
 
-def plan_search(
-    logs: Sequence[KeptLog], mount: Pose | None, scans: Sequence[Rays]
-) -> tuple[list[Knob], list[Knob], list[str]]:
-    """Choose what to search: what would blur the map of these scans if it was wrong.
+def improve(before: Fare, after: Fare) -> dict[str, Any]:
+    """Measure how much better maps fare, as fields of an `Improvement`."""
+    gain, error = Gain.measure(before.predicted, after.predicted)
+    shares = {"share_before": before.share, "share": after.share}
+    return {"beams": before.beams, **shares, "gain": gain, "gain_error": error}
 
-    Where the sensors stay near the first scan, or never turn, a wrong mount turns or shifts all of
-    the map, which no scan contradicts.
+
+def list_gains(logs: Sequence[str], before: Fare, after: Fare) -> Iterator[TunedLog]:
+    """List how the maps of single logs fare, before and after."""
+    for log, old, new in zip(logs, before.parts, after.parts, strict=True):
+        yield TunedLog(**improve(old, new), log=log, agreement=new.agreement)
+
+
+def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
+    """Choose what to search: what would blur a map of these scans if it was wrong.
+
+    Where the sensor stays near the first scan of a log, or never turns, a wrong mount turns or
+    shifts all of its map, which no scan contradicts.
 
     Returns
     -------
     timed, place, notes
         By what to find the time offset, and the mount; and what is not searched, and why.
     """
-    origin = np.concatenate([rays.origin[:, 0] for rays in scans])
-    ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
-    cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
-    travels = np.linalg.norm(origin - origin[0], axis=1).max() > TRAVEL_M
-    turns = np.arccos(np.clip(cosine, -1, 1)).max() > TURN_RAD
+    moved = [measure_motion(scorer, log) for log in scorer.logs if log.scans]
+    travels = max(travel for travel, _ in moved) > TRAVEL_M
+    turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
         return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
     timed, place, notes = [search.TIME], list[Knob](), list[str]()
-    if all(log.stated for log in logs):
+    if all(log.stated for log in scorer.logs):
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")
-    if mount is None:
+    if scorer.mount is None:
         notes.append(
             "the mount is not searched: no single `sensor_pose` says where the lasers sit; name "
             "one laser by `topics`, or its body by `base_frame`"
@@ -201,6 +234,16 @@ def plan_search(
     return timed, place, notes
 
 
+def measure_motion(scorer: Scorer, log: KeptLog) -> tuple[float, float]:
+    """How far the sensor gets from where a log begins (m), and how far it turns away (rad)."""
+    scans = list(scorer.trace(log, Correction()))
+    origin = np.concatenate([rays.origin[:, 0] for rays in scans])
+    ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
+    cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
+    travel: Float64 = np.linalg.norm(origin - origin[0], axis=1)
+    return float(travel.max()), float(np.arccos(np.clip(cosine, -1, 1)).max())
+
+
 def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
     """Say what makes the result less sure."""
     if tuning.is_doubtful:
@@ -211,9 +254,16 @@ def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
         )
     if tuning.time.verdict is Verdict.DISAGREE:
         yield "the mount is not searched: it would make up for times that change within the log"
+    for each in tuning.by_log:
+        if each.loses:
+            yield (
+                f"{each.log} loses {-each.gain:.4f} +- {each.gain_error:.4f} by what the other "
+                "logs gain by: its laser may sit elsewhere; tune it by itself"
+            )
     half = tuning.scans.held_out // 2
     if half < FEW_SCANS:
-        yield f"{count(half, 'held-out scan')} in each half: too few to tell; give a longer log"
+        few = f"{count(half, 'held-out scan')} in each half: too few to tell"
+        yield f"{few}; give a longer log, or more logs of this robot"
     if abs(tuning.correction.time_s) > search.TIME.reach - search.TIME.steps[-1]:
         offset = time_offset_s + tuning.correction.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"

@@ -4,9 +4,10 @@ The scans of the logs are read once, and posed again and again.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,13 +25,14 @@ from occmap.scans import make_engine
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Remarks
-from occmap.scoring import SMALL, Gain, Trial, Trials, Variant
+from occmap.scoring import SMALL, Gain, HoldOut, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Rays, ScanBatch
+from occmap.workers import Workers
 
-MOST_SCANS = 1000
-"""Scans of all logs together: more tell little more, and each is traced over thirty times."""
+MOST_SCANS, MOST_OF_ALL = 1000, 4000
+"""Scans of a log, and of all: more tell little more, and each is traced over thirty times."""
 MOST_OFFSET_S = 0.5
 """No larger time offset is tried, either way."""
 ALIKE = 1e-3
@@ -72,8 +74,7 @@ def keep_logs(
     OccmapError
         As a build, or no scan is left.
     """
-    most = max(MOST_SCANS // len(logs), 1)
-    kept = [keep_log(log, options, most, tally, remarks) for log in logs]
+    kept = [keep_log(log, options, limit_scans(len(logs)), tally, remarks) for log in logs]
     refuse_unused(remarks.logs, tally)
     remarks.notes += list_frames(tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
@@ -88,6 +89,11 @@ def keep_logs(
             fix="give a longer log",
         )
     return kept
+
+
+def limit_scans(logs: int) -> int:
+    """How many scans of each of so many logs are kept."""
+    return max(min(MOST_SCANS, MOST_OF_ALL // logs), 1)
 
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
@@ -176,6 +182,11 @@ class Correction:
     y: float = 0.0
     """Added to its y on the body (m)"""
 
+    @property
+    def is_any(self) -> bool:
+        """Whether it changes something."""
+        return self != Correction()
+
     def move(self, name: str, step: float) -> "Correction":
         """Change one number."""
         return replace(self, **{name: round(getattr(self, name) + step, 9)})
@@ -212,6 +223,35 @@ Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
 
 
+class Fare(NamedTuple):
+    """How well the map of a log predicts the scans that are held out from it."""
+
+    predicted: Float64
+    """(N, 2) of each held-out scan, as `scoring.Trial.predicted` has it"""
+    agreement: float | None
+    """Share of the hits of the other scans in cells that it calls occupied; None without a map"""
+    parts: tuple["Fare", ...] = ()
+    """Those of single logs, where this is all of them together"""
+
+    @property
+    def beams(self) -> int:
+        """Held-out beams that measured a range."""
+        return int(self.predicted[:, 0].sum())
+
+    @property
+    def share(self) -> float:
+        """Share of these that the map predicts."""
+        return float(self.predicted[:, 1].sum()) / max(self.beams, 1)
+
+
+def join_fares(parts: Sequence[Fare]) -> Fare:
+    """Take the maps of all logs together."""
+    known = [(each.agreement, each.beams) for each in parts if each.agreement is not None]
+    agreed = sum(agreement * beams for agreement, beams in known)
+    agreement = agreed / sum(beams for _, beams in known) if known else None
+    return Fare(np.concatenate([each.predicted for each in parts]), agreement, tuple(parts))
+
+
 @dataclass(eq=False)
 class Scorer:
     """Scores corrections by the same scans, each only once."""
@@ -221,38 +261,37 @@ class Scorer:
     mount: Pose | None
     """The sensor's pose as it is now"""
     advance: Callable[[], None]
-    """Called for each map"""
-    tried: dict[Correction, Trial] = field(default_factory=dict)
+    """Called for each correction"""
+    tried: dict[Correction, Fare] = field(default_factory=dict)
 
-    def score(self, correction: Correction) -> Trial:
-        """Score a map of the scans posed with a correction."""
-        if correction in self.tried:
-            return self.tried[correction]
-        trials = Trials([Variant(self.options.update, self.options.model)], self.options)
-        with trials.tracing() as workers:
-            observe = trials.begin(workers)
-            for rays in self.trace(correction):
-                observe(rays)
-        refuse_unscored([log.path for log in self.logs], trials.hold_out)
-        (result,) = trials.score()
-        self.tried[correction] = Trial(result.score, result.predicted)
-        self.advance()
+    def score(self, correction: Correction) -> Fare:
+        """Score maps of the scans posed with a correction, all logs together."""
+        if correction not in self.tried:
+            fare = join_fares([self.score_log(log, correction) for log in self.logs])
+            refuse_unscored([log.path for log in self.logs], len(fare.predicted), fare.beams)
+            self.tried[correction] = fare
+            self.advance()
         return self.tried[correction]
 
-    def trace(self, correction: Correction) -> list[Rays]:
-        """Turn all scans, posed with a correction, into rays."""
+    def score_log(self, log: KeptLog, correction: Correction) -> Fare:
+        """Score a map of one log alone, since the frames of several may lie anywhere."""
+        hold_out, engine = HoldOut(), make_engine(self.options)
+        with Workers(engine.add, self.options.jobs) as workers:
+            for rays in self.trace(log, correction):
+                seen = hold_out.split(rays)
+                if len(seen.kind):
+                    workers.give(seen)
+        if not hold_out.hits:
+            return Fare(np.zeros((hold_out.scans, 2)), None)
+        made = render(engine.finish(), self.options.model, self.options.max_cells)
+        return Fare(score_map(made, hold_out.held, self.options.jobs).predicted, made.agreement)
+
+    def trace(self, log: KeptLog, correction: Correction) -> Iterator[Rays]:
+        """Turn the scans of a log, posed with a correction, into rays."""
         # All these scans have poses at every offset; none may get lost in a gap on the way.
         posing = replace(self.options.posing, max_pose_gap_s=None)
-        corrected = correction.apply(posing, self.mount)
-        every = (posed for log in self.logs for posed in log.pose(corrected))
-        return [interpret(posed, self.options.returns)[0] for posed in every]
-
-    def measure_agreement(self, correction: Correction) -> float | None:
-        """Measure the share of hits in occupied cells, in a map with a correction; None: no hit."""
-        engine = make_engine(self.options)
-        for rays in self.trace(correction):
-            engine.add(rays)
-        return render(engine.finish(), self.options.model, self.options.max_cells).agreement
+        for posed in log.pose(correction.apply(posing, self.mount)):
+            yield interpret(posed, self.options.returns)[0]
 
 
 def find_best(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:
@@ -270,7 +309,7 @@ def climb(scorer: Scorer, best: Correction, knob: Knob, step: float) -> Correcti
         start, tried = best, best.move(knob.name, change)
         while (
             abs(getattr(tried, knob.name)) <= knob.reach
-            and scorer.score(tried).score.share > scorer.score(best).score.share
+            and scorer.score(tried).share > scorer.score(best).share
         ):
             best, tried = tried, tried.move(knob.name, change)
         if best != start:

@@ -60,6 +60,10 @@ class Shape:
     width: float | None = None
     """Of a line (m); None: it is an area"""
 
+    def find_reach(self, resolution: float) -> float:
+        """How far from a line cells of some size belong to it (m)."""
+        return 0.0 if self.width is None else max(self.width / 2, CLOSED * resolution)
+
     def find_cells(self, grid: OccupancyMap) -> tuple[tuple[slice, slice], Bool]:
         """Find the cells whose middle is inside the area, or near the line.
 
@@ -68,7 +72,7 @@ class Shape:
         window, covered
             Rows and columns of a part of the map, and which of its cells it covers.
         """
-        reach = 0.0 if self.width is None else max(self.width / 2, CLOSED * grid.resolution)
+        reach = self.find_reach(grid.resolution)
         corners, place = np.concatenate(self.rings), grid.place
         ends = corners.min(axis=0) - reach, corners.max(axis=0) + reach
         (col, row), (col_end, row_end) = (

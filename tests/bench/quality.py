@@ -86,7 +86,7 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
 
     posing = replace(recording.posing, deskew=options.posing.deskew)
     scoring.read_scans([recording.path], replace(options, posing=posing), begin, ignore_progress)
-    refuse_unscored([str(recording.path)], hold_out)
+    refuse_unscored([str(recording.path)], hold_out.scans, hold_out.hits)
     return Scans(seen, hold_out.held)
 
 

@@ -51,6 +51,19 @@ def test_edits_outlive_a_rebuild_a_merge_and_a_render() -> None:
     assert Path("again.pgm").read_bytes() == Path("plain.pgm").read_bytes()
 
 
+def test_what_is_drawn_beyond_all_blocks_of_a_store_is_counted() -> None:
+    """A square of 2 m, 100 m away: 40 x 40 cells."""
+    Path("far.csv").write_text("occupied,box,100,100,102,102\n")
+    occmap("build", DRIVE, "-o", "map.zarr")
+    words = ("render", "map.zarr", "--extent", "-5,-5,105,105", "-o", "map.tif", "--json")
+    plain, edited = (
+        json.loads(occmap(*words, *more).out)["map"] for more in ((), ("--edits", "far.csv"))
+    )
+    cells = edited["columns"] * edited["rows"]
+    assert (edited["occupied"] - plain["occupied"]) * cells == pytest.approx(1600)
+    assert (plain["unknown"] - edited["unknown"]) * cells == pytest.approx(1600)
+
+
 def test_evidence_names_the_file_of_edits_and_has_nothing_of_it() -> None:
     occmap("build", DRIVE, "-o", "plain.npz")
     occmap("build", DRIVE, "-o", "edited.npz", "--edits", "edits.csv")

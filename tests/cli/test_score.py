@@ -46,6 +46,19 @@ def test_a_map_that_lies_elsewhere_is_moved(made: Path, tmp_path: Path) -> None:
     assert occmap(*words[:-1], *limits).code == 3
 
 
+def test_what_does_not_belong_together_is_told(made: Path, tmp_path: Path) -> None:
+    """The hall is another building than the office of the drive."""
+    hall = tmp_path / "hall.pgm"
+    assert occmap("build", SAMPLE_LOGS / "hall.mcap", "-o", hall).code == 0
+    apart = occmap("score", hall, "--log", DRIVE).err
+    assert "of the hits lie in occupied cells" in apart
+    assert "--fit may find it" in apart
+    doubts = occmap("score", hall, "--log", DRIVE, "--truth", made, "--fit").err
+    assert "it is not sure how the logs lie on the map: " in doubts
+    assert f"it is not sure how the map lies on {made}: " in doubts
+    assert occmap("score", made, "--log", DRIVE, "--truth", PLAN, "--fit").err == ""
+
+
 @pytest.mark.parametrize(
     ("words", "found"),
     [

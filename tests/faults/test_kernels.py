@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from occmap import jit
+from occmap.errors import UsageError
 from occmap.jit import Kernel, kernel
 from tests.samples import SAMPLE_LOGS
 
@@ -134,6 +135,12 @@ def test_code_is_loaded_from_a_folder_that_cannot_be_written(
     monkeypatch.setattr(jit, "list_folders", lambda _: (nowhere, folder.with_name("another")))
     assert run_anew() == (42.0, False)
     assert run_anew() == (42.0, True)
+
+
+def test_kernels_that_cannot_be_compiled_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
+    with pytest.raises(UsageError, match="NUMBA_DISABLE_JIT is set"):
+        jit.load_numba.__wrapped__()
 
 
 BUILD = """

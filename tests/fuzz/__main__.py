@@ -1,4 +1,7 @@
-"""Fuzz each reader for a minute, damage each sample log in 1,200 ways, spoil 5,000 messages."""
+"""Fuzz each reader for a minute, damage each sample log in 1,200 ways, spoil 5,000 messages.
+
+`python -m tests.fuzz SECONDS` fuzzes each so long, and does of the rest a part as large.
+"""
 
 import hashlib
 import os
@@ -28,14 +31,16 @@ def main(words: list[str]) -> int:
     names = words[1:] or list(TARGETS)
     failed = [name for name in names if not fuzz(TARGETS[name], seconds)]
     if not words[1:]:
-        failed += run("damage", "pytest", "-q", "-n", "2", "tests/test_damage.py")
-        failed += run("typed", "tests.fuzz.typed", "5000", str(time.time_ns() % 10**9))
+        part = seconds / SECONDS
+        cases, seed = str(max(round(5000 * part), 1)), str(time.time_ns() % 10**9)
+        failed += run("damage", part, "pytest", "-q", "-n", "2", "tests/test_damage.py")
+        failed += run("typed", part, "tests.fuzz.typed", cases, seed)
     return 1 if failed else 0
 
 
-def run(name: str, *module: str) -> list[str]:
-    """Run a module whose kernels check every index; name what failed."""
-    settings = {"OCCMAP_FUZZ": "1", "NUMBA_BOUNDSCHECK": "1"}
+def run(name: str, part: float, *module: str) -> list[str]:
+    """Run a module whose kernels check every index, or a part of what it does; name what failed."""
+    settings = {"OCCMAP_FUZZ": str(part), "NUMBA_BOUNDSCHECK": "1"}
     done = subprocess.run([sys.executable, "-m", *module], env=os.environ | settings, check=False)
     return [name] if done.returncode else []
 

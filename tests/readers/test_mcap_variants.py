@@ -21,7 +21,6 @@ from tests.readers.mcap_variants import (
     CHUNK,
     DATA_END,
     MESSAGE,
-    MESSAGE_INDEX,
     MESSAGES,
     PACK,
     SCHEMA,
@@ -143,13 +142,24 @@ def test_a_chunk_of_a_wrong_length_is_read(
     assert read(path)[1] == STAMPS
 
 
-@pytest.mark.parametrize("opcode", [0, 1, DATA_END, MESSAGE_INDEX, 9, 12, 0x46, 0x86])
-def test_a_chunk_under_another_opcode_is_told_of(path: Path, opcode: int) -> None:
-    data = bytearray(write_variant(LOG, FULL, "lz4"))
-    data[list_records(data, CHUNK)[4][0]] = opcode
+@pytest.mark.parametrize("has", [FULL, BARE, {*BARE, "padding"}], ids=len)
+@pytest.mark.parametrize("compression", PACK)
+@pytest.mark.parametrize("opcode", [0, 1, 3, 4, 5, 7, 9, 12, 15, 22, 0x46, 0x86])
+def test_a_chunk_under_another_opcode_is_told_of(
+    path: Path, has: set[str], compression: str, opcode: int
+) -> None:
+    data = bytearray(write_variant(LOG, has, compression))
+    at, _ = list_records(data, CHUNK)[4]
+    data[at] = opcode
     path.write_bytes(data)
 
-    assert len(read(path)[1]) >= len(STAMPS) - MESSAGES
+    log, stamps = read(path)
+
+    assert len(stamps) >= len(STAMPS) - MESSAGES
+    assert any(note.damage for note in log.notes)
+    if opcode in {7, 9, 12, 15, 0x86}:  # those of records that hold no messages
+        assert stamps == STAMPS
+        assert f"the chunk at byte {at} is marked as another kind" in log.notes[0].text
 
 
 def test_two_chunks_of_which_nothing_can_be_read_are_not_one_that_is_there_twice(

@@ -1,6 +1,7 @@
 """Tuning: what was put out of true in a simulated drive is found, and nothing else is."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -218,6 +219,55 @@ def test_lasers_at_different_places_have_no_one_mount() -> None:
     tuning = tune([SAMPLE_LOGS / "drive.bag", SAMPLE_LOGS / "drive.csv"], BuildOptions())
     assert tuning.mount.verdict is Verdict.UNSEEN
     assert any("no single `sensor_pose`" in text for text in tuning.notes)
+
+
+def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Path]:
+    """Write parts of the drive, each in a frame of its own, with its laser turned by so much."""
+    lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
+    first = next(i for i, line in enumerate(lines) if line[0].isdigit())
+    parts = []
+    for part, turn in enumerate(turns_deg):
+        rows, begin = [], first + part * (len(lines) - first) // len(turns_deg)
+        for line in lines[begin : begin + scans]:
+            stamp, x, y, yaw, *ranges = line.split(",")
+            away, ahead = 20.0 * part - float(y), float(yaw) + math.pi / 2 - math.radians(turn)
+            rows.append(",".join([stamp, f"{away!r}", x, f"{ahead!r}", *ranges]))
+        parts.append(folder / f"part{part}.csv")
+        parts[-1].write_text("".join([*lines[:first], *rows]))
+    return parts
+
+
+def test_logs_of_one_robot_are_sure_together_where_none_is_alone(tmp_path: Path) -> None:
+    """The laser is thought to be turned by 1.2 degrees; each part has 12 held-out scans."""
+    off = math.radians(1.2)
+    posing = PosingOptions(sensor_pose=Pose.planar(0, 0, off))
+    options = BuildOptions(resolution=0.1, posing=posing)
+    parts = write_parts(tmp_path, [0, 0, 0], scans=60)
+    alone = [tune([part], options) for part in parts]
+    assert [each.command for each in alone] == [()] * 3
+    together = tune(parts, options)
+    found = together.correction
+    assert found.yaw == pytest.approx(-off, abs=STEP_RAD)
+    assert (found.x, found.y) == pytest.approx((0, 0), abs=0.02)  # a fifth of a cell
+    assert "--sensor-pose" in together.command
+    assert [each.log for each in together.by_log] == list(map(str, parts))
+    assert [each.share_before for each in together.by_log] == [each.share_before for each in alone]
+    assert sum(each.beams for each in together.by_log) == together.beams
+    assert all(each.gain > 0.02 for each in together.by_log)
+
+
+@pytest.mark.parametrize(("last", "verdict"), [(1, Verdict.FOUND), (0, Verdict.DISAGREE)])
+def test_no_command_is_given_where_one_of_the_logs_loses(
+    last: float, verdict: Verdict, tmp_path: Path
+) -> None:
+    """Three lasers are turned by 3 degrees from what is thought, the last one by less."""
+    parts = write_parts(tmp_path, [3, 3, 3, last], scans=100)
+    tuning = tune(parts, BuildOptions(resolution=0.1))
+    assert tuning.mount.verdict is verdict
+    assert [each.loses for each in tuning.by_log] == [False, False, False, True]
+    assert all(each.gain > 0.05 for each in tuning.by_log[:3])
+    assert tuning.command == ()
+    assert f"{parts[3]} loses 0." in tuning.notes[-1]
 
 
 def test_scans_without_a_pose_at_some_offset_are_in_no_map(tmp_path: Path) -> None:
