@@ -70,6 +70,10 @@ def make_spans(rows: int, crossings: int) -> Spans:
     return Spans(starts, counts, np.empty(crossings, np.int32), np.empty((2, crossings), np.int32))
 
 
+BEHIND = np.int32(2**31 - 1)
+"""Beyond all places of a window"""
+
+
 @kernel
 def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
     """The first row of a window that corners touch, and the one after the last."""
@@ -99,6 +103,7 @@ def fill_outline(
         return -1
     _sort_by_row(touched, crossings, spans)
     _make_spans(touched, spans)
+    spans.limits[crossings : crossings + AT_A_TIME] = BEHIND
     return crossings
 
 
@@ -236,7 +241,7 @@ def _keep_ends(crossings: Int32, begin: int, end: int) -> None:
         if outside or winding == 0:
             crossings[np.uint64(place)] = crossing >> 1
             place += 1
-    crossings[place:end] = 0  # empty spans
+    crossings[place:end] = crossings[place - 1]  # empty spans
 
 
 BORDER_BITS = 22
@@ -483,16 +488,25 @@ def _note_cell(at_row: int, at_col: int, spans: Spans, mark: int, border: Int64)
     if row >= np.uint64(border.shape[0]) or col >= np.uint64(cols):
         return
     cell = border[row, col]
-    inside = _count_begun(spans, row, at_row * border.shape[1] + at_col) & 1
+    inside = _count_begun(spans, row, np.int32(at_row * border.shape[1] + at_col)) & 1
     is_new = (cell >> SCAN_SHIFT) != mark
     hit = (cell & COUNTED) + ONE_HIT - inside
     border[row, col] = hit | (mark << SCAN_SHIFT) if is_new else cell
 
 
 @step
-def _count_begun(spans: Spans, row: np.uint64, place: int) -> int:
-    """How many limits of a row's spans lie at or before a place: an odd number inside a span."""
-    limits, begin, in_row, begun = spans.limits, spans.starts[row], spans.counts[row], 0
-    for k in range((in_row + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
-        begun += (limits[np.uint64(begin + k)] <= place) & (k < in_row)
-    return begun
+def _count_begun(spans: Spans, row: np.uint64, place: np.int32) -> int:
+    """How many limits of a row's spans lie at or before a place: an odd number inside a span.
+
+    A wall along a row may make hundreds of them, so they are halved until few are left.
+    """
+    limits, begin, size = spans.limits, spans.starts[row], spans.counts[row]
+    at = begin
+    while size > AT_A_TIME:
+        half = size >> 1
+        at += half if limits[np.uint64(at + half - 1)] <= place else 0
+        size -= half
+    begun = np.int32(0)
+    for k in range(AT_A_TIME):  # what comes after these lies behind the place
+        begun += np.int32(limits[np.uint64(at + k)] <= place)
+    return int(at - begin + begun)
