@@ -149,9 +149,8 @@ class PolygonWindow(DenseWindow):
         return BORDER_BITS, COUNTED, 1
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        limits, clipped = (self.spec.jump, self.spec.border_gap), not self.box.contains(beams.box)
-        window = self.cells, self.changes.numbers, self.observations
-        trace_polygons(beams, limits, corner, *window, clipped)
+        limits, runs = (self.spec.jump, self.spec.border_gap), self.changes.numbers
+        trace_polygons(beams, limits, corner, self.cells, runs, self.observations)
 
 
 class RadialPolygonWindow(DenseWindow):

@@ -43,7 +43,10 @@ class Outline(NamedTuple):
 
 
 class Spans(NamedTuple):
-    """What lies inside an outline: for each row, the first column and the last + 1 of each span."""
+    """What lies inside an outline: for each row, the first place and the last + 1 of each span.
+
+    A place is a column + the row times the window's stride; a window has at most 2^24 cells.
+    """
 
     starts: Int32
     """(H,) where those of a row begin in `limits`"""
@@ -52,7 +55,7 @@ class Spans(NamedTuple):
     limits: Int32
     """(N,)"""
     found: Int32
-    """(2, N) to work with: the row of each crossing; 2 x the first column inside, + 1 if upward"""
+    """(2, N) to work with: the row of each crossing; 2 x the first place inside, + 1 if upward"""
 
 
 def make_outline(corners: int) -> Outline:
@@ -67,6 +70,10 @@ def make_spans(rows: int, crossings: int) -> Spans:
     return Spans(starts, counts, np.empty(crossings, np.int32), np.empty((2, crossings), np.int32))
 
 
+BEHIND = np.int32(2**31 - 1)
+"""Beyond all places of a window"""
+
+
 @kernel
 def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
     """The first row of a window that corners touch, and the one after the last."""
@@ -79,8 +86,8 @@ def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
 @kernel
 def fill_outline(
     outline: Outline, corners: int, touched: tuple[int, int], cols: int, spans: Spans
-) -> bool:
-    """Write the spans of all cells inside an outline, in columns of a window; some may be empty.
+) -> int:
+    """Write the spans of all cells of a window inside an outline; some may be empty.
 
     Parameters
     ----------
@@ -89,14 +96,15 @@ def fill_outline(
 
     Returns
     -------
-    Whether there was room for them.
+    How many limits they have, or -1 where there is no room for these.
     """
     crossings = _cross_rows(outline, corners, touched, cols, spans)
     if crossings + AT_A_TIME > spans.limits.size:
-        return False
+        return -1
     _sort_by_row(touched, crossings, spans)
     _make_spans(touched, spans)
-    return True
+    spans.limits[crossings : crossings + AT_A_TIME] = BEHIND
+    return crossings
 
 
 @kernel
@@ -111,7 +119,7 @@ def _cross_rows(
     """
     x, y, begins = outline.x, outline.y, outline.begins
     counts, found = spans.counts, spans.found
-    rows, room = counts.size - 1, found.shape[1]
+    rows, room, stride = counts.size - 1, found.shape[1], cols + PAD
     crossings = 0
     counts[touched[0] : touched[1] + 1] = 0
     row_after = 0
@@ -136,7 +144,7 @@ def _cross_rows(
             for k in range((last - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
                 col = min(max(_floor_divide(numerator + k * slope, base, inverse), 0), cols)
                 found[0, np.uint64(crossings + k)] = first + k
-                found[1, np.uint64(crossings + k)] = 2 * col + upward
+                found[1, np.uint64(crossings + k)] = 2 * (col + (first + k) * stride) + upward
         crossings += last - first
     return crossings
 
@@ -168,7 +176,7 @@ def _sort_by_row(touched: tuple[int, int], crossings: int, spans: Spans) -> None
 
 @kernel
 def _make_spans(touched: tuple[int, int], spans: Spans) -> None:
-    """Turn each row's crossings, in place, into first column and last + 1 of its spans."""
+    """Turn each row's crossings, in place, into first place and last + 1 of its spans."""
     starts, counts, limits = spans.starts, spans.counts, spans.limits
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
@@ -179,7 +187,7 @@ def _make_spans(touched: tuple[int, int], spans: Spans) -> None:
             _pair_four(limits, begin)
         elif crossings:
             _sort(limits, begin, begin + crossings)
-            counts[row] = _keep_ends(limits, begin, begin + crossings) - begin
+            _keep_ends(limits, begin, begin + crossings)
 
 
 @step
@@ -224,8 +232,8 @@ def _sort(crossings: Int32, begin: int, end: int) -> None:
 
 
 @kernel
-def _keep_ends(crossings: Int32, begin: int, end: int) -> int:
-    """Keep the columns of those sorted crossings where a span begins or ends; returns their end."""
+def _keep_ends(crossings: Int32, begin: int, end: int) -> None:
+    """Keep the places of those sorted crossings where a span begins or ends."""
     winding, place = 0, begin
     for i in range(begin, end):
         outside, crossing = winding == 0, crossings[np.uint64(i)]
@@ -233,7 +241,7 @@ def _keep_ends(crossings: Int32, begin: int, end: int) -> int:
         if outside or winding == 0:
             crossings[np.uint64(place)] = crossing >> 1
             place += 1
-    return place
+    crossings[place:end] = crossings[place - 1]  # empty spans
 
 
 BORDER_BITS = 22
@@ -244,9 +252,9 @@ COUNTED = (1 << SCAN_SHIFT) - 1
 """Mask of the bits of both counts, without those of the last scan."""
 MOST_SCANS = (1 << 20) - 1
 """The bits above both counts hold no larger number of a scan."""
-EDGE, CELL, JOINED = 1, 2, 4
-"""Bits of a link. EDGE: the edge from the beam before may matter. CELL: the beam's end cell is
-listed. JOINED: so are the cells between the two end cells."""
+EDGE, JOINED = 1, 2
+"""Bits of a link. EDGE: the edge from the beam before may matter. JOINED: the cells between the two
+end cells belong to the border, too."""
 
 
 class Room(NamedTuple):
@@ -256,8 +264,6 @@ class Room(NamedTuple):
     """(B,) bits as above"""
     listed: Int32
     """(B,) the beams with an edge that may matter, or with cells between; these are few"""
-    cells: Int32
-    """(N, 2) row and column of the cells of the border"""
     outline: Outline
     spans: Spans
 
@@ -269,7 +275,6 @@ def trace_polygons(
     border: Int64,
     runs: Int32,
     mark: int,
-    clipped: bool,
 ) -> None:
     """Add every scan's border and inside.
 
@@ -286,16 +291,13 @@ def trace_polygons(
         `mark` is there yet.
     runs
         H x (W + PAD), flat: changes of the misses along rows.
-    clipped
-        The scans may reach beyond the window.
     """
     (scans, count), rows = beams.rays.kind.shape, len(border)
-    cells = np.empty((count * max(limits[1], 1) + AT_A_TIME, 2), np.int32)
     links, listed, crossings = np.empty(count, np.uint8), np.empty(count, np.int32), 4 * rows
     outline, done = make_outline(3 * count + 4), 0
     while done < scans:
-        room = Room(links, listed, cells, outline, make_spans(rows, crossings))
-        done = trace_scans(beams, done, limits, corner, border, runs, mark, clipped, room)
+        room = Room(links, listed, outline, make_spans(rows, crossings))
+        done = trace_scans(beams, done, limits, corner, border, runs, mark, room)
         crossings *= 2
 
 
@@ -308,37 +310,25 @@ def trace_scans(
     border: Int64,
     runs: Int32,
     mark: int,
-    clipped: bool,
     room: Room,
 ) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
     jump, border_gap = limits
-    links, listed, cells, spans = room.links, room.listed, room.cells, room.spans
+    links, listed, spans = room.links, room.listed, room.spans
     rows, cols = border.shape[0], border.shape[1] - PAD
     scans: int = beams.rays.kind.shape[0]
     for s in range(done, scans):
         size = _link_beams(beams, s, jump, border_gap, links, listed)
         corners = _outline_scan(beams, s, jump, corner, links, listed[:size], room.outline)
         touched = _find_rows(beams, s, corner[1], rows)
-        if not fill_outline(room.outline, corners, touched, cols, spans):
+        crossings = fill_outline(room.outline, corners, touched, cols, spans)
+        if crossings < 0:
             return s
-        _note_spans(touched, spans, border.shape[1], runs)
-        size = _list_border(beams, s, corner, links, listed[:size], cells)
-        if clipped:
-            size = _keep_inside(cells, size, rows, cols)
-        _note_border(cells, size, spans, mark + s + 1, border)
+        for i in range(0, crossings, 2):
+            runs[np.uint64(spans.limits[np.uint64(i)])] += 1
+            runs[np.uint64(spans.limits[np.uint64(i + 1)])] -= 1
+        _note_border(beams, s, corner, links, listed[:size], spans, mark + s + 1, border)
     return scans
-
-
-@kernel
-def _keep_inside(cells: Int32, size: int, rows: int, cols: int) -> int:
-    """Keep those of the listed cells that lie in a window; returns how many."""
-    kept = 0
-    for i in range(size):
-        row, col = cells[i, 0], cells[i, 1]
-        cells[kept, 0], cells[kept, 1] = row, col
-        kept += (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    return kept
 
 
 @kernel
@@ -367,12 +357,10 @@ def _link_beams(
             across = abs((to_x[i] >> CELL_SHIFT) - (from_x[i] >> CELL_SHIFT))
             up = abs((to_y[i] >> CELL_SHIFT) - (from_y[i] >> CELL_SHIFT))
             steps = max(across, up)
-            cell = (after[i] == HIT) & (not (both & (steps == 0)))
             joined = both & one_surface & (steps > 1) & (steps <= border_gap)
-            link[i] = edge * EDGE + cell * CELL + joined * JOINED
+            link[i] = edge * EDGE + joined * JOINED
     if not beams.rays.full_circle:
         links[0] = EDGE * (kinds[0] != SKIP)
-    links[0] |= CELL * (kinds[0] == HIT)  # all beams may end in one cell
     size = 0
     for b in range(kinds.size):
         listed[np.uint64(size)] = b
@@ -453,70 +441,72 @@ def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: boo
 
 
 @kernel
-def _note_spans(touched: tuple[int, int], spans: Spans, stride: int, runs: Int32) -> None:
-    """Add one miss to every cell of every span."""
-    starts, counts, limits = spans.starts, spans.counts, spans.limits
-    for row in range(touched[0], touched[1]):
-        begin, size, place = starts[np.uint64(row)], counts[np.uint64(row)], row * stride
-        for i in range(begin, begin + size, 2):
-            runs[np.uint64(place + limits[np.uint64(i)])] += 1
-            runs[np.uint64(place + limits[np.uint64(i + 1)])] -= 1
-
-
-@kernel
-def _list_border(
-    beams: Beams, s: int, corner: Int64, links: UInt8, listed: Int32, cells: Int32
-) -> int:
-    """Write row and column of the cells of a scan's border, some twice; returns how many."""
-    ends_x, ends_y, size = beams.ends_x[s], beams.ends_y[s], 0
+def _note_border(
+    beams: Beams,
+    s: int,
+    corner: Int64,
+    links: UInt8,
+    listed: Int32,
+    spans: Spans,
+    mark: int,
+    border: Int64,
+) -> None:
+    """Give each cell of a scan's border one hit, and count whether it lies in a span."""
+    ends_x, ends_y, kinds = beams.ends_x[s], beams.ends_y[s], beams.rays.kind[s]
     to_col, to_row = corner[0] >> CELL_SHIFT, corner[1] >> CELL_SHIFT
     for b in range(links.size):
-        k = np.uint64(size)
-        cells[k, 0] = (ends_y[b] >> CELL_SHIFT) - to_row
-        cells[k, 1] = (ends_x[b] >> CELL_SHIFT) - to_col
-        size += (links[b] & CELL) != 0
+        if kinds[b] == HIT:
+            row, col = (ends_y[b] >> CELL_SHIFT) - to_row, (ends_x[b] >> CELL_SHIFT) - to_col
+            _note_cell(row, col, spans, mark, border)
     for i in range(listed.size):
         b = int(listed[i])
         if not links[b] & JOINED:
             continue
         a = b - 1 if b > 0 else links.size - 1
-        col, row = ends_x[b] >> CELL_SHIFT, ends_y[b] >> CELL_SHIFT
-        across, up = col - (ends_x[a] >> CELL_SHIFT), row - (ends_y[a] >> CELL_SHIFT)
+        row, col = (ends_y[b] >> CELL_SHIFT) - to_row, (ends_x[b] >> CELL_SHIFT) - to_col
+        across = col - ((ends_x[a] >> CELL_SHIFT) - to_col)
+        up = row - ((ends_y[a] >> CELL_SHIFT) - to_row)
         right, above = np.sign(across), np.sign(up)
         n = max(abs(across), abs(up))
         # From the end cell back along Bresenham's line that begins at the neighbour's cell: halves
         # are rounded away from the neighbour, so towards this end. Half a unit of 1 / (2 n) keeps
         # whole numbers from what rounding does.
         twice_x, twice_y, half, per_2n = 2.0 * abs(across), 2.0 * abs(up), n - 0.5, 0.5 / n
-        for j in range((n - 1 + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
-            steps_x = int(((j + 1) * twice_x + half) * per_2n)
-            steps_y = int(((j + 1) * twice_y + half) * per_2n)
-            k = np.uint64(size + j)
-            cells[k, 0] = row - to_row - above * steps_y
-            cells[k, 1] = col - to_col - right * steps_x
-        size += n - 1
-    return size
-
-
-@kernel
-def _note_border(cells: Int32, size: int, spans: Spans, mark: int, border: Int64) -> None:
-    """Give each of the listed cells one hit, and count whether it lies in a span.
-
-    There is no branch: whether neighbours share a cell is a coin toss to a processor.
-    """
-    for i in range(size):
-        row, col = np.uint64(cells[i, 0]), np.uint64(cells[i, 1])
-        inside = _count_begun(spans, row, cells[i, 1]) & 1
-        cell = border[row, col]
-        is_new = (cell >> SCAN_SHIFT) != mark
-        hit = (cell & COUNTED) + ONE_HIT - inside
-        border[row, col] = hit | (mark << SCAN_SHIFT) if is_new else cell
+        for j in range(1, n):
+            steps_x = int((j * twice_x + half) * per_2n)
+            steps_y = int((j * twice_y + half) * per_2n)
+            _note_cell(row - above * steps_y, col - right * steps_x, spans, mark, border)
 
 
 @step
-def _count_begun(spans: Spans, row: np.uint64, col: int) -> int:
-    """How many limits of a row's spans lie at or before a column: an odd number inside a span."""
-    limits, begin, in_row, begun = spans.limits, spans.starts[row], spans.counts[row], 0
-    for k in range((in_row + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
-        begun += (limits[np.uint64(begin + k)] <= col) & (k < in_row)
-    return begun
+def _note_cell(at_row: int, at_col: int, spans: Spans, mark: int, border: Int64) -> None:
+    """Give a cell of the border one hit, if it lies in the window and has none of this scan.
+
+    What it gets is chosen without a branch: whether neighbours share a cell is a coin toss.
+    """
+    row, col, cols = np.uint64(at_row), np.uint64(at_col), border.shape[1] - PAD
+    if row >= np.uint64(border.shape[0]) or col >= np.uint64(cols):
+        return
+    cell = border[row, col]
+    inside = _count_begun(spans, row, np.int32(at_row * border.shape[1] + at_col)) & 1
+    is_new = (cell >> SCAN_SHIFT) != mark
+    hit = (cell & COUNTED) + ONE_HIT - inside
+    border[row, col] = hit | (mark << SCAN_SHIFT) if is_new else cell
+
+
+@step
+def _count_begun(spans: Spans, row: np.uint64, place: np.int32) -> int:
+    """How many limits of a row's spans lie at or before a place: an odd number inside a span.
+
+    A wall along a row may make hundreds of them, so they are halved until few are left.
+    """
+    limits, begin, size = spans.limits, spans.starts[row], spans.counts[row]
+    at = begin
+    while size > AT_A_TIME:
+        half = size >> 1
+        at += half if limits[np.uint64(at + half - 1)] <= place else 0
+        size -= half
+    begun = np.int32(0)
+    for k in range(AT_A_TIME):  # what comes after these lies behind the place
+        begun += np.int32(limits[np.uint64(at + k)] <= place)
+    return int(at - begin + begun)

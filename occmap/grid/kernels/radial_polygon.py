@@ -180,7 +180,7 @@ def trace_scans(
         reach_out(beams, s, depth, sectors)
         corners = outline_sectors(at_x, at_y, sectors, outline)
         touched = find_rows(outline.y, corners, rows)
-        if not fill_outline(outline, corners, touched, cols, outer):
+        if fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):
             limits[2 * b] = TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
@@ -190,7 +190,7 @@ def trace_scans(
         if side_by_side:
             stay_inside(sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
-            if not fill_outline(outline, corners, touched, cols, inner):
+            if fill_outline(outline, corners, touched, cols, inner) < 0:
                 return s
         view = View((at_x, at_y), room.covering, limits, depth, tables.entries)
         _observe_spans(view, touched, outer, inner, room.listed, cells, runs)
@@ -222,12 +222,12 @@ def _observe_spans(
                 if n < inner_end and inner.limits[np.uint64(n)] < end:
                     until = np.int64(inner.limits[np.uint64(n)])
                     beyond = np.int64(inner.limits[np.uint64(n + 1)])
-                    runs[np.uint64(r * stride + until)] += 1
-                    runs[np.uint64(r * stride + beyond)] -= 1
+                    runs[np.uint64(until)] += 1
+                    runs[np.uint64(beyond)] -= 1
                     n += 2
                 for j in range((until - col + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
                     k = np.uint64(size + j)
-                    rows[k], cols[k] = r, col + j
+                    rows[k], cols[k] = r, col + j - r * stride
                 size += max(int(until - col), 0)
                 col = max(col, beyond)
         if size >= MANY or r == touched[1] - 1:
@@ -242,11 +242,11 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
     steps, first_hit, nothing = float(TABLE_STEPS), float(FIRST_HIT), float(NOTHING)
     to_steps = steps / view.depth
+    side, from_x, from_y = float(1 << CELL_SHIFT), float(HALF_CELL - at_x), float(HALF_CELL - at_y)
     two, one = np.uint64(2), np.uint64(1)
     for i in range(size):
         k = np.uint64(i)
-        x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
-        y = float((np.int64(rows[k]) << CELL_SHIFT) + HALF_CELL - at_y)
+        x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
         places[k] = bearing_of(x, y)
     for i in range(size):
         k = np.uint64(i)
@@ -254,8 +254,7 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
         limits[two * k], limits[two * k + one] = view.limits[two * b], view.limits[two * b + one]
     for i in range(size):
         k = np.uint64(i)
-        x = float((np.int64(cols[k]) << CELL_SHIFT) + HALF_CELL - at_x)
-        y = float((np.int64(rows[k]) << CELL_SHIFT) + HALF_CELL - at_y)
+        x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
         squared = x * x + y * y
         as_free = squared * limits[two * k]
         off = abs(np.sqrt(squared) - limits[two * k + one]) * to_steps
@@ -323,7 +322,7 @@ def find_sectors(beams: Beams, s: int, sectors: Sectors) -> float:
 
 
 @kernel
-def bearing_of(x: float, y: float) -> np.int64:
+def bearing_of(x: float, y: float) -> np.int32:
     """Which of the steps of a turn a vector points to, counter-clockwise from +x.
 
     Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
@@ -331,7 +330,7 @@ def bearing_of(x: float, y: float) -> np.int64:
     """
     part = x / max(abs(x) + abs(y), NO_LENGTH)
     turned = 1.0 - part if y >= 0 else 3.0 + part
-    return np.int64(turned * (BEARINGS / 4))
+    return np.int32(turned * (BEARINGS / 4))
 
 
 @kernel
