@@ -143,8 +143,10 @@ class BuildOptions:
 
     def list_idle(self) -> Iterator[str]:
         """Name the options that do nothing under the update."""
-        if self.update is Update.BEAM and self.jump != BuildOptions.jump:
-            yield "`jump` does nothing under `occmap build beam`"
+        values = list_values(self)
+        for name in IDLE.get(self.update, ()):
+            if values[name] != OPTIONS[name].default:
+                yield f"`{name}` does nothing with the {self.update} update"
         if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:
             yield "`border_gap` does nothing: it is for `occmap build polygon`"
         if self.fit and not (self.resume or self.resume_if_there):
@@ -153,6 +155,11 @@ class BuildOptions:
 
 OPTIONS = list_options(BuildOptions)
 """All of them by name"""
+IDLE = {
+    Update.BEAM: ("jump",),
+    Update.CLOUD: ("jump", "hit_offset", "no_return", "range_max", "deskew"),
+}
+"""Options that do nothing with an update"""
 
 OTHER_FLAGS = {
     **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview", "truth")},

@@ -13,7 +13,7 @@ from occmap.posing import Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, read_recorded
 from occmap.scans.tally import LeftOut, Tally
-from occmap.sensor import RangeLimits, read_limits
+from occmap.sensor import RangeLimits, drop_own_points, read_limits
 from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun
 
 
@@ -247,7 +247,10 @@ class Drive:
             if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
                 self._odd[f"{batch.topic}: {oddity}"] = None
             tally.drop(attached.dropped)
-            yield attached
+            posed = attached.posed
+            if posed is not None and batch.clouds is not None:
+                posed = drop_own_points(posed, self._options.returns)
+            yield attached._replace(posed=posed)
             tally.advance(len(batch.stamp_ns))
         tally.frames[str(self.log.path)] = self.poser.fixed
         tally.lasers = max(tally.lasers, len(self.topics))

@@ -221,8 +221,12 @@ def mask_sectors(
     angle_min: float, angle_increment: float, beams: int, sectors: tuple[Sector, ...]
 ) -> Bool:
     """(B,): which beams point into one of the sectors."""
-    bearings = angle_min + angle_increment * np.arange(beams)
-    inside = np.zeros(beams, np.bool_)
+    return find_inside(angle_min + angle_increment * np.arange(beams, dtype=np.float64), sectors)
+
+
+def find_inside(bearings: Float64, sectors: tuple[Sector, ...]) -> Bool:
+    """(N,): which bearings lie in one of the sectors."""
+    inside = np.zeros(len(bearings), np.bool_)
     for start, end in sectors:
         width = (end - start) % FULL_TURN or FULL_TURN
         inside |= (bearings - start + EDGE_RAD) % FULL_TURN <= width + 2 * EDGE_RAD
@@ -239,6 +243,27 @@ def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
     near = np.maximum(np.minimum(low, high).max(axis=0), 0)
     far = np.maximum(low, high).min(axis=0)
     return np.asarray((ranges >= as_float32(near)) & (ranges <= as_float32(far)))
+
+
+def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
+    """Make no returns of the points of clouds that are the robot's own or blocked by it.
+
+    Nothing is known of how the sensor saw points that are in the map's frame already: they stay.
+    """
+    if not (options.footprint or options.ignore_sectors) or posed.origin is not None:
+        return posed
+    clouds = []
+    for cloud in posed.batch.clouds or ():
+        points = cloud.points.copy()
+        x, y = points[:, :2].T.astype(np.float64)
+        bearings: Float64 = np.arctan2(y, x)
+        own = find_inside(bearings, options.ignore_sectors)
+        if options.footprint is not None:
+            x_min, y_min, x_max, y_max = options.footprint
+            own |= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+        points[own] = 0
+        clouds.append(cloud._replace(points=points))
+    return replace(posed, batch=replace(posed.batch, clouds=tuple(clouds)))
 
 
 def goes_round(batch: ScanBatch) -> bool:

@@ -213,12 +213,19 @@ def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
     words = [log, "--jump", "0.3", "--border-gap", "4", "-o", tmp_path / "map.pgm"]
     jump, gap = (
-        "note: --jump does nothing under `occmap build beam`\n",
+        "note: --jump does nothing with the beam update\n",
         "note: --border-gap does nothing: it is for `occmap build polygon`\n",
     )
     assert occmap("build", "beam", *words).err == jump + gap
     assert occmap("build", *words).err == gap
     assert occmap("build", "polygon", *words).err == ""
+
+
+def test_options_of_scans_are_noted_where_clouds_are_mapped(tmp_path: Path) -> None:
+    words = ["--no-return", "clear", "--range-max", "30", "--footprint=-0.3,-0.3,0.3,0.3"]
+    err = occmap("build", SAMPLE_LOGS / "hall.mcap", *words, "-o", tmp_path / "m.pgm").err
+    idle = [line for line in err.splitlines() if "does nothing" in line]
+    assert [line.split()[1] for line in idle] == ["--no-return", "--range-max"]
 
 
 def test_options_of_a_build_by_workers_are_noted_without_workers(tmp_path: Path) -> None:

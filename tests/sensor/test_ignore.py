@@ -1,6 +1,7 @@
 """Beams that the robot blocks, and hits on the robot itself."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from occmap.sensor import (
     ReturnOptions,
     Sector,
     classify,
+    drop_own_points,
     mask_sectors,
 )
-from occmap.types import Kind, ScanBatch
+from occmap.types import Cloud, Kind, ScanBatch
+from tests.clouds.simulation import place
 
 FRONT, LEFT, BACK, RIGHT = range(4)
 ALL = {FRONT, LEFT, BACK, RIGHT}
@@ -110,3 +113,32 @@ def test_an_empty_sector_is_refused(sector: Sector) -> None:
 def test_an_empty_footprint_is_refused(box: Box) -> None:
     with pytest.raises(UsageError, match="is not a footprint; give x_min,y_min,x_max,y_max"):
         ReturnOptions(footprint=box)
+
+
+PLACES = [(1, 0, 0.5), (0, 1, -2), (-1, 0, 0), (-3, 0.2, 0), (0, -1, 0)]
+"""Of points: ahead, to the left, near behind, far behind and to the right"""
+
+
+@pytest.mark.parametrize(
+    ("options", "kept"),
+    [
+        (ReturnOptions(), {0, 1, 2, 3, 4}),
+        (ReturnOptions(footprint=(-1.5, -0.5, 0.2, 0.5)), {0, 1, 3, 4}),
+        (ReturnOptions(footprint=(-1, -1, 1, 1)), {3}),
+        (ReturnOptions(ignore_sectors=((3.0, -3.0),)), {0, 1, 4}),
+        (ReturnOptions(ignore_sectors=((0.1, -0.1),), footprint=(-9, -9, 9, 9)), set()),
+    ],
+)
+def test_points_of_the_robot_are_no_returns(options: ReturnOptions, kept: set[int]) -> None:
+    cloud = Cloud(0, "lidar", np.array(PLACES, np.float32))
+    seen = drop_own_points(place(cloud, np.zeros(3), np.eye(3)[None]), options)
+    (left,) = seen.batch.clouds or ()
+    expected = [each if at in kept else (0, 0, 0) for at, each in enumerate(PLACES)]
+    assert np.array_equal(left.points, np.array(expected, np.float32))
+    assert cloud.points.any(axis=1).all()  # those of the log stay
+
+
+def test_points_in_the_frame_of_the_map_are_not_seen_as_the_sensor_saw_them() -> None:
+    posed = place(Cloud(0, "map", np.ones((1, 3), np.float32)), np.zeros(3), np.eye(3)[None])
+    posed = replace(posed, origin=np.zeros((1, 3)))
+    assert drop_own_points(posed, ReturnOptions(footprint=(-2, -2, 2, 2))) is posed
