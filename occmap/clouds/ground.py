@@ -56,8 +56,9 @@ LEVEL_MM, LEVEL_SHARE, LEAST_LEVEL = 50, 0.95, 500
 level, which goes on where nobody saw it. A street has 0.4 there, a hall with a platform 0.8"""
 LEVEL_FILLED = 128
 """It goes on over so many columns"""
-UPRIGHT_CLOUDS, UPRIGHT_CELL_M = 20, 0.05
-"""About so many clouds show, by the cells that their points lie in, if walls stand upright"""
+UPRIGHT_CLOUDS, UPRIGHT_POINTS, UPRIGHT_CELL_M = 20, 20_000, 0.05
+"""About so many clouds, and points of each, show if walls stand upright, by the cells that they lie
+in"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -73,8 +74,8 @@ class Counted(NamedTuple):
     table: Histogram
     path: Int64
     """(P, 3) where the sensor went (mm)"""
-    cells: Int64
-    """(N,) the cell of the map that each point of a sample lies in, whatever its height"""
+    sample: Float64
+    """(N, 3) where some of the points lie (m)"""
 
 
 class GroundFinder:
@@ -86,7 +87,7 @@ class GroundFinder:
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._path: list[Float64] = []
-        self._cells: list[Int64] = []
+        self._sample: list[Float64] = []
         self._lock = Lock()
 
     def start_over(self) -> "GroundFinder":
@@ -101,18 +102,18 @@ class GroundFinder:
         """Count the points of some clouds."""
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(1 << 14)
-        path, cells = [], []
+        path, sample = [], []
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start = 0
             while (start := heights.count_heights(cloud, table, start)) < len(cloud.points):
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
-                cells.append(find_cells(cloud))
+                sample.append(sample_points(cloud))
         with self._lock:
             self._idle.append(table)
             self._path += path
-            self._cells += cells
+            self._sample += sample
 
     def count(self) -> Counted:
         """Give what was counted so far."""
@@ -123,20 +124,13 @@ class GroundFinder:
             heights.add_histogram(other.keys, other.counts, table)
         self._idle = [table]
         path = thin_path(np.array(self._path).reshape(-1, 3))
-        return Counted(table, path, np.concatenate([np.zeros(0, np.int64), *self._cells]))
+        return Counted(table, path, np.concatenate([np.zeros((0, 3)), *self._sample]))
 
     def join(self, counted: Counted) -> None:
         """Add what another finder counted, maybe in another process."""
         self._idle.append(counted.table)
         self._path += list(counted.path / 1000)
-        self._cells.append(counted.cells)
-
-    @property
-    def spread(self) -> float:
-        """How widely a sample of points lies over cells (entropy): upright walls fill few."""
-        _, points = np.unique(self.count().cells, return_counts=True)
-        share = points / points.sum()
-        return float(-(share * np.log(share)).sum())
+        self._sample.append(counted.sample)
 
     def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
         """Find the ground below the drive, and say what there is to say of it.
@@ -155,14 +149,12 @@ class GroundFinder:
         return find_ground(table, path, options, known)
 
 
-def find_cells(cloud: Cloud) -> Int64:
-    """Find the cells (N,) of the map that the points of a cloud lie in, those that are finite."""
-    points, pose = pose_points(cloud, 1)
+def sample_points(cloud: Cloud) -> Float64:
+    """Place some points (N, 3) of a cloud, those that are finite (m)."""
+    points, pose = pose_points(cloud, max(len(cloud.points) // UPRIGHT_POINTS, 1))
     with np.errstate(invalid="ignore"):
-        place = np.einsum("nij,nj->ni", pose[:, :2, :3], points) + pose[:, :2, 3]
-    known = place[np.isfinite(place).all(axis=1)]
-    column, row = np.floor(known / UPRIGHT_CELL_M).astype(np.int64).T
-    return np.asarray((row << 32) + column)
+        place = np.einsum("nij,nj->ni", pose[:, :, :3], points) + pose[:, :, 3]
+    return np.asarray(place[np.isfinite(place).all(axis=1)])
 
 
 def pose_points(cloud: Cloud, every: int) -> tuple[Float64, Float64]:
@@ -507,24 +499,23 @@ def measure_slope(ground: Ground) -> tuple[float, float]:
     return slopes[0], slopes[1]
 
 
-def level_floor(ground: Ground, level: tuple[float, float]) -> tuple[float, float]:
+def find_level(ground: Ground, turned: Float64) -> tuple[float, float]:
     """Find the roll and pitch (degrees) that lay most of the ground flat.
 
     Parameters
     ----------
-    level
-        Those by which the map is turned in which the ground was found.
+    turned
+        (3, 3) how the frame that they are for is turned in that of the ground.
     """
     along, aside = measure_slope(ground)
-    roll, pitch = map(math.radians, level)
-    # The ground's normal, turned back: first the pitch, then the roll.
-    x, z = (
-        -along * math.cos(pitch) - math.sin(pitch),
-        -along * math.sin(pitch) + math.cos(pitch),
-    )
-    y, z = (
-        -aside * math.cos(roll) + z * math.sin(roll),
-        aside * math.sin(roll) + z * math.cos(roll),
-    )
-    found = math.atan2(y, z), -math.atan2(x, math.hypot(y, z))
-    return round(math.degrees(found[0]), 2), round(math.degrees(found[1]), 2)
+    x, y, z = turned.T @ [-along, -aside, 1.0]
+    roll, pitch = math.degrees(math.atan2(y, z)), -math.degrees(math.atan2(x, math.hypot(y, z)))
+    return round(roll, 2), round(pitch, 2)
+
+
+def measure_spread(points: Float64) -> float:
+    """Measure over how many cells points (N, 3) spread (the entropy): upright walls fill few."""
+    column, row, _ = np.floor(points.T / UPRIGHT_CELL_M).astype(np.int64)
+    _, many = np.unique((row << 32) + column, return_counts=True)
+    share = many / many.sum()
+    return float(-(share * np.log(share)).sum())

@@ -215,8 +215,8 @@ def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> BuildGround:
 
     def count(options: BuildOptions) -> GroundFinder:
         turned = replace(setting, options=options)
-        suffix = "" if options is setting.options else "-level"
-        some = [replace(job, setting=turned, name=job.name + suffix) for job in jobs]
+        level = "".join(f" {angle}" for angle in options.posing.level or ())
+        some = [replace(job, setting=turned, name=job.name + level) for job in jobs]
         finder = GroundFinder(setting.scans)
         for counted in cluster.run("ground", tasks.survey_ground, some):
             finder.join(counted)

@@ -48,6 +48,18 @@ Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
 
 
+def place_logs(options: PosingOptions) -> Transforms:
+    """Say where the logs' map, once it is level, lies in the map that is made."""
+    turned = Pose.planar(0.0, 0.0, math.radians(options.align or 0.0))
+    return Transforms.fixed(turned).then(Transforms.fixed(options.transform or IDENTITY))
+
+
+def tilt(level: tuple[float, float]) -> Transforms:
+    """Make the rotation by a roll and a pitch (degrees)."""
+    roll, pitch = map(math.radians, level)
+    return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
+
+
 @dataclass(eq=False)
 class Poser:
     """The poses of one log, and how its scans get theirs.
@@ -71,12 +83,7 @@ class Poser:
     def __post_init__(self) -> None:
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
         self._is_settled = False
-        # Where the log's map frame lies in the map that is made: mostly, they are one.
-        turned = Pose.planar(0.0, 0.0, math.radians(self.options.align or 0.0))
-        moved = Transforms.fixed(self.options.transform or IDENTITY)
-        roll, pitch = np.radians(self.options.level or (0.0, 0.0)).tolist()
-        level = Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
-        self._above = Transforms.fixed(turned).then(moved).then(level)
+        self._above = place_logs(self.options).then(tilt(self.options.level or (0.0, 0.0)))
 
     @classmethod
     def build(

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias
 
+import numpy as np
+
 from occmap.cells import Ground, Slices
 from occmap.errors import MapError, name_log
 from occmap.evidence import list_misfit
@@ -13,6 +15,7 @@ from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
 from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
+from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
 from occmap.report import Note
 from occmap.scans import choose_engine, make_grid
@@ -77,6 +80,8 @@ def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) 
 
 LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
+BEGIN_M = 100.0
+"""SLAM that knows no gravity begins at the zero of its map"""
 LEVEL_ROUNDS = 3
 """A floor that leans much shows its angle roughly at first."""
 
@@ -127,18 +132,23 @@ def level_ground(
 
     finder, level = count(options), (0.0, 0.0)
     found = BuildGround(*finder.find(options.clouds, known), options)
-    if known is not None or options.posing.level is not None:
+    place = place_logs(options.posing)
+    start, turned = place.position[0], place.rotation[0]
+    _, path, sample = finder.count()
+    begins_there = np.linalg.norm(path / 1000 - start, axis=1).min(initial=np.inf) < BEGIN_M
+    if known is not None or options.posing.level is not None or not begins_there:
         return found
+    sample = (sample - start) @ turned  # in the logs' own map
     for _ in range(LEVEL_ROUNDS):
-        wanted = clouds.level_floor(found.ground, level)
+        wanted = clouds.find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
             break
-        laid = replace(options, posing=replace(options.posing, level=wanted))
-        flat = count(laid)
-        if flat.spread >= finder.spread:
+        spreads = [clouds.measure_spread(sample @ tilt(it).rotation[0].T) for it in (level, wanted)]
+        if spreads[1] >= spreads[0]:
             break
-        finder, level = flat, wanted
-        found = BuildGround(*finder.find(options.clouds), laid)
+        level = wanted
+        laid = replace(options, posing=replace(options.posing, level=level))
+        found = BuildGround(*count(laid).find(options.clouds), laid)
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "

@@ -13,10 +13,14 @@ from occmap.clouds.ground import GroundFinder
 from occmap.options import BuildOptions
 from occmap.posing import PosingOptions
 from occmap.scans.tracing import level_ground
-from occmap.types import Float64, PosedScans
+from occmap.types import Float64, Pose, PosedScans
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
 from tests.clouds.simulation import HALL, Room, drive, place, turn, write_leaning
+
+PLACE, YAW = (300.0, -2000.0), 0.5
+"""Where the logs' map is said to lie in that which is made"""
+ELSEWHERE = PosingOptions(align=70.0, transform=Pose.planar(*PLACE, YAW))
 
 
 def lean(clouds: Sequence[PosedScans], tilt: Float64) -> list[PosedScans]:
@@ -25,6 +29,11 @@ def lean(clouds: Sequence[PosedScans], tilt: Float64) -> list[PosedScans]:
         replace(each, position=each.position @ tilt.T, rotation=tilt @ each.rotation)
         for each in clouds
     ]
+
+
+def shift(posed: PosedScans, x: float, y: float) -> PosedScans:
+    """The same clouds elsewhere in the map."""
+    return replace(posed, position=[*posed.position, x, y, 0])
 
 
 def climb(clouds: Sequence[PosedScans], slope: float) -> list[PosedScans]:
@@ -44,7 +53,10 @@ def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder
     def count_levelled(options: BuildOptions) -> GroundFinder:
         finder = GroundFinder(len(clouds))
         roll, pitch = options.posing.level or (0.0, 0.0)
-        for each in lean(clouds, turn(roll, pitch, 0)):
+        level = lean(clouds, turn(roll, pitch, 0))
+        moved = [shift(each, *PLACE) for each in lean(level, turn(0, 0, math.degrees(YAW)))]
+        placed = moved if options.posing.transform else level
+        for each in lean(placed, turn(0, 0, options.posing.align or 0.0)):
             finder.add(each)
         return finder
 
@@ -52,16 +64,23 @@ def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder
 
 
 @pytest.mark.parametrize("angles", [(1.5, 0), (-3, 2), (0, 20), (12, -9)])
-def test_a_map_that_leans_is_laid_flat(angles: tuple[float, float]) -> None:
-    tilt = turn(*angles, 0)
-    ground, notes, options = level_ground(count(lean(drive(Room()), tilt)), BuildOptions(), None)
+@pytest.mark.parametrize("posing", [PosingOptions(), ELSEWHERE])
+def test_a_map_that_leans_is_laid_flat(angles: tuple[float, float], posing: PosingOptions) -> None:
+    clouds, given = lean(drive(Room()), turn(*angles, 0)), BuildOptions(posing=posing)
+    ground, notes, options = level_ground(count(clouds), given, None)
 
     assert options.posing.level is not None
-    up = turn(*options.posing.level, 0) @ tilt @ [0, 0, 1]
-    assert math.degrees(math.acos(up[2])) < 0.3
+    up = turn(*options.posing.level, 0) @ turn(*angles, 0) @ [0, 0, 1]
+    assert math.degrees(math.acos(up[2])) < 1  # as sharp as it needs to be
     heights = ground.height_mm[ground.measured]
     assert np.ptp(np.quantile(heights, [0.05, 0.95])) < 60
     assert "`level=(0,0)` leaves it as it is" in notes[-1]
+
+
+def test_a_map_that_does_not_begin_at_its_zero_knows_what_is_up() -> None:
+    """Such as one in UTM: to turn it about the zero would move it by far."""
+    clouds = [shift(each, 5e5, 4e5) for each in lean(drive(Room()), turn(3, 0, 0))]
+    assert level_ground(count(clouds), BuildOptions(), None).options == BuildOptions()
 
 
 def test_a_street_that_climbs_stays_as_it_is() -> None:
