@@ -304,8 +304,7 @@ class Poser:
                 first = first_ns + self._offset_ns
                 jumps = course.find_jumps(track)
                 # Where poses are mixed, they jump for no other reason.
-                jumped = course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first)
-                if jumped:
+                if jumped := course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first):
                     yield topic, jumped
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:

@@ -94,8 +94,8 @@ def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks) -> None:
     """Say which peaks each column has."""
     top, left = blocks.corner[0] * BLOCK, blocks.corner[1] * BLOCK
     for i in range(len(column)):
-        row = top + ((column[i] >> 21) - top & WIDE - 1)
-        col = left + (column[i] - left & WIDE - 1)
+        row = top + (((column[i] >> 21) - top) & (WIDE - 1))
+        col = left + ((column[i] - left) & (WIDE - 1))
         at = find_column(blocks, row, col)
         if peaks.many[at] == 0:
             peaks.first[at] = i

@@ -60,7 +60,8 @@ class Histogram(NamedTuple):
 @step
 def pack(row: int, col: int, piece: int) -> int:
     """One number for a piece of a column."""
-    return ((((row & WIDE - 1) << 21) | (col & WIDE - 1)) << PIECE_BITS) | (piece + HALF)
+    mask = WIDE - 1
+    return ((((row & mask) << 21) | (col & mask)) << PIECE_BITS) | (piece + HALF)
 
 
 @step
