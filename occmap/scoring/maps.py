@@ -165,25 +165,26 @@ def score(
     true = load_map(truth, options.writing) if truth else None
     if picture:
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
-    made = MapScore(
-        map=str(path),
-        resolution=find_place(written).resolution,
-        occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
-        free=int(np.count_nonzero(written.classes == FREE)),
-    )
+    by_logs, by_truth, notes = None, None, list[str]()
     if against.logs:
-        by_logs, said = score_by_logs(written, against.logs, options, against.is_fitted, progress)
-        made = replace(made, by_logs=by_logs, notes=tuple(said))
+        by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
     if true:
         by_truth = score_by_truth(written, true, against.within_m, against.is_fitted)
-        notes = (*made.notes, *filter(None, [by_truth.doubt]))
-        made = replace(made, by_truth=by_truth, notes=notes)
+        notes += filter(None, [by_truth.doubt])
         if picture:
             from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
 
             write_colours(picture, by_truth.picture)
-            made = replace(made, files=(str(picture),))
-    return made
+    return MapScore(
+        map=str(path),
+        resolution=find_place(written).resolution,
+        occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
+        free=int(np.count_nonzero(written.classes == FREE)),
+        by_logs=by_logs,
+        by_truth=by_truth,
+        notes=tuple(notes),
+        files=(str(picture),) if picture else (),
+    )
 
 
 def find_place(written: ClassMap) -> Place:

@@ -243,7 +243,7 @@ class Fare(NamedTuple):
 
 
 def join_fares(parts: Sequence[Fare]) -> Fare:
-    """Take the maps of all logs together."""
+    """Take the maps of all logs together; their agreement counts by their held-out beams."""
     known = [(each.agreement, each.beams) for each in parts if each.agreement is not None]
     agreed = sum(agreement * beams for agreement, beams in known)
     agreement = agreed / sum(beams for _, beams in known) if known else None
