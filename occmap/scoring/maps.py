@@ -311,15 +311,7 @@ def score_by_truth(
     MapError
         One of them says not where it lies, or both together are too large.
     """
-    true, said = find_place(truth), find_place(written)
-    moved, doubt = STAY, ""
-    if is_fitted:
-        walls = said.list_middles(written.classes == OCCUPIED)
-        found = fit(walls, Walls.of(truth.classes == OCCUPIED, true, FARTHEST_M))
-        moved = found.transform
-        if not found.is_sure:
-            told = found.tell("its walls lie on those of the truth")
-            doubt = f"it is not sure how the map lies on {truth.path}: {told}"
+    moved, doubt = fit_walls(written, truth) if is_fitted else (STAY, "")
     place, shape = cover(written, truth, moved)
     is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)
     side = place.resolution
@@ -359,6 +351,15 @@ def score_by_truth(
         doubt=doubt,
         picture=picture[::-1],
     )
+
+
+def fit_walls(written: ClassMap, truth: ClassMap) -> tuple[Transform, str]:
+    """Find how a map fits the truth best, and what speaks against it; "" where nothing does."""
+    walls = find_place(written).list_middles(written.classes == OCCUPIED)
+    found = fit(walls, Walls.of(truth.classes == OCCUPIED, find_place(truth), FARTHEST_M))
+    told = found.tell("its walls lie on those of the truth")
+    doubt = f"it is not sure how the map lies on {truth.path}: {told}"
+    return found.transform, "" if found.is_sure else doubt
 
 
 def share(part: Bool, whole: Bool) -> float:
