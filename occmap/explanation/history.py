@@ -95,13 +95,14 @@ def list_logs(build: BuildRecord) -> list[str]:
 
 def list_missing(evidence: Evidence, uses: Sequence[Use]) -> list[str]:
     """Name the logs that went into the evidence, and that no use reads."""
-    held = Counter(
-        (index, entry["sha256"], entry["name"].partition("/")[0])
+    read = {(use.build, digest) for use in uses for digest in hash_files(use.log)}
+    missing = (
+        entry["name"].partition("/")[0]
         for index, build in enumerate(evidence.manifest.builds)
         for entry in list_inputs(build)
+        if (index, entry["sha256"]) not in read
     )
-    read = {(use.build, digest) for use in uses for digest in hash_files(use.log)}
-    return list(dict.fromkeys(name for index, digest, name in held if (index, digest) not in read))
+    return list(dict.fromkeys(missing))
 
 
 def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Path]) -> BuildOptions:

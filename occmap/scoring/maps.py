@@ -165,25 +165,26 @@ def score(
     true = load_map(truth, options.writing) if truth else None
     if picture:
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
-    made = MapScore(
-        map=str(path),
-        resolution=find_place(written).resolution,
-        occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
-        free=int(np.count_nonzero(written.classes == FREE)),
-    )
+    by_logs, by_truth, notes = None, None, list[str]()
     if against.logs:
-        by_logs, said = score_by_logs(written, against.logs, options, against.is_fitted, progress)
-        made = replace(made, by_logs=by_logs, notes=tuple(said))
+        by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
     if true:
         by_truth = score_by_truth(written, true, against.within_m, against.is_fitted)
-        notes = (*made.notes, *filter(None, [by_truth.doubt]))
-        made = replace(made, by_truth=by_truth, notes=notes)
+        notes += filter(None, [by_truth.doubt])
         if picture:
             from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
 
             write_colours(picture, by_truth.picture)
-            made = replace(made, files=(str(picture),))
-    return made
+    return MapScore(
+        map=str(path),
+        resolution=find_place(written).resolution,
+        occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
+        free=int(np.count_nonzero(written.classes == FREE)),
+        by_logs=by_logs,
+        by_truth=by_truth,
+        notes=tuple(notes),
+        files=(str(picture),) if picture else (),
+    )
 
 
 def find_place(written: ClassMap) -> Place:
@@ -310,15 +311,7 @@ def score_by_truth(
     MapError
         One of them says not where it lies, or both together are too large.
     """
-    true, said = find_place(truth), find_place(written)
-    moved, doubt = STAY, ""
-    if is_fitted:
-        walls = said.list_middles(written.classes == OCCUPIED)
-        found = fit(walls, Walls.of(truth.classes == OCCUPIED, true, FARTHEST_M))
-        moved = found.transform
-        if not found.is_sure:
-            told = found.tell("its walls lie on those of the truth")
-            doubt = f"it is not sure how the map lies on {truth.path}: {told}"
+    moved, doubt = fit_walls(written, truth) if is_fitted else (STAY, "")
     place, shape = cover(written, truth, moved)
     is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)
     side = place.resolution
@@ -358,6 +351,15 @@ def score_by_truth(
         doubt=doubt,
         picture=picture[::-1],
     )
+
+
+def fit_walls(written: ClassMap, truth: ClassMap) -> tuple[Transform, str]:
+    """Find how a map fits the truth best, and what speaks against it; "" where nothing does."""
+    walls = find_place(written).list_middles(written.classes == OCCUPIED)
+    found = fit(walls, Walls.of(truth.classes == OCCUPIED, find_place(truth), FARTHEST_M))
+    told = found.tell("its walls lie on those of the truth")
+    doubt = f"it is not sure how the map lies on {truth.path}: {told}"
+    return found.transform, "" if found.is_sure else doubt
 
 
 def share(part: Bool, whole: Bool) -> float:

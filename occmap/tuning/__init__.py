@@ -153,6 +153,8 @@ def tune(
     before = scorer.score(Correction())
     timed, place, unsearched = plan_search(scorer)
     time, mounted, best = search.find_both(scorer, timed, place)
+    if place and mounted.verdict is Verdict.UNSEEN:
+        unsearched.append("the mount is not searched: it would make up for times that change")
     # Both once more, since one may have hidden part of the other.
     again = search.TOGETHER if timed and mounted.verdict is Verdict.FOUND else []
     together = search.find_correction(scorer, best, again)
@@ -252,13 +254,11 @@ def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
             f"cells, still below {LEAST_AGREEMENT:.0%}: the search may have ended far from what is "
             "right; measure the mount and give it by `sensor_pose`, or see `occmap check`"
         )
-    if tuning.time.verdict is Verdict.DISAGREE:
-        yield "the mount is not searched: it would make up for times that change within the log"
     for each in tuning.by_log:
         if each.loses:
             yield (
                 f"{each.log} loses {-each.gain:.4f} +- {each.gain_error:.4f} by what the other "
-                "logs gain by: its laser may sit elsewhere; tune it by itself"
+                "logs gain by: its mount or its clock may be another; tune it by itself"
             )
     half = tuning.scans.held_out // 2
     if half < FEW_SCANS:

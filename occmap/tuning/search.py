@@ -20,7 +20,6 @@ from occmap.posing.attach import Poser
 from occmap.posing.tracks import to_quaternions
 from occmap.readers import Log
 from occmap.report import Finite
-from occmap.report.results import list_frames
 from occmap.scans import make_engine
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally, refuse_unused
@@ -76,7 +75,6 @@ def keep_logs(
     """
     kept = [keep_log(log, options, limit_scans(len(logs)), tally, remarks) for log in logs]
     refuse_unused(remarks.logs, tally)
-    remarks.notes += list_frames(tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
@@ -245,7 +243,7 @@ class Fare(NamedTuple):
 
 
 def join_fares(parts: Sequence[Fare]) -> Fare:
-    """Take the maps of all logs together."""
+    """Take the maps of all logs together; their agreement counts by their held-out beams."""
     known = [(each.agreement, each.beams) for each in parts if each.agreement is not None]
     agreed = sum(agreement * beams for agreement, beams in known)
     agreement = agreed / sum(beams for _, beams in known) if known else None

@@ -44,7 +44,7 @@ def test_a_flag_is_what_the_rule_says(name: str) -> None:
 
 
 def test_every_option_can_be_typed() -> None:
-    names = ("build", "explain", "render")
+    names = ("build", "explain", "render", "score")
     commands = [find_command(name) for name in names]
     typed = {option for command in commands for each in command.params for option in each.opts}
     positional = {"update"}  # the first word of a build
