@@ -24,7 +24,7 @@ from occmap.posing.chain import Status, Transforms
 from occmap.posing.sources import Sources
 from occmap.readers import Log, get_moments, read_poses
 from occmap.scans import mounts
-from occmap.scans.logs import count_scans, refuse_shared_mount, take_first
+from occmap.scans.logs import count_scans, refuse_part, refuse_shared_mount, take_first
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans
 
@@ -60,6 +60,8 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     poser = Poser.build(read_poses(log), options.posing, get_moments(log))
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
+    if faults and poser.fixed is None:
+        refuse_part(log.path)
     if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
         return Posing(poser, faults)
     at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))

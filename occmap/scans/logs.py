@@ -12,7 +12,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.errors import LogError, OccmapError, UsageError, require
+from occmap.errors import LogError, OccmapError, PoseError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
@@ -133,8 +133,27 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
+            refuse_part(log.path)
             raise next(iter(failures.values())).placed(log.path)
     return poser
+
+
+def refuse_part(path: Path) -> None:
+    """Refuse a file of a split recording, of which another one may hold what this one lacks.
+
+    Raises
+    ------
+    PoseError
+        Naming the folder.
+    """
+    from occmap.readers import rosbag  # noqa: PLC0415  late: it brings mcap and apsw
+
+    whole = path.parent
+    if path.is_dir() or not (whole / rosbag.METADATA).exists():
+        return
+    if len(files := rosbag.list_storage(whole)) > 1:
+        found = f"its scans have no poses, and it is one of {len(files)} files of a recording"
+        raise PoseError(found, where=path, fix=f"give the folder: {whole}")
 
 
 def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:
