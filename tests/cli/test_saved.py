@@ -173,6 +173,8 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
             "Missing argument 'NPZ|ZARR...'; write, for example, occmap merge monday.npz",
         ),
         (["merge", "a.npz"], 2, "add -o merged.npz"),
+        (["merge", "a.npz", "q.npz", "--fit", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
+        (["merge", "a.npz", "b.npz", "--fit", "-o", "m.npz"], 1, "it is not sure where b.npz lie"),
         (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
         (
