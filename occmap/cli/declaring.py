@@ -229,6 +229,8 @@ class ConfigOption(Option):
             own = list_options(ctx.command)
             stated = read_config(path, ctx.command.name or "", own)
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
+            if isinstance(taken.get("edits"), str):  # a file of the site, as this one
+                taken["edits"] = str(path.parent / taken["edits"])
             ctx.default_map = {
                 str(own[name].name): convert(f"{path}: {name}", own[name], value, ctx)
                 for name, value in taken.items()

@@ -408,6 +408,7 @@ def summarise(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
             *results.list_unreached(model, options.writing),
+            *results.list_outside(facts, options.writing),
             *facts.lost,
             *results.list_disagreement(facts),
         ),

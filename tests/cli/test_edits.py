@@ -118,3 +118,37 @@ def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
     done = occmap("merge", "both.npz", "--subtract", "b.npz", "-o", "rest.npz")
     assert (done.code, done.err) == (0, "")
     assert len(read_evidence(Path("rest.npz")).manifest.builds) == 1
+
+
+def test_edits_of_a_file_of_options_lie_beside_it() -> None:
+    site = Path("site")
+    site.mkdir()
+    Path("edits.csv").rename(site / "edits.csv")
+    (site / "occmap.toml").write_text('edits = "edits.csv"\n')
+    line = ("build", DRIVE, "--config", site / "occmap.toml", "-o", "m.pgm")
+    made = occmap(*line)
+    assert made.code == 0
+    assert (read_box("m.pgm", 10.9, -1.5, 11.5, -0.9) == 254).all()
+    assert occmap(*line, "--edits", "none.csv").code == 2  # what is typed lies where one is
+
+
+@pytest.mark.parametrize(
+    ("shape", "is_outside"),
+    [
+        ("free,box,100,2,101,3", True),
+        ("free,box,2,100,3,101", True),
+        ("forbidden,polygon,-9,0,-8,0,-8,1", True),
+        ("free,box,11,-1,90,2", False),
+        ("free,line,-4.2,0,-4.2,1,0.2", True),  # it ends at -4.1, and the map at -4.05
+        ("free,line,-4.2,0,-4.2,1,0.4", False),
+    ],
+)
+def test_a_shape_outside_of_the_map_is_named(shape: str, is_outside: bool) -> None:
+    Path("edits.csv").write_text(f"{shape}\n")
+    assert occmap("build", DRIVE, "-o", "m.npz", "-q").code == 0
+    for line in (("build", DRIVE), ("render", "m.npz")):
+        made = occmap(*line, "-o", "m.pgm", "--edits", "edits.csv")
+        notes = [each for each in made.err.splitlines() if "outside of the map" in each]
+        assert len(notes) == is_outside
+        if shape.startswith("free,box,100"):
+            assert "x 100 to 101 m, y 2 to 3 m" in notes[0]
