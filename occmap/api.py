@@ -264,7 +264,8 @@ def merge(
         First move each file after the first one so that its walls lie on those before it.
     options
         Of `build_map`: model (the default is what the evidence was built with), min_passes,
-        max_cells, extent, margin, mode, occupied_thresh, free_thresh and shade.
+        max_cells, extent, margin, edits, georeference, mode, occupied_thresh, free_thresh and
+        shade.
 
     Raises
     ------

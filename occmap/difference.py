@@ -6,6 +6,7 @@ stayed undecided, so both are called neither here.
 """
 
 import math
+import re
 import reprlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,7 +23,7 @@ from occmap.evidence import read_model
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import HIDDEN, Count, Printed, Share, printed_as
-from occmap.store import Store, as_blocks, open_saved
+from occmap.store import Store, as_blocks, identify, open_saved
 from occmap.store.layout import digest_evidence
 from occmap.store.publishing import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
@@ -81,6 +82,8 @@ class ClassMap:
     """What the cells were read from, where that is another file than `path`"""
     digest: str | None = None
     """SHA-256 of what was observed, however it is kept; None for an image"""
+    evidence: str | None = None
+    """Names what was observed, by `Manifest.identify`; None where an image does not say"""
 
 
 def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -123,7 +126,9 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
         raise MapError(f"there is no {stating.name} beside it", where=path, fix="give the YAML")
     meta = parse_meta(stating, read_yaml(stating))
     image = path if is_image else path.parent / meta.image
-    return ClassMap(path, classify(read_image(image), meta), meta.place, image)
+    said = re.search(rb"^# evidence: ([0-9a-f]{12})$", stating.read_bytes()[:YAML_BYTES], re.M)
+    name = said[1].decode() if said else None
+    return ClassMap(path, classify(read_image(image), meta), meta.place, image, evidence=name)
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -143,7 +148,8 @@ def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
         stated = (parse_number(path, name, said[name]) for name in IN_PNG[:2])
         free, occupied = thresholds.decide(Decision(*stated))
     meta = Meta(path.name, MapMode.TRINARY, occupied, free, said.get("negate") == "1")
-    return ClassMap(path, classify(image, meta), None)
+    name = image.texts.get("evidence")
+    return ClassMap(path, classify(image, meta), None, evidence=name)
 
 
 def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -159,7 +165,8 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
     digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)
-    return ClassMap(path, classes, Place(made.resolution, x, y), digest=digest)
+    place, name = Place(made.resolution, x, y), identify(saved)
+    return ClassMap(path, classes, place, digest=digest, evidence=name)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
@@ -412,6 +419,9 @@ class MapDifference(Printed):
     digests: tuple[str | None, str | None]
     """SHA-256 of what was observed for each map, equal where it is, in whatever file; null for an
     image"""
+    evidence: tuple[str | None, str | None]
+    """Name of what was observed for each map, equal where each cell was observed alike, in whatever
+    file; null for an image that does not say"""
     before: UInt8 = field(metadata=HIDDEN)
     after: UInt8 = field(metadata=HIDDEN)
     """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
@@ -448,6 +458,7 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
         columns=both.cols,
         rows=both.rows,
         digests=(before.digest, after.digest),
+        evidence=(before.evidence, after.evidence),
         before=one,
         after=other,
         place=corner,

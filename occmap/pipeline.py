@@ -6,10 +6,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import Evidence, Ground, Slices
+from occmap.cells import About, Evidence, Ground, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
-from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest
+from occmap.evidence.manifest import describe_about, describe_build, list_doubts, plan_manifest
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report.results import (
@@ -63,15 +63,15 @@ def build(
             want_journey(outputs),
             open_ground(options, past),
         )
-        observed = observe(paths, options, keep, progress)
-        tiles, slices, tally, remarks, ground, options = observed
+        tiles, slices, tally, remarks, ground, options = observe(paths, options, keep, progress)
         slices, misfit = add_past(tiles, slices, past, options)
         refuse_unused(paths, tally)
         refuse_unseen(paths, tally, tiles.tiles)
 
         with tally.time("render"):
             painted, lost = render_lasting(tiles, slices, options.model, options)
-            grid = options.writing.edit(painted)
+            about = describe_origin(paths, options, tiles, past)
+            grid = replace(options.writing.edit(painted), about=about)
         with tally.time("write"):  # to hash the logs takes time
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = plan_manifest(options, made, past.manifest if past and made else None)
@@ -169,6 +169,15 @@ def add_past(
     notes = [f"{past.where}: {text}" for text in misfit]
     add_stack(tiles, past.tiles, past.cells)
     return past.slices + slices, notes
+
+
+def describe_origin(
+    paths: Sequence[Path], options: BuildOptions, tiles: TileGrid, past: Evidence | None
+) -> About:
+    """Say what the map is of."""
+    plan = plan_manifest(options, past=past.manifest if past else None)
+    name = plan.identify(sum_tiles(tiles.tiles.items()))
+    return describe_about(plan, name, options, (path.name for path in paths))
 
 
 def tell_resumed(past: Evidence | None) -> Resumed | None:

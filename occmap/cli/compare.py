@@ -256,6 +256,12 @@ def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
         low_x, low_y, high_x, high_y = write_metres(difference.largest.extent)
         blob = count(difference.largest.cells, "connected cell")
         yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
+    before, after = difference.evidence
+    if before and before == after:
+        other = "; what changed is how it was rendered" if difference.changed_cells else ""
+        yield "evidence", f"{before}, of both{other}"
+    elif before and after:
+        yield from label_first("evidence", [before, after])
     before, after = difference.digests
     if before and after and before == after:
         yield "digest", f"{before}, of both"

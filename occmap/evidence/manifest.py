@@ -1,6 +1,7 @@
 """What evidence was made of: input files with their hashes, options, and what became of scans."""
 
 import hashlib
+import json
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,9 +13,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from occmap.cells import Manifest
+from occmap.cells import About, Manifest
 from occmap.errors import refuse_unreadable
 from occmap.grid.tiles import EvidenceKind
+from occmap.report import join_names
 from occmap.sensor.models import NO_CLAMP, RadialModel, SensorModel, describe_model
 from occmap.types import Update
 
@@ -53,6 +55,7 @@ def describe_build(
     if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
         del chosen["clouds"]
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
+    del chosen["writing"]["georeference"]  # likewise
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
@@ -148,6 +151,42 @@ def plan_manifest(
         subtracted=past.subtracted if past else (),
         align=options.posing.align,
     )
+
+
+MOST_NAMED = 20
+"""Logs that a file of a map names at most"""
+
+
+def describe_about(
+    manifest: Manifest, evidence: str, options: Any, logs: Iterable[str] = ()
+) -> About:
+    """Say what a map is of.
+
+    Parameters
+    ----------
+    evidence
+        What `Manifest.identify` calls it.
+    options
+        Those of a build or of a map of saved evidence.
+    logs
+        Names of those that the manifest does not have.
+    """
+    shapes = [
+        [each.change, [ring.tolist() for ring in each.rings], each.width]
+        for each in options.writing.shapes
+    ]
+    how = [
+        manifest.model,
+        options.min_passes,
+        write_value(options.framing),
+        {**write_value(options.writing), "edits": shapes},
+    ]
+    rendering = hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()[:12]
+    of_builds = (entry["name"] for build in manifest.builds for entry in list_inputs(build))
+    # Of a folder, the inputs are called folder/file.
+    names = sorted({name.partition("/")[0] for name in (*of_builds, *logs)})
+    named = join_names(map(json.dumps, names), MOST_NAMED)
+    return About(version("occmap"), evidence, rendering, named)
 
 
 def list_doubts(manifest: Manifest) -> Iterator[str]:

@@ -64,11 +64,13 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     used = sum(build["scans"]["used"] for build in builds)
     subtitle = f"{spread}, {cols:,} x {rows:,} cells of {size:g} m, {used:,} scans"
     sections = []
+    about = product.grid.about
+    names = [("evidence", about.evidence), ("rendering", about.rendering)] if about else []
     if report is not None:
         made = tell_map(report.map, report.looked_up)
         scans = [*tell_scans(report), *tell_beams(report)]
         sections += [
-            Section("The map", [Block("facts", made)], wide=False),
+            Section("The map", [Block("facts", [*made, *names])], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
             tell_notes(report),
         ]

@@ -96,6 +96,8 @@ def test_scan_counts_say_what_they_count() -> None:
         ("-o m.png --mode scale", "--mode scale does nothing"),
         ("-o m.pgm -o n.npz --light-occupied", "--light-occupied does nothing"),
         ("-o m.PGM -o m.png --mode raw --light-occupied", ""),
+        ("-o m.pgm -o n.npz --georeference 1,2,3", "--georeference does nothing"),
+        ("-o m.pgm -o m.png --georeference 1,2,3", ""),
         ("-o m.png --mode trinary", ""),
     ],
 )
