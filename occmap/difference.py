@@ -8,7 +8,7 @@ stayed undecided, so both are called neither here.
 import math
 import re
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import permutations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Box, CellClass, Decision
+from occmap.cells import Box, CellClass, Decision, OccupancyMap
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.grid import CellBox
@@ -28,6 +28,7 @@ from occmap.store.layout import digest_evidence
 from occmap.store.publishing import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
+from occmap.writers.edits import Shape, apply_edits
 
 if TYPE_CHECKING:
     from occmap.writers.images import GreyImage
@@ -410,6 +411,8 @@ class MapDifference(Printed):
     """Cells that changed"""
     changed: dict[str, Count] = field(metadata=printed_as("by_class"))
     """Cells that changed, by what they were and are, such as free to occupied"""
+    edited: Count | None
+    """Those of them where the shapes of `edits` lie, and may have changed them; null without"""
     largest: ChangedBlob | None = field(metadata=printed_as("largest_blob"))
     """The largest connected change; null where nothing changed"""
     columns: Count
@@ -429,8 +432,13 @@ class MapDifference(Printed):
     """Where cell (0, 0) of both lies"""
 
 
-def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
+def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()) -> MapDifference:
     """Compare two maps cell by cell; they may be of different size.
+
+    Parameters
+    ----------
+    shapes
+        Edits that were drawn over one of them or both.
 
     Raises
     ------
@@ -449,11 +457,15 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
     blob = find_largest_blob(one != other)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
     changed_cells = sum(changed.values())
+    nothing = np.full(both.shape, np.nan, np.float32)
+    blank = OccupancyMap(nothing, one > 0, corner.resolution, (corner.x, corner.y))
+    is_drawn = ~np.isnan(apply_edits(blank, shapes).log_odds)
     return MapDifference(
         share=changed_cells / max(known, 1),
         known=known,
         changed_cells=changed_cells,
         changed=changed,
+        edited=int(np.count_nonzero(is_drawn & (one != other))) if shapes else None,
         largest=blob and ChangedBlob(blob[0], corner.measure(blob[1])),
         columns=both.cols,
         rows=both.rows,

@@ -213,6 +213,7 @@ def limit_change(text: str) -> Limit:
         "output", "FILE", "Write the changes here: .png is a picture, .html a page."
     ),
     *options.THRESHOLDS,
+    options.field(options.FILES, "edits", help="Say which changes lie in the shapes in this file."),
     Option(
         LIMITS,
         "--fail-above",
@@ -252,6 +253,8 @@ def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
     yield from label_first(
         "changed", [f"{count(difference.changed_cells, 'cell')}, {known}", *by_class]
     )
+    if difference.edited is not None:
+        yield "edits", f"{count(difference.edited, 'changed cell')} in shapes that were drawn"
     if difference.largest:
         low_x, low_y, high_x, high_y = write_metres(difference.largest.extent)
         blob = count(difference.largest.cells, "connected cell")

@@ -49,6 +49,8 @@ from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 
+EDITED = "#009e73"
+"""The outlines of what a person drew over the map"""
 HIT_UNIT_M = 0.02
 """The hits of single scans are rounded to this."""
 
@@ -88,6 +90,10 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
     raster = make_raster(grid, seen)
     note = " ".join(list_losses(raster, product, evidence))
     stage = set_out([raster], name_layers([raster], seen), grid.extent, note=note)
+    for shape in options.shapes:
+        for ring in shape.rings:
+            closed = ring if shape.width else [*ring, ring[0]]
+            stage.plots[0].line(*np.transpose(closed), line_width=2, color=EDITED, name="edits")
     journey = product.journey
     if journey and journey.trajectories:
         stage.data["journey"] = add_way(stage.plots[0], journey.trajectories)

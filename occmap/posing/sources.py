@@ -194,7 +194,11 @@ def _choose_beside(options: PosingOptions, others: Sequence[Edge], tree: FrameTr
     usable = [edge for edge in usable if edge.topic.startswith(name) and len(edge.track) > 1]
     chosen = max(usable, key=lambda edge: len(edge.track), default=None)
     if chosen is None:
-        fix = f"topics with poses: {join_names(topics)}" if topics else "no Path, PoseStamped or Odometry"
+        fix = (
+            f"topics with poses: {join_names(topics)}"
+            if topics
+            else "no Path, PoseStamped or Odometry"
+        )
         raise PoseError("holds no such topic of poses", where=name, fix=fix)
     child = chosen.child if chosen.child in tree else ""  # its name for the body may be another
     return replace(chosen, parent=options.map_frame or chosen.parent, child=child)

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from occmap import build_map
+from occmap.page.pages import describe_product
+from occmap.writers import Product
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap, read_error
 from tests.samples import SAMPLE_LOGS
@@ -152,3 +155,35 @@ def test_a_shape_outside_of_the_map_is_named(shape: str, is_outside: bool) -> No
         assert len(notes) == is_outside
         if shape.startswith("free,box,100"):
             assert "x 100 to 101 m, y 2 to 3 m" in notes[0]
+
+
+def test_diff_tells_changes_where_edits_lie_from_others() -> None:
+    Path("more.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,9,9\n")
+    line = ("render", "-q", "m.npz", "-o")
+    assert occmap("build", "-q", DRIVE, "-o", "m.npz").code == 0
+    assert occmap(*line, "plain.pgm").code == 0
+    assert occmap(*line, "edited.pgm", "--edits", "more.csv").code == 0
+    plain, edited = (np.asarray(Image.open(f"{name}.pgm")) for name in ("plain", "edited"))
+    changed = int((plain != edited).sum())
+    told = occmap("diff", "plain.pgm", "edited.pgm", "--edits", "more.csv", "--json")
+    said = json.loads(told.out)
+    assert said["edited"] == said["changed"] == changed > 0
+    Path("elsewhere.csv").write_text("free,box,0,0,1,1\nforbidden,box,10.9,-1.5,11.5,-0.9\n")
+    told = occmap("diff", "plain.pgm", "edited.pgm", "--edits", "elsewhere.csv")
+    assert "edits    0 changed cells in shapes that were drawn" in told.out
+    told = occmap("diff", "plain.pgm", "edited.pgm", "--json")
+    assert json.loads(told.out)["edited"] is None
+    error = read_error(occmap("diff", "plain.pgm", "edited.pgm", "--edits", "none.csv"), 2)
+    assert error.startswith("none.csv: cannot be read")
+
+
+def test_a_page_has_the_outlines_of_edits() -> None:
+    Path("edits.csv").write_text("free,polygon,1,2,3,2,3,4\noccupied,line,0,0,5,0\n")
+    made = build_map(DRIVE, outputs="m.npz", edits="edits.csv")
+    assert made.evidence is not None
+    evidence = made.evidence
+    page = describe_product(Product(made, lambda: evidence), made.writing)
+    assert page.stage is not None
+    outlines = [each for each in page.stage.plots[0].renderers if each.name == "edits"]
+    corners = [(list(o.data_source.data["x"]), list(o.data_source.data["y"])) for o in outlines]
+    assert corners == [([1, 3, 3, 1], [2, 2, 4, 2]), ([0, 5], [0, 0])]
