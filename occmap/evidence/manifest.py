@@ -171,17 +171,15 @@ def describe_about(
     logs
         Names of those that the manifest does not have.
     """
-    shapes = [
-        [each.change, [ring.tolist() for ring in each.rings], each.width]
-        for each in options.writing.shapes
-    ]
-    how = [
-        manifest.model,
-        options.min_passes,
-        write_value(options.framing),
-        {**write_value(options.writing), "edits": shapes},
-    ]
-    rendering = hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()[:12]
+    writing, framing = options.writing, options.framing
+    drawn = [[s.change, [ring.tolist() for ring in s.rings], s.width] for s in writing.shapes]
+    given = write_value(writing) | write_value(framing)
+    given |= {"min_passes": options.min_passes, "edits": drawn or None}
+    usual = write_value(type(writing)()) | write_value(type(framing)())
+    # An option that a later version adds changes no name where nobody gives it.
+    how = {name: value for name, value in given.items() if value != usual.get(name)}
+    text = json.dumps([manifest.model, how], sort_keys=True)
+    rendering = hashlib.sha256(text.encode()).hexdigest()[:12]
     of_builds = (entry["name"] for build in manifest.builds for entry in list_inputs(build))
     # Of a folder, the inputs are called folder/file.
     names = sorted({name.partition("/")[0] for name in (*of_builds, *logs)})
