@@ -55,6 +55,8 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
       occmap merge monday.npz shifted.npz --fit -o both.npz
     """
     taken = values["subtract"]
+    if values["fit"] and len(paths) == 1:
+        console.announce("--fit does nothing: one file has nothing to be moved onto")
 
     def read() -> Saved:
         if not values["fit"]:

@@ -310,7 +310,7 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     if grid.kind is EvidenceKind.COUNTS:
         weights *= grid.read(CellBox.of(made))[0]
     found = fit(spread_points(weights, Place(made.resolution, *made.origin)), walls)
-    told = describe_match(found, walls, evidence.where, where)
+    told = describe_match(found, walls, f"the walls of {evidence.where}", where)
     moved = move_evidence(evidence, found.transform)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
     typed = " and ".join(f"`transform=({format_mount(Pose(*each))})`" for each in given)
@@ -384,7 +384,7 @@ def _move_slices(of_tile: Slices, key: Key, which: Bool, inside: Int64) -> Slice
 def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:
     """Say of a build that its cells were moved, and with which `transform` it would lie there."""
     options = build["options"]
-    given = options["posing"]["transform"]
+    given = options["posing"].get("transform")
     pose = add_move(given and Pose(*given), by, align)
     posing = {**options["posing"], "transform": write_value(pose)}
     return {**build, "options": {**options, "posing": posing}, "moved": list(by)}

@@ -121,6 +121,11 @@ def test_a_log_that_counts_twice_is_noted_and_taken_out_as_the_note_says() -> No
     assert occmap("build", *PLAIN_WORDS, "b.csv", "--resume", "a.npz", "-o", "ab.npz").err == ""
 
 
+def test_a_single_file_is_not_fitted_to_anything() -> None:
+    told = occmap("merge", "a.npz", "--fit", "-o", "m.npz")
+    assert (told.code, "--fit does nothing" in told.err) == (0, True)
+
+
 def test_halves_that_are_merged_are_no_loss() -> None:
     write_csv(Path("long.csv"), [(0, 0, 0)] * 4, [1.0])
     assert occmap("build", "long.csv", "--end", "2", "-o", "1.npz").code == 0
@@ -176,7 +181,11 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         ),
         (["merge", "a.npz"], 2, "add -o merged.npz"),
         (["merge", "a.npz", "q.npz", "--fit", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
-        (["merge", "a.npz", "b.npz", "--fit", "-o", "m.npz"], 1, "it is not sure where b.npz lie"),
+        (
+            ["merge", "a.npz", "b.npz", "--fit", "-o", "m.npz"],
+            1,
+            "not sure where the walls of b.npz lie",
+        ),
         (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
         (

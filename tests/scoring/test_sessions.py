@@ -18,8 +18,9 @@ from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scoring.fit import Transform, Walls, find_transform, fit, lay_on, move_evidence
+from occmap.store.merging import merge
 from occmap.types import Pose
-from tests.samples import SAMPLE_LOGS
+from tests.samples import REAL_LOGS, SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.mcap"
 MOVED = (1.2, -0.7, 0.2)
@@ -146,6 +147,41 @@ def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
     of_clouds = [replace(e, manifest=replace(e.manifest, update="cloud")) for e in (second, past)]
     with pytest.raises(PoseError, match="planar lasers"):
         lay_on(*of_clouds)
+
+
+@pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
+@pytest.mark.parametrize(
+    ("name", "middle_s"), [("freiburg-079-corrected", 550.0), ("fr079-robotlaser", 550.0)]
+)
+@pytest.mark.parametrize("back", [(1.1, 1.6, 0.3), (-1.5, 0.2, -0.25)])
+def test_halves_of_real_logs_merge_nearly_to_the_whole(
+    name: str, middle_s: float, back: tuple[float, float, float], tmp_path: Path
+) -> None:
+    log, true = REAL_LOGS / "carmen" / f"{name}.log.gz", Transform(*back)
+    x, y = true.move_back(np.zeros((1, 2)))[0].tolist()
+    moved = PosingOptions(transform=Pose.planar(x, y, -true.yaw))
+    first, second = (
+        build([log], options, [tmp_path / "half.npz"]).evidence
+        for options in (
+            BuildOptions(selection=Selection(end_s=middle_s)),
+            BuildOptions(selection=Selection(start_s=middle_s), posing=moved),
+        )
+    )
+    assert first is not None
+    assert second is not None
+    whole = build([log], BuildOptions())
+    box = CellBox.of(whole.map)
+    x_min, y_min, x_max, y_max = whole.map.extent
+    laid = lay_on(second, first)
+    found = Transform(*laid.manifest.builds[0]["moved"])
+    middle = true.move_back(np.array([[(x_min + x_max) / 2, (y_min + y_max) / 2]]))
+    assert np.linalg.norm(found.move(middle) - true.move(middle)) < 0.03
+    assert abs(found.yaw - true.yaw) < math.radians(0.2)
+    one, other = (
+        paint_box(grid, BuildOptions().model, box).classes
+        for grid in (to_grid(merge([first, laid])), whole.observed)
+    )
+    assert (one == other)[(one | other) > 0].mean() > 0.96
 
 
 def make_evidence(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
