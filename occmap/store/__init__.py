@@ -113,7 +113,7 @@ def open_store(path: Path) -> Store:
         ground=ground,
         root=root,
         digest=head["digest"],
-        name=head["evidence"],
+        name=head.get("evidence", ""),
     )
 
 
