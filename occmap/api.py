@@ -20,6 +20,7 @@ from occmap.report.results import Build, Report
 from occmap.scans.logs import find_inputs
 from occmap.scoring import combine, maps
 from occmap.scoring import compare as scoring
+from occmap.scoring.fit import lay_on
 from occmap.sensor.models import MODEL, SensorModel
 from occmap.store import merging, open_saved, publishing, read_all
 from occmap.types import Float64, Update
@@ -253,7 +254,9 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
 
 
 @refuse_exhaustion()
-def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> Map:
+def merge(
+    *paths: AnyPath, subtract: Iterable[AnyPath] = (), fit: bool = False, **options: Any
+) -> Map:
     """Add saved evidence (.npz) exactly, or take some of it away; one file alone is rendered.
 
     Parameters
@@ -262,9 +265,12 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         Evidence of one resolution, update and kind of model.
     subtract
         Evidence to take away from the sum.
+    fit
+        First move each file after the first one so that its walls lie on those before it.
     options
         Of `build_map`: model (the default is what the evidence was built with), min_passes,
-        max_cells, extent, margin, mode, occupied_thresh, free_thresh and shade.
+        max_cells, extent, margin, edits, georeference, mode, occupied_thresh, free_thresh and
+        shade.
 
     Raises
     ------
@@ -276,7 +282,8 @@ def merge(*paths: AnyPath, subtract: Iterable[AnyPath] = (), **options: Any) -> 
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
     added, taken = list_paths(paths), read_value("subtract", tuple[Path, ...], subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
-    made = publishing.render_kept(read_all(merging.combine(added, taken)), chosen)
+    whole = read_all(merging.combine(added, taken, lay_on if fit else None))
+    made = publishing.render_kept(whole, chosen)
     return Map.of(made, chosen.writing, [*added, *taken])
 
 

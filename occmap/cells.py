@@ -1,12 +1,15 @@
 """What cells hold: the evidence of what was observed, and the map that a model makes of it."""
 
+import hashlib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cache
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float32, Float64, Int32, Int64, UInt8
 
@@ -54,6 +57,19 @@ def keep_largest(layer: UInt8, side: int) -> UInt8:
     return np.asarray(filled.reshape(rows, side, cols, side).max(axis=(1, 3)))
 
 
+class About(NamedTuple):
+    """What a map is of. All of it is ASCII, as a comment, a tag or a text in a file holds it."""
+
+    occmap: str
+    """The version that made it"""
+    evidence: str
+    """Names what was observed, by `Manifest.identify`"""
+    rendering: str
+    """Names how that became a map: the model, what is left out, what is drawn over it ..."""
+    logs: str
+    """Names of the logs"""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyMap:
     """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""
@@ -71,6 +87,7 @@ class OccupancyMap:
     agreement: float | None = None
     """Share of all hits that lie in cells called occupied: low where poses are wrong. None where
     the evidence keeps no hits"""
+    about: About | None = None
 
     @property
     def probability(self) -> Float32:
@@ -150,12 +167,42 @@ class Manifest:
     align: float | None = 0.0
     """By what the map is turned (degrees); None only in a plan: it is yet to be found"""
 
+    def identify(self, total: int) -> str:
+        """Name evidence by 12 hex digits: the same for the same numbers in all cells.
+
+        Parameters
+        ----------
+        total
+            `sum_tiles` of all of its tiles.
+        """
+        what = f"{self.resolution} {self.update} {self.profile} {total % 2**64}"
+        return hashlib.sha256(what.encode()).hexdigest()[:12]
+
     @classmethod
     def from_json(cls, said: Mapping[str, Any]) -> Self:
         """Make one of what a file says; raises LookupError or TypeError where it lacks some."""
         fields = {name: said[name] for name in cls.__dataclass_fields__}
         lists = {name: tuple(said[name]) for name in ("builds", "subtracted")}
         return cls(**{**fields, **lists})
+
+
+def sum_tiles(tiles: Iterable[tuple[Iterable[int], Any]]) -> int:
+    """Sum all numbers of tiles (2, 64, 64), each times a factor of its own place.
+
+    So what holds no observation adds nothing, no order counts, and sums of parts are that of all.
+    """
+    total = 0
+    for (row, col), tile in tiles:
+        place = hashlib.sha256(f"{row} {col}".encode()).digest()[:8]
+        inner = np.dot(tile.ravel().astype(np.uint64), make_factors(tile.size))
+        total += int(inner) * (int.from_bytes(place) | 1)
+    return total
+
+
+@cache
+def make_factors(count: int) -> NDArray[np.uint64]:
+    """(count,) numbers of 64 bits that look like random ones, and are the same everywhere."""
+    return np.frombuffer(hashlib.shake_256(b"occmap").digest(8 * count), "<u8").astype(np.uint64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -210,6 +210,10 @@ PLANAR = Form(
     lambda value: _read_pose(value, 3),
     "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)",
 )
+GLOBE = Form(
+    lambda value: _read_numbers(value, 3),
+    "(latitude, longitude, yaw) in degrees, such as (52.5, 13.4, 30)",
+)
 TRANSFORM = Form(
     _read_transform, "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians"
 )

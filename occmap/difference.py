@@ -6,8 +6,9 @@ stayed undecided, so both are called neither here.
 """
 
 import math
+import re
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import permutations
@@ -16,17 +17,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Box, CellClass, Decision
+from occmap.cells import Box, CellClass, Decision, OccupancyMap
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import HIDDEN, Count, Printed, Share, printed_as
-from occmap.store import Store, as_blocks, open_saved
+from occmap.store import Store, as_blocks, identify, open_saved
 from occmap.store.layout import digest_evidence
 from occmap.store.publishing import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
+from occmap.writers.edits import Shape, apply_edits
 
 if TYPE_CHECKING:
     from occmap.writers.images import GreyImage
@@ -81,6 +83,8 @@ class ClassMap:
     """What the cells were read from, where that is another file than `path`"""
     digest: str | None = None
     """SHA-256 of what was observed, however it is kept; None for an image"""
+    evidence: str | None = None
+    """Names what was observed, by `Manifest.identify`; None where an image does not say"""
 
 
 def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -123,7 +127,9 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
         raise MapError(f"there is no {stating.name} beside it", where=path, fix="give the YAML")
     meta = parse_meta(stating, read_yaml(stating))
     image = path if is_image else path.parent / meta.image
-    return ClassMap(path, classify(read_image(image), meta), meta.place, image)
+    said = re.search(rb"^# evidence: ([0-9a-f]{12})$", stating.read_bytes()[:YAML_BYTES], re.M)
+    name = said[1].decode() if said else None
+    return ClassMap(path, classify(read_image(image), meta), meta.place, image, evidence=name)
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -143,7 +149,8 @@ def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
         stated = (parse_number(path, name, said[name]) for name in IN_PNG[:2])
         free, occupied = thresholds.decide(Decision(*stated))
     meta = Meta(path.name, MapMode.TRINARY, occupied, free, said.get("negate") == "1")
-    return ClassMap(path, classify(image, meta), None)
+    name = image.texts.get("evidence")
+    return ClassMap(path, classify(image, meta), None, evidence=name)
 
 
 def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -159,7 +166,8 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
     digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)
-    return ClassMap(path, classes, Place(made.resolution, x, y), digest=digest)
+    place, name = Place(made.resolution, x, y), identify(saved)
+    return ClassMap(path, classes, place, digest=digest, evidence=name)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
@@ -405,6 +413,8 @@ class MapDifference(Printed):
     """Cells that changed"""
     changed: dict[str, Count] = field(metadata=printed_as("by_class"))
     """Cells that changed, by what they were and are, such as free to occupied"""
+    edited: Count | None
+    """Those of them where the shapes of `edits` lie, and may have changed them; null without"""
     largest: ChangedBlob | None = field(metadata=printed_as("largest_blob"))
     """The largest connected change; null where nothing changed"""
     columns: Count
@@ -414,6 +424,9 @@ class MapDifference(Printed):
     digests: tuple[str | None, str | None]
     """SHA-256 of what was observed for each map, equal where it is, in whatever file; null for an
     image"""
+    evidence: tuple[str | None, str | None]
+    """Name of what was observed for each map, equal where each cell was observed alike, in whatever
+    file; null for an image that does not say"""
     before: UInt8 = field(metadata=HIDDEN)
     after: UInt8 = field(metadata=HIDDEN)
     """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
@@ -421,8 +434,13 @@ class MapDifference(Printed):
     """Where cell (0, 0) of both lies"""
 
 
-def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
+def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()) -> MapDifference:
     """Compare two maps cell by cell; they may be of different size.
+
+    Parameters
+    ----------
+    shapes
+        Edits that were drawn over one of them or both.
 
     Raises
     ------
@@ -441,15 +459,20 @@ def compare_maps(before: ClassMap, after: ClassMap) -> MapDifference:
     blob = find_largest_blob(one != other)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
     changed_cells = sum(changed.values())
+    nothing = np.full(both.shape, np.nan, np.float32)
+    blank = OccupancyMap(nothing, one > 0, corner.resolution, (corner.x, corner.y))
+    is_drawn = ~np.isnan(apply_edits(blank, shapes).log_odds)
     return MapDifference(
         share=changed_cells / max(known, 1),
         known=known,
         changed_cells=changed_cells,
         changed=changed,
+        edited=int(np.count_nonzero(is_drawn & (one != other))) if shapes else None,
         largest=blob and ChangedBlob(blob[0], corner.measure(blob[1])),
         columns=both.cols,
         rows=both.rows,
         digests=(before.digest, after.digest),
+        evidence=(before.evidence, after.evidence),
         before=one,
         after=other,
         place=corner,

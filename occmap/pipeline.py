@@ -6,10 +6,16 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import Evidence, Ground, Slices
+from occmap.cells import About, Evidence, Ground, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
-from occmap.evidence.manifest import describe_build, list_doubts, plan_manifest, recall_level
+from occmap.evidence.manifest import (
+    describe_about,
+    describe_build,
+    list_doubts,
+    plan_manifest,
+    recall_level,
+)
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report.results import (
@@ -58,8 +64,7 @@ def build(
         past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)
         wants_evidence = want_evidence(outputs)
-        options, ground = open_ground(options, past)
-        keep = Keep(options.min_passes is not None or wants_evidence, want_journey(outputs), ground)
+        options, keep = choose_keep(options, outputs, past)
         tiles, slices, tally, remarks, ground, options = observe(paths, options, keep, progress)
         slices, misfit = add_past(tiles, slices, past, options)
         refuse_unused(paths, tally)
@@ -67,7 +72,8 @@ def build(
 
         with tally.time("render"):
             painted, lost = render_lasting(tiles, slices, options.model, options)
-            grid = options.writing.edit(painted)
+            origin = describe_origin(paths, options, tiles, past)
+            grid = replace(options.writing.edit(painted), about=origin)
         with tally.time("write"):  # to hash the logs takes time
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = plan_manifest(options, made, past.manifest if past and made else None)
@@ -131,6 +137,15 @@ def open_past(
     return past, replace(options, posing=replace(options.posing, transform=transform)), [note]
 
 
+def choose_keep(
+    options: BuildOptions, outputs: Sequence[Path], past: Evidence | None
+) -> tuple[BuildOptions, Keep]:
+    """Choose what is kept of a build beside its tiles; raises MapError as `open_ground`."""
+    options, ground = open_ground(options, past)
+    slices = options.min_passes is not None or want_evidence(outputs)
+    return options, Keep(slices, want_journey(outputs), ground)
+
+
 def open_ground(options: BuildOptions, past: Evidence | None) -> tuple[BuildOptions, Ground | None]:
     """Read the ground that clouds are traced over, where the user names a file or adds to one.
 
@@ -169,6 +184,15 @@ def add_past(
     notes = [f"{past.where}: {text}" for text in misfit]
     add_stack(tiles, past.tiles, past.cells)
     return past.slices + slices, notes
+
+
+def describe_origin(
+    paths: Sequence[Path], options: BuildOptions, tiles: TileGrid, past: Evidence | None
+) -> About:
+    """Say what the map is of."""
+    plan = plan_manifest(options, past=past.manifest if past else None)
+    name = plan.identify(sum_tiles(tiles.tiles.items()))
+    return describe_about(plan, name, options, (path.name for path in paths))
 
 
 def tell_resumed(past: Evidence | None) -> Resumed | None:

@@ -108,6 +108,7 @@ GIVEN: dict[str, dict[str, tuple[Any, Any]]] = {
         "free_thresh": (0.1, 0.1),
         "shade": ("light", Shade.LIGHT_OCCUPIED),
         "edits": (os.devnull, Path(os.devnull)),  # a file without a shape
+        "georeference": ([52.5, 13.4, -9], (52.5, 13.4, -9.0)),
     },
 }
 """Options by their groups, each as a notebook gives it, and the value that it is"""

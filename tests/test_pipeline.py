@@ -27,9 +27,14 @@ def choose(update: Update, model: str, jobs: int = 1) -> BuildOptions:
 
 
 def write_map(folder: Path, logs: list[Path], options: BuildOptions) -> bytes:
-    """Return the bytes of the PGM, of its YAML and of the log-odds, which hide no difference."""
+    """Return the bytes of the PGM, of its YAML and of the log-odds, which hide no difference.
+
+    Of the YAML the last line names the logs.
+    """
     grid = build(logs, options, [folder / "map.pgm"]).map
-    files = [(folder / name).read_bytes() for name in ("map.pgm", "map.yaml")]
+    *lines, of_logs = (folder / "map.yaml").read_bytes().splitlines()
+    assert of_logs.startswith(b"# logs: ")
+    files = [(folder / "map.pgm").read_bytes(), *lines]
     return b"".join([*files, grid.log_odds.tobytes()])
 
 

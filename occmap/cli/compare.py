@@ -237,6 +237,7 @@ def limit_change(text: str) -> Limit:
         "output", "FILE", "Write the changes here: .png is a picture, .html a page."
     ),
     *options.THRESHOLDS,
+    options.field(options.FILES, "edits", help="Say which changes lie in the shapes in this file."),
     Option(
         LIMITS,
         "--fail-above",
@@ -276,10 +277,18 @@ def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
     yield from label_first(
         "changed", [f"{count(difference.changed_cells, 'cell')}, {known}", *by_class]
     )
+    if difference.edited is not None:
+        yield "edits", f"{count(difference.edited, 'changed cell')} in shapes that were drawn"
     if difference.largest:
         low_x, low_y, high_x, high_y = write_metres(difference.largest.extent)
         blob = count(difference.largest.cells, "connected cell")
         yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
+    before, after = difference.evidence
+    if before and before == after:
+        other = "; what changed is how it was rendered" if difference.changed_cells else ""
+        yield "evidence", f"{before}, of both{other}"
+    elif before and after:
+        yield from label_first("evidence", [before, after])
     before, after = difference.digests
     if before and after and before == after:
         yield "digest", f"{before}, of both"

@@ -10,7 +10,7 @@ import click
 from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, align, show_progress, write_rows
-from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if
+from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
@@ -35,6 +35,12 @@ LIMIT = fail_if(SAVED, "unknown > 60%")
     click.Argument(["paths"], nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR..."),
     *options.WRITING,
     options.paths(FILES, "NPZ", "Take the evidence in this file away.", "--subtract"),
+    flag(
+        FILES,
+        "--fit",
+        text="First move each file after the first by the shift of up to 2 m and the turn of up "
+        "to 20 degrees by which its walls lie on those before it, where one is clearly the best.",
+    ),
     *(options.MIN_PASSES, options.MAX_CELLS, LIMIT),
 )
 def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:
@@ -46,9 +52,20 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
 
       occmap merge monday.npz tuesday.npz -o both.npz
       occmap merge both.npz --subtract monday.npz -o tuesday.npz -o tuesday.pgm
+      occmap merge monday.npz shifted.npz --fit -o both.npz
     """
     taken = values["subtract"]
-    return put_out(console, [*paths, *taken], lambda: combine(paths, taken), values)
+    if values["fit"] and len(paths) == 1:
+        console.announce("--fit does nothing: one file has nothing to be moved onto")
+
+    def read() -> Saved:
+        if not values["fit"]:
+            return combine(paths, taken)
+        from occmap.scoring.fit import lay_on  # noqa: PLC0415  late: few merges want it
+
+        return combine(paths, taken, lay_on)
+
+    return put_out(console, [*paths, *taken], read, values)
 
 
 @command(

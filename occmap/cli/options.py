@@ -148,7 +148,7 @@ WRITING = [
         ".npz for evidence to render, merge and resume, or .zarr for the same in blocks.",
         *("-o", "--output", "outputs"),
     ),
-    *fields(FILES, "edits", "mode"),
+    *fields(FILES, "edits", "georeference", "mode"),
     *THRESHOLDS,
     Option(
         FILES,

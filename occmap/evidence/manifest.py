@@ -1,6 +1,7 @@
 """What evidence was made of: input files with their hashes, options, and what became of scans."""
 
 import hashlib
+import json
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,9 +13,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from occmap.cells import Manifest
+from occmap.cells import About, Manifest
 from occmap.errors import refuse_unreadable
 from occmap.grid.tiles import EvidenceKind
+from occmap.report import join_names
 from occmap.sensor.models import NO_CLAMP, RadialModel, SensorModel, describe_model
 from occmap.types import Update
 
@@ -55,6 +57,7 @@ def describe_build(
     if options.posing.level is None:
         del chosen["posing"]["level"]
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
+    del chosen["writing"]["georeference"]  # likewise
     poses = options.posing.poses
     trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
     if trajectory:
@@ -156,6 +159,40 @@ def plan_manifest(
         subtracted=past.subtracted if past else (),
         align=options.posing.align,
     )
+
+
+MOST_NAMED = 20
+"""Logs that a file of a map names at most"""
+
+
+def describe_about(
+    manifest: Manifest, evidence: str, options: Any, logs: Iterable[str] = ()
+) -> About:
+    """Say what a map is of.
+
+    Parameters
+    ----------
+    evidence
+        What `Manifest.identify` calls it.
+    options
+        Those of a build or of a map of saved evidence.
+    logs
+        Names of those that the manifest does not have.
+    """
+    writing, framing = options.writing, options.framing
+    drawn = [[s.change, [ring.tolist() for ring in s.rings], s.width] for s in writing.shapes]
+    given = write_value(writing) | write_value(framing)
+    given |= {"min_passes": options.min_passes, "edits": drawn or None}
+    usual = write_value(type(writing)()) | write_value(type(framing)())
+    # An option that a later version adds changes no name where nobody gives it.
+    how = {name: value for name, value in given.items() if value != usual.get(name)}
+    text = json.dumps([manifest.model, how], sort_keys=True)
+    rendering = hashlib.sha256(text.encode()).hexdigest()[:12]
+    of_builds = (entry["name"] for build in manifest.builds for entry in list_inputs(build))
+    # Of a folder, the inputs are called folder/file.
+    names = sorted({name.partition("/")[0] for name in (*of_builds, *logs)})
+    named = join_names(map(json.dumps, names), MOST_NAMED)
+    return About(version("occmap"), evidence, rendering, named)
 
 
 def list_doubts(manifest: Manifest) -> Iterator[str]:

@@ -213,6 +213,8 @@ def list_unexplained(
         yield f"these logs explain {sums}; the rest is in {join_names(missing)}"
     elif manifest.subtracted:
         yield f"the scans explain {sums}; other evidence was subtracted"
+    elif any("moved" in build for build in manifest.builds):
+        yield f"the scans explain {sums}; `occmap merge` moved cells of it, not scans"
     else:
         makers = ", ".join(sorted({build["occmap"] for build in manifest.builds}))
         yield f"the scans explain {sums}: the occmap that built it ({makers}) read them differently"

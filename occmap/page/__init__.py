@@ -64,7 +64,7 @@ def compare_files(
     """
     check_picture(picture, [before, after])
     maps = [load_map(path, thresholds) for path in (before, after)]
-    difference = compare_maps(*maps)
+    difference = compare_maps(maps[0], maps[1], thresholds.shapes)
     if picture is None:
         return difference
     refuse_input(picture, [each.image for each in maps if each.image])

@@ -49,6 +49,8 @@ from occmap.scoring.compare import SCORES, VariantComparison, list_scores
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 
+EDITED = "#009e73"
+"""The outlines of what a person drew over the map"""
 HIT_UNIT_M = 0.02
 """The hits of single scans are rounded to this."""
 
@@ -64,11 +66,13 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     used = sum(build["scans"]["used"] for build in builds)
     subtitle = f"{spread}, {cols:,} x {rows:,} cells of {size:g} m, {used:,} scans"
     sections = []
+    about = product.grid.about
+    names = [("evidence", about.evidence), ("rendering", about.rendering)] if about else []
     if report is not None:
         made = tell_map(report.map, report.looked_up)
         scans = [*tell_scans(report), *tell_beams(report)]
         sections += [
-            Section("The map", [Block("facts", made)], wide=False),
+            Section("The map", [Block("facts", [*made, *names])], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
             tell_notes(report),
         ]
@@ -86,6 +90,10 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
     raster = make_raster(grid, seen)
     note = " ".join(list_losses(raster, product, evidence))
     stage = set_out([raster], name_layers([raster], seen), grid.extent, note=note)
+    for shape in options.shapes:
+        for ring in shape.rings:
+            closed = ring if shape.width else [*ring, ring[0]]
+            stage.plots[0].line(*np.transpose(closed), line_width=2, color=EDITED, name="edits")
     journey = product.journey
     if journey and journey.trajectories:
         stage.data["journey"] = add_way(stage.plots[0], journey.trajectories)

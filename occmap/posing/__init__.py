@@ -80,7 +80,8 @@ class PosingOptions:
 
     poses: str | None = option(
         None,
-        "Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw) or from this topic.",
+        "Take the poses from a file (TUM, EuRoC, KITTI or CSV: stamp,x,y,yaw), from this topic, or "
+        "from another recording, as in slam.bag or slam.bag:/path.",
         unit="path or topic",
         metavar="FILE|TOPIC",
     )

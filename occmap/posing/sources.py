@@ -4,6 +4,7 @@ Notes say where these contradict each other. Resolution finds the way from the m
 scan, and whose poses it follows.
 """
 
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,6 +39,8 @@ INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
 """How many of the static transforms that changed are named: their names are long."""
+RECORDING = re.compile(r"(.+\.(?:bag|mcap|db3))(?::(.+))?", re.IGNORECASE)
+"""Another recording that has the poses, and maybe their topic in it, as in slam.bag:/path"""
 USE_TF = "leave out `poses`: transforms are used without it"
 
 
@@ -75,7 +78,10 @@ def gather(
     LogError
         The trajectory file cannot be read.
     """
-    edges, unusable, changes = _build_edges(samples, options.stamps)
+    every, unusable, changes = _build_edges(samples, options.stamps)
+    named = RECORDING.fullmatch(options.poses or "")
+    beside = f"{named[1]}:" if named else "\0"  # with what its topics begin
+    edges = [edge for edge in every if not edge.topic.startswith(beside)]
     given = [
         Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
         for each in options.static_transforms
@@ -86,7 +92,11 @@ def gather(
     stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
     poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
     of_file: list[str] = []
-    trajectory = _find_trajectory(options, poses, of_file, moments) if options.poses else None
+    if named and Path(named[1]).is_file():
+        others = [edge for edge in every if edge.topic.startswith(beside)]
+        trajectory: Edge | None = _choose_beside(options, others, tree)
+    else:
+        trajectory = _find_trajectory(options, poses, of_file, moments) if options.poses else None
     notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
@@ -167,13 +177,31 @@ def _find_trajectory(
             return edge
     if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
-    if Path(name).suffix:  # no topic has one
+    if Path(name).suffix or RECORDING.fullmatch(name):  # no topic has such a name
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
     topics = ", ".join(sorted({edge.topic for edge in poses}))
     found = "neither a file nor a topic with poses"
     fix = f"topics with poses: {topics}" if topics else "the log has no topic with poses"
     raise PoseError(found, where=name, fix=fix)
+
+
+def _choose_beside(options: PosingOptions, others: Sequence[Edge], tree: FrameTree) -> Edge:
+    """Choose a topic of poses of another recording: the one that is named, or has the most."""
+    name = options.poses or ""
+    topics = sorted({edge.topic for edge in others})
+    usable = [edge for edge in others if name == edge.topic or name not in topics]
+    usable = [edge for edge in usable if edge.topic.startswith(name) and len(edge.track) > 1]
+    chosen = max(usable, key=lambda edge: len(edge.track), default=None)
+    if chosen is None:
+        fix = (
+            f"topics with poses: {join_names(topics)}"
+            if topics
+            else "no Path, PoseStamped or Odometry"
+        )
+        raise PoseError("holds no such topic of poses", where=name, fix=fix)
+    child = chosen.child if chosen.child in tree else ""  # its name for the body may be another
+    return replace(chosen, parent=options.map_frame or chosen.parent, child=child)
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:

@@ -203,6 +203,7 @@ TYPES = {
         "nav_msgs/msg/Odometry": _UNCERTAIN._replace(child="child_frame_id"),
         "geometry_msgs/msg/PoseStamped": PoseFields(),
         "geometry_msgs/msg/PoseWithCovarianceStamped": _UNCERTAIN,
+        "geometry_msgs/msg/TransformStamped": _TF._replace(items=""),
         "nav_msgs/msg/Path": PoseFields(items="poses"),
         "foxglove.FrameTransform": _TRANSFORM,
         "foxglove.FrameTransforms": _TRANSFORM._replace(items="transforms"),

@@ -266,6 +266,7 @@ def list_notes(
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
     yield from list_unreached(options.model, options.writing)
+    yield from list_outside(facts, options.writing)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
@@ -320,6 +321,22 @@ def list_disagreement(facts: MapFacts) -> Iterator[str]:
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
             "`time_offset_s` or another trajectory"
         )
+
+
+def list_outside(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
+    """Say that shapes of the user's edits lie wholly outside of a map."""
+    low_x, low_y, high_x, high_y = facts.extent
+    outside = []
+    for shape in writing.shapes:
+        corners, reach = np.concatenate(shape.rings), (shape.width or 0.0) / 2
+        (x, y), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
+        beside = x - reach >= high_x or right + reach <= low_x
+        if beside or y - reach >= high_y or top + reach <= low_y:
+            outside.append((x, y, right, top))
+    if outside:
+        place = write_box(outside[0])
+        shapes = "a shape" if len(outside) == 1 else f"{len(outside):,} shapes, the first"
+        yield f"{writing.edits}: {shapes} at {place}, lies outside of the map and changes nothing"
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:

@@ -16,6 +16,8 @@ from occmap.errors import LogError, OccmapError, PoseError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
+from occmap.posing.frames import last_part
+from occmap.posing.sources import RECORDING, TF_TOPICS
 from occmap.readers import (
     HoldingClouds,
     Log,
@@ -28,7 +30,7 @@ from occmap.readers import (
     read_poses,
 )
 from occmap.report import STDIN_FOLDER, count, join_names
-from occmap.types import Cloud, Scan, Update
+from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
 
 def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
@@ -129,7 +131,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else read_poses(log), options, get_moments(log))
+    poser = Poser.build([] if stated else gather_poses(log, options), options, get_moments(log))
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
@@ -154,6 +156,24 @@ def refuse_part(path: Path) -> None:
     if len(files := rosbag.list_storage(whole)) > 1:
         found = f"its scans have no poses, and it is one of {len(files)} files of a recording"
         raise PoseError(found, where=path, fix=f"give the folder: {whole}")
+
+
+def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:
+    """Read every pose source of a log, and the topics of poses of another one that `poses` names.
+
+    The topics of the other one begin with its path; its transforms are passed over.
+    """
+    yield from read_poses(log)
+    named = RECORDING.fullmatch(posing.poses or "")
+    if named and Path(named[1]).is_file():
+        for each in read_poses(open_log(Path(named[1]))):
+            topic = f"{named[1]}:{each.topic}"
+            if last_part(each.topic) in TF_TOPICS:
+                continue
+            if isinstance(each, PoseSample):
+                yield each._replace(topic=topic)
+            else:
+                yield replace(each, topic=topic)
 
 
 def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:

@@ -5,21 +5,38 @@ So the map frame of one session is found in that of another.
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Evidence
+from occmap.cells import Evidence, Slices
 from occmap.choices import format_mount, to_rpy
 from occmap.difference import Place
 from occmap.errors import PoseError
-from occmap.evidence import render, to_grid
+from occmap.evidence import read_model, render, to_grid
+from occmap.evidence.manifest import write_value
 from occmap.grid import CellBox
+from occmap.grid.tiles import (
+    BITS,
+    MAX_CELLS,
+    TILE,
+    EvidenceKind,
+    Key,
+    Tile,
+    pack,
+    split_tiles,
+    stack_tiles,
+    unite,
+    unpack,
+)
 from occmap.options import BuildOptions
 from occmap.scans.mounts import sample_rays
-from occmap.types import IDENTITY, Bool, Float32, Float64, Kind, Pose, Rays, Update
+from occmap.sensor.models import SensorModel
+from occmap.store.merging import refuse_different
+from occmap.types import IDENTITY, Bool, Float32, Float64, Int64, Kind, Pose, Rays, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for"""
@@ -149,6 +166,8 @@ def fit(points: Float64, walls: Walls) -> Match:
     tells less and less the farther it is from a wall, so that what has no wall in the other map, as
     people have none, does not pull.
     """
+    if not len(points):
+        return Match(STAY, 0.0, 0.0)
     points = points[:: max(len(points) // MOST_POINTS, 1)]
     middle = points.mean(axis=0)
     search = _Search(points - middle, middle, walls)
@@ -212,6 +231,9 @@ def _are_apart(place: Transform, other: Transform) -> bool:
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
 
+LEAVE_OUT = "leave `fit` out, and build with a `transform`"
+
+
 def find_transform(
     paths: Sequence[Path], options: BuildOptions, past: Evidence
 ) -> tuple[Pose, str]:
@@ -222,29 +244,151 @@ def find_transform(
     OccmapError
         A log cannot be read, or it is not sure where they lie.
     """
-    fix = "give the `transform` and leave `fit` out"
-    if past.manifest.update == Update.CLOUD:
-        raise PoseError("`fit` takes scans of planar lasers, not clouds", where=past.where, fix=fix)
-    grid = render(to_grid(past), options.model, options.max_cells)
-    walls = Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
+    walls = find_walls(past, options.model, options.max_cells)
     deeper = np.float32(options.hit_offset * options.resolution)  # where a map has its hits
     sample = sample_rays(paths, options)
     hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
-    found = fit(hits, walls) if len(hits) else Match(STAY, 0.0, 0.0)
-    told = found.tell("their hits lie on its walls")
     logs = ", ".join(map(str, paths))
+    found = fit(hits, walls) if len(hits) else Match(STAY, 0.0, 0.0)
+    told = describe_match(found, walls, logs, past.where)
+    pose = add_move(options.posing.transform, found.transform, options.posing.align)
+    return pose, f"{past.where}: {logs} fit it with `transform=({format_mount(pose)})`: {told}"
+
+
+def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
+    """Measure how far it is to the walls of evidence; raises PoseError where it is of clouds."""
+    if past.manifest.update == Update.CLOUD:
+        found = "`fit` takes scans of planar lasers, not clouds"
+        raise PoseError(found, where=past.where, fix=LEAVE_OUT)
+    grid = render(to_grid(past), model, max_cells)
+    return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
+
+
+def describe_match(found: Match, walls: Walls, whose: str, where: str) -> str:
+    """Say how well hits lie on the walls of the evidence `where`.
+
+    Raises
+    ------
+    PoseError
+        It is not sure that they lie there, or they may lie better farther away.
+    """
+    told = found.tell("their hits lie on its walls")
     if not found.is_sure:
-        text = f"it is not sure where {logs} lie on it: {told}"
-        raise PoseError(text, where=past.where, fix=fix)
+        text = f"it is not sure where {whose} lie on it: {told}"
+        raise PoseError(text, where=where, fix=LEAVE_OUT)
     if found.transform.is_far(walls.pivot):
-        text = f"{logs} may lie on it best beyond what is searched: {told}"
-        raise PoseError(text, where=past.where, fix="try again with a first `transform`")
-    turned = Transform(0.0, 0.0, -math.radians(options.posing.align or 0.0))
-    x, y = turned.move(np.array(found.transform[:2])).tolist()
-    moved = found.transform._replace(x=x, y=y)  # what does the same before the map is turned
-    given = format_mount(Pose.planar(*moved.after(options.posing.transform or IDENTITY)))
-    pose = Pose.planar(*map(float, given.split(",")))  # the one that the user may type
-    return pose, f"{past.where}: {logs} fit it with `transform=({given})`: {told}"
+        text = f"{whose} may lie on it best beyond what is searched: {told}"
+        raise PoseError(text, where=where, fix="build with a first `transform`, and try again")
+    return told
+
+
+def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
+    """Make the `transform` that a user may type for one and, in a turned map, another after it."""
+    turned = Transform(0.0, 0.0, -math.radians(align or 0.0))
+    x, y = turned.move(np.array(then[:2])).tolist()
+    moved = then._replace(x=x, y=y)  # what does the same before the map is turned
+    given = format_mount(Pose.planar(*moved.after(first or IDENTITY)))
+    return Pose.planar(*map(float, given.split(",")))
+
+
+def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
+    """Move evidence so that its walls lie on those of other evidence; a note of it says how.
+
+    The hits in its occupied cells say where it lies. Of all hits, some are noise; and of cells,
+    each once, many are at the back of a wall that the other session saw from the front.
+
+    Raises
+    ------
+    OccmapError
+        The two cannot be combined, or it is not sure where it lies.
+    """
+    refuse_different(past.manifest, evidence)
+    model, where = read_model(past), past.where or "the evidence before it"
+    walls = find_walls(past, model, MAX_CELLS)
+    grid = to_grid(evidence)
+    made = render(grid, model, MAX_CELLS)
+    weights = made.occupied.astype(np.float64)
+    if grid.kind is EvidenceKind.COUNTS:
+        weights *= grid.read(CellBox.of(made))[0]
+    found = fit(spread_points(weights, Place(made.resolution, *made.origin)), walls)
+    told = describe_match(found, walls, f"the walls of {evidence.where}", where)
+    moved = move_evidence(evidence, found.transform)
+    given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
+    typed = " and ".join(f"`transform=({format_mount(Pose(*each))})`" for each in given)
+    note = f"{evidence.where}: fits {where} with {typed}: {told}"
+    return replace(moved, notes=(*evidence.notes, note))
+
+
+def spread_points(weights: Float64, place: Place) -> Float64:
+    """(N, 2) middles of cells (H, W), each as often as its weight says."""
+    sums = np.cumsum(weights[weights > 0], dtype=np.float64)
+    shares = (np.arange(MOST_POINTS if len(sums) else 0) + 0.5) / MOST_POINTS
+    which = np.searchsorted(sums, shares * sums[-1:])
+    return np.asarray(place.list_middles(weights > 0)[which])
+
+
+def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
+    """Move evidence on its lattice: each cell takes all that is known of the one it comes from.
+
+    That is the cell in which its middle was before. So no cell between others stays empty, no wall
+    is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
+    """
+    size = evidence.manifest.resolution
+    held = {(row, col): at for at, (row, col) in enumerate(evidence.tiles.tolist())}
+    seen_then = [dict(split_tiles(layer)) for layer in evidence.slices]
+    middles = Place(size, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
+    made: dict[Key, Tile] = {}
+    layers: list[list[Slices]] = [[] for _ in evidence.slices]
+    for row, col in list_reached(evidence.tiles, by, size):
+        before = by.move_back(middles + np.array([col, row]) * TILE * size)
+        cells = np.floor(before[:, ::-1] / size).astype(np.int64)
+        inside: Int64 = cells % TILE @ np.array([TILE, 1])
+        for source in np.unique(cells // TILE, axis=0).tolist():
+            if (key := (source[0], source[1])) not in held:
+                continue
+            which = (cells // TILE == source).all(axis=1)
+            tile = made.setdefault((row, col), np.zeros((2, TILE, TILE), np.int64))
+            numbers = evidence.cells[held[key]].reshape(2, -1)
+            tile.reshape(2, -1)[:, which] = numbers[:, inside[which]]
+            for layer, of_tiles in zip(layers, seen_then, strict=True):
+                if key in of_tiles:
+                    layer.append(_move_slices(of_tiles[key], (row, col), which, inside))
+    tiles, numbers = stack_tiles({key: tile for key, tile in made.items() if tile.any()})
+    align = evidence.manifest.align
+    builds = tuple(_record_move(build, by, align) for build in evidence.manifest.builds)
+    manifest = replace(evidence.manifest, builds=builds)
+    slices = tuple(map(unite, layers))
+    return replace(evidence, manifest=manifest, tiles=tiles, cells=numbers, slices=slices)
+
+
+def list_reached(tiles: Int64, by: Transform, size: float) -> list[Key]:
+    """List the tiles that others (T, 2) may reach into when they are moved."""
+    corners = tiles[:, np.newaxis, ::-1] + np.array(list(product((0, 1), repeat=2)))
+    moved = by.move(corners.reshape(-1, 2) * TILE * size).reshape(corners.shape)
+    places = np.floor(moved[..., ::-1] / (TILE * size)).astype(np.int64)
+    low, high = places.min(axis=1).tolist(), (places.max(axis=1) + 1).tolist()
+    ranges = [map(range, *box) for box in zip(low, high, strict=True)]
+    return sorted({(row, col) for rows, cols in ranges for row, col in product(rows, cols)})
+
+
+def _move_slices(of_tile: Slices, key: Key, which: Bool, inside: Int64) -> Slices:
+    """Move what slices say of a tile to those cells of another that come from it."""
+    known = np.unpackbits(unpack(of_tile).reshape(len(of_tile.numbers), 2, -1), axis=-1)
+    bits = np.zeros_like(known)
+    bits[..., which] = known[..., inside[which]]
+    packed = np.packbits(bits, axis=-1).reshape(-1, *BITS)
+    some = packed.any(axis=(1, 2, 3))
+    tiles = np.full((int(some.sum()), 2), key, np.int64)
+    return pack(tiles, of_tile.numbers[some], packed[some])
+
+
+def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:
+    """Say of a build that its cells were moved, and with which `transform` it would lie there."""
+    options = build["options"]
+    given = options["posing"].get("transform")
+    pose = add_move(given and Pose(*given), by, align)
+    posing = {**options["posing"], "transform": write_value(pose)}
+    return {**build, "options": {**options, "posing": posing}, "moved": list(by)}
 
 
 def list_hits(seen: Iterable[Rays]) -> Float64:

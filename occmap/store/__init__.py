@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from occmap.cells import Evidence, Ground, Manifest
+from occmap.cells import Evidence, Ground, Manifest, sum_tiles
 from occmap.errors import MapError
 from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, take
@@ -43,6 +43,8 @@ class Store(Blocks):
     """The group of Zarr"""
     digest: str
     """SHA-256 of all that was observed"""
+    name: str
+    """As `identify` gives it"""
 
 
 Saved: TypeAlias = Evidence | Blocks
@@ -111,7 +113,17 @@ def open_store(path: Path) -> Store:
         ground=ground,
         root=root,
         digest=head["digest"],
+        name=head.get("evidence", ""),
     )
+
+
+def identify(saved: Saved) -> str:
+    """Name what was observed, by `Manifest.identify`; a sum of stores is read for that."""
+    if isinstance(saved, Store):
+        return saved.name
+    parts = [saved] if isinstance(saved, Evidence) else map(saved.read_block, saved.blocks)
+    tiles = (zip(each.tiles.tolist(), each.cells, strict=True) for each in parts)
+    return saved.manifest.identify(sum(map(sum_tiles, tiles)))
 
 
 def as_blocks(saved: Saved) -> Blocks:

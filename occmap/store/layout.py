@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Manifest, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid import CellBox
@@ -71,6 +71,8 @@ class BlockRecord(NamedTuple):
     """Digest of what was observed, however it is compressed"""
     builds: tuple[int, ...]
     """Which builds observed something"""
+    total: int
+    """`sum_tiles` of its tiles"""
 
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
@@ -245,7 +247,8 @@ def describe_block(block: Block, content: BlockContent) -> BlockRecord:
     # Of a block where nothing was observed, an empty box at its corner.
     reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
     count = int(np.count_nonzero(seen))
-    return BlockRecord(block, count, reach, hash_content(content), list_builds(content))
+    total = sum_tiles(zip(content.tiles.tolist(), content.cells, strict=True))
+    return BlockRecord(block, count, reach, hash_content(content), list_builds(content), total)
 
 
 def make_table(records: Sequence[BlockRecord], manifest: Manifest) -> dict[str, Any]:

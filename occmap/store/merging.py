@@ -1,6 +1,6 @@
 """Evidence added up and taken apart again, exactly, over one ground."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,7 @@ from occmap.evidence.manifest import MEANING, leave_out_edits
 from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store import Blocks, Saved, as_blocks, open_saved
+from occmap.store import Blocks, Saved, as_blocks, open_saved, read_all
 from occmap.store.layout import Block, BlockContent, join_contents
 from occmap.types import Int64
 
@@ -65,8 +65,18 @@ def spread(ground: Ground, blocks: Int64) -> Ground:
     return Ground(blocks, height, measured)
 
 
-def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
+def combine(
+    added: Sequence[Path],
+    taken: Sequence[Path] = (),
+    lay: Callable[[Evidence, Evidence], Evidence] | None = None,
+) -> Saved:
     """Add saved evidence and take some away, block by block where any of it is in a store.
+
+    Parameters
+    ----------
+    lay
+        Moves each part that is added onto the sum of those before it, all of them in memory; None:
+        they are in one frame.
 
     Raises
     ------
@@ -74,13 +84,20 @@ def combine(added: Sequence[Path], taken: Sequence[Path] = ()) -> Saved:
         As `merge` and `subtract`; of blocks, maybe only when they are read.
     """
     parts = [open_saved(path) for path in (*added, *taken)]
+    if lay is not None:
+        parts = list(map(read_all, parts))
     held = [each for each in parts if isinstance(each, Evidence)]
     if len(held) < len(parts):
         return combine_blocks([as_blocks(each) for each in parts], len(added))
     model = None
     with suppress(MapError):  # without a model, no note says what does not fit
         model = read_model(held[0])
-    return add_up(held, len(added), model)
+    if lay is None:
+        return add_up(held, len(added), model)
+    total = held[0]
+    for other in held[1 : len(added)]:
+        total = merge([total, lay(other, total)], model)
+    return add_up([total, *held[len(added) :]], 1)
 
 
 def add_up(parts: Sequence[Evidence], added: int, model: SensorModel | None = None) -> Evidence:
@@ -138,6 +155,7 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     for other in others:
         refuse_different(first.manifest, other)
         ground = join_grounds(ground, other.ground, other.where)
+        notes += other.notes
         if model is not None:
             added = tiles.view_tiles(other.tiles, other.cells)
             found = list_misfit(grid, added, model, "the evidence before it")

@@ -14,10 +14,19 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from occmap import evidence, writers
-from occmap.cells import Box, CellClass, Decision, Evidence, Manifest, OccupancyMap, to_log_odds
+from occmap.cells import (
+    About,
+    Box,
+    CellClass,
+    Decision,
+    Evidence,
+    Manifest,
+    OccupancyMap,
+    to_log_odds,
+)
 from occmap.choices import option
 from occmap.errors import UsageError
-from occmap.evidence.manifest import BuildRecord, list_doubts
+from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import CellBox, Lattice
 from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
@@ -26,7 +35,7 @@ from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
-from occmap.store import Blocks, Saved, Store, read_all, read_part
+from occmap.store import Blocks, Saved, Store, identify, read_all, read_part
 from occmap.store.layout import Block, list_blocks
 from occmap.types import Int64, UInt8
 from occmap.writers import WriteOptions
@@ -59,6 +68,7 @@ class BlockMap:
     """Whether it ends where the user says"""
     writing: WriteOptions = field(default_factory=WriteOptions)
     """With the edits that are drawn over it"""
+    about: About | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -292,6 +302,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         facts = survey_blocks(grid, options.writing)
     else:
         grid, facts = paint_saved(saved, model, options)
+    grid = replace(grid, about=describe_about(manifest, identify(saved), options))
     report = summarise(manifest, facts, options, outputs)
     keep = cache(lambda: replace(read_all(saved), manifest=manifest))
     product = writers.Product(grid, keep, report=report, blocks=blocks)
@@ -310,6 +321,7 @@ def render_kept(saved: Saved, options: RenderOptions) -> Build:
     """
     model, manifest = choose_model(saved, options)
     grid, facts = paint_saved(saved, model, options)
+    grid = replace(grid, about=describe_about(manifest, identify(saved), options))
     whole = replace(read_all(saved), manifest=manifest)
     return Build(grid, summarise(manifest, facts, options), evidence.to_grid(whole), whole)
 
@@ -412,6 +424,7 @@ def summarise(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
             *results.list_unreached(model, options.writing),
+            *results.list_outside(facts, options.writing),
             *facts.lost,
             *results.list_disagreement(facts),
         ),

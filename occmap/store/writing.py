@@ -194,6 +194,7 @@ def finish_store(
         digests = {record.block: record.sha256 for record in known}
         head |= {
             "digest": layout.compute_digest(manifest, digests),
+            "evidence": manifest.identify(sum(record.total for record in known)),
             "table": layout.hash_table(table | below),
         }
         head["complete"] = True

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from occmap.cells import Decision, Evidence, OccupancyMap
-from occmap.choices import option
-from occmap.errors import OutputError, UsageError
+from occmap.choices import GLOBE, option
+from occmap.errors import OutputError, UsageError, require
 from occmap.plugins import list_plugins, load_plugin
 from occmap.types import Journey
 from occmap.writers.atomic import check_parent, check_target, follow_links
@@ -86,11 +86,23 @@ class WriteOptions:
         "Draw the shapes in this file over the map; evidence stays as it was observed.",
         metavar="FILE",
     )
+    georeference: tuple[float, float, float] | None = option(
+        None,
+        "Where the map's zero lies on the globe, and how far its x axis points north of east (all "
+        "degrees), for a .tif and for a .png with a world file.",
+        metavar="LAT,LON,YAW",
+        form=GLOBE,
+    )
 
     def __post_init__(self) -> None:
         _ = self.shapes  # refuses a file that is wrong
         free, occupied = self.thresholds
         found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
+        if self.georeference:
+            latitude, longitude, _ = self.georeference
+            is_there = abs(latitude) <= 90 and abs(longitude) <= 180
+            place = f"no place has latitude {latitude:g} and longitude {longitude:g}"
+            require(is_there, place, "write degrees: LAT,LON,YAW")
         if not 0 < free < occupied < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.
@@ -333,6 +345,8 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
         yield f"`mode={options.mode}` does nothing: it is for .pgm and .mcap, and no output ends so"
     if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
         yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
+    if options.georeference and suffixes.isdisjoint({".tif", ".png"}):
+        yield "`georeference` does nothing: it is for .tif and .png, and no output ends so"
 
 
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:

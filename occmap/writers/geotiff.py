@@ -2,19 +2,20 @@
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, OccupancyMap
+from occmap.cells import OccupancyMap
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
-from occmap.writers import EvidenceWriter, WriteOptions, Writer
+from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import check_target, follow_links, open_atomic
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
@@ -33,7 +34,7 @@ class GeoTiffWriter(Writer):
         import_rasterio()
         return (path,)
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:  # noqa: ARG002  it has no options
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write the image part by part; return its path.
 
         Raises
@@ -42,18 +43,22 @@ class GeoTiffWriter(Writer):
             It cannot be written; then nothing is left behind.
         """
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
-        where = describe(grid.shape, grid.place, grid.resolution)
-        write_image(path, where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}, parts)
+        where = describe(grid.shape, grid.place, grid.resolution, options.georeference)
+        layout = where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}
+        write_image(path, layout, parts, grid.about._asdict() if grid.about else {})
         return (path,)
 
 
-class GroundWriter(EvidenceWriter):
+class GroundWriter(Writer):
     """Heights of the ground in the map (m, float32) where it was measured; NaN is no data."""
 
     description = "GeoTIFF of the height of the ground that clouds show (m)"
+    needs_evidence = True
     targets = GeoTiffWriter.targets
 
-    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
+    def write_product(
+        self, path: Path, product: Product, options: WriteOptions
+    ) -> tuple[Path, ...]:
         """Write the ground that the evidence was traced over; return its path.
 
         Raises
@@ -61,7 +66,7 @@ class GroundWriter(EvidenceWriter):
         OutputError
             There is none, or it cannot be written; then nothing is left behind.
         """
-        ground = evidence.ground
+        ground = product.evidence().ground
         if ground is None:
             found = "shows the ground below clouds, and this map was made of none"
             raise OutputError(found, where=path, fix="leave it out")
@@ -71,13 +76,19 @@ class GroundWriter(EvidenceWriter):
         known = np.where(ground.measured, ground.height_mm / 1000, np.nan)
         squares[rows, cols] = known.reshape(-1, side, side)
         heights = np.block([list(row) for row in squares])
-        where = describe(heights.shape, low * side, COLUMN_MM / 1000)
+        size = COLUMN_MM / 1000
+        where = describe(heights.shape, low * side, size, options.georeference)
         kind = {"dtype": "float32", "nodata": math.nan}
         write_image(path, where | kind, [(None, heights[::-1])])
         return (path,)
 
 
-def write_image(path: Path, layout: dict[str, Any], parts: Iterable[tuple[Any, Any]]) -> None:
+def write_image(
+    path: Path,
+    layout: dict[str, Any],
+    parts: Iterable[tuple[Any, Any]],
+    tags: Mapping[str, str] = MappingProxyType({}),
+) -> None:
     """Write an image part by part: where in the image each part lies, and its pixels.
 
     Raises
@@ -92,6 +103,7 @@ def write_image(path: Path, layout: dict[str, Any], parts: Iterable[tuple[Any, A
             # GDAL can only copy into this format: all is written once without compression.
             plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
             with rasterio.open(plain, "w", **layout) as image:
+                image.update_tags(**tags)
                 for window, pixels in parts:
                     image.write(pixels, 1, window=window)
             how = {"driver": "COG", "compress": "DEFLATE", "overview_resampling": "average"}
@@ -118,9 +130,20 @@ def import_rasterio() -> Any:
     return rasterio
 
 
-def describe(shape: tuple[int, ...], place: Int64, size: float) -> dict[str, Any]:
-    """Say where an image of cells lies and how it is laid out; its frame is on no globe."""
+def describe(
+    shape: tuple[int, ...], place: Int64, size: float, globe: tuple[float, float, float] | None
+) -> dict[str, Any]:
+    """Say where an image of cells lies and how it is laid out.
+
+    Without a place on the globe its frame is that of the map. With one it is a plane that touches
+    the globe there, on which distances from there are true (azimuthal equidistant).
+    """
     (rows, cols), (row, col) = shape, place.tolist()
+    x, y = round(col * size, 12), round((row + rows) * size, 12)
+    latitude, longitude, yaw = globe or (0.0, 0.0, 0.0)
+    cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
+    across, up = (size * cos, size * sin, x * cos - y * sin), (size * sin, -size * cos)
+    plane = f"+proj=aeqd +lat_0={latitude!r} +lon_0={longitude!r} +datum=WGS84 +units=m +no_defs"
     return {
         "driver": "GTiff",
         "count": 1,
@@ -130,7 +153,8 @@ def describe(shape: tuple[int, ...], place: Int64, size: float) -> dict[str, Any
         "blockxsize": 512,
         "blockysize": 512,
         "bigtiff": "if_safer",
-        "transform": (size, 0.0, round(col * size, 12), 0.0, -size, round((row + rows) * size, 12)),
+        "transform": (*across, *up, x * sin + y * cos),
+        "crs": plane if globe else None,
     }
 
 

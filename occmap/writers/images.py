@@ -231,5 +231,5 @@ class TileTree:
         up, right = (round(edge, 12) for edge in corner)
         lying = replace(part, origin=(right, up))
         with file.open("wb") as opened:
-            write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY))
+            write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY), self.grid.about)
         return classes

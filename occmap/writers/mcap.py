@@ -80,6 +80,8 @@ class McapWriter(Writer):
                     channels[topic] = bag.register_channel(topic, "cdr", schema, offered)
                 at = stamp.sec * 10**9 + stamp.nanosec
                 bag.add_message(channels[topic], at, bytes(STORE.serialize_cdr(message, kind)), at)
+            if product.grid.about:
+                bag.add_metadata("occmap", product.grid.about._asdict())
             bag.finish()  # type: ignore[no-untyped-call]
         return (path,)
 

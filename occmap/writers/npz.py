@@ -53,7 +53,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, Slices
+from occmap.cells import Evidence, Ground, Manifest, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import EvidenceWriter
@@ -91,7 +91,10 @@ class NpzWriter(EvidenceWriter):
             It cannot be written; then nothing is left behind.
         """
         arrays = pack(evidence)
-        head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
+        manifest = evidence.manifest
+        head = {"format": FORMAT, "version": VERSION, **asdict(manifest)}
+        cells = zip(evidence.tiles.tolist(), evidence.cells, strict=True)
+        head["evidence"] = manifest.identify(sum_tiles(cells))
         head["checksum"] = compute_checksum(head, arrays)
         text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
         arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from occmap.cells import Decision, OccupancyMap
+from occmap.cells import EVEN_ODDS, About, Decision, OccupancyMap
 from occmap.errors import UsageError
 from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, Writer, bands_from_top
@@ -58,7 +58,7 @@ class PgmWriter(Writer):
             image.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
             for band in bands_from_top(replace(grid, decision=options.decide(grid.decision))):
                 image.write(to_pixels(band)[::-1].tobytes())
-            write_yaml(yaml, describe_map(image_path.name, grid, options))
+            write_yaml(yaml, describe_map(image_path.name, grid, options), grid.about)
         return image_path, yaml_path
 
 
@@ -83,7 +83,9 @@ class KeepoutWriter(PgmWriter):
         """
         forbidden = find_forbidden(grid, options.shapes)
         log_odds = np.where(forbidden, np.float32(1), np.float32(-1))
-        mask = OccupancyMap(log_odds, np.ones_like(forbidden), grid.resolution, grid.origin)
+        mask = replace(
+            grid, log_odds=log_odds, observed=np.ones_like(forbidden), decision=EVEN_ODDS
+        )
         return super().write(path, mask, WriteOptions())
 
 
@@ -147,9 +149,13 @@ def _percent(grid: OccupancyMap) -> UInt8:
     return np.asarray(np.rint(100 * grid.probability).astype(np.uint8))
 
 
-def write_yaml(file: BinaryIO, fields: dict[str, object]) -> None:
-    """Write seven plain lines: importing a YAML library takes longer than writing the image."""
+def write_yaml(file: BinaryIO, fields: dict[str, object], about: About | None) -> None:
+    """Write plain lines, and comments on what the map is of.
+
+    Importing a YAML library takes longer than writing the image.
+    """
     lines = [f"{name}: {_to_yaml(value)}\n" for name, value in fields.items()]
+    lines += [f"# {name}: {text}\n" for name, text in (about._asdict() if about else {}).items()]
     file.write("".join(lines).encode("utf-8", "surrogateescape"))  # the image's name as it is
 
 

@@ -5,13 +5,15 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from occmap.cells import Decision, OccupancyMap
 from occmap.types import UInt8
 from occmap.writers import Shade, WriteOptions, Writer, bands_from_top
-from occmap.writers.atomic import open_atomic
+from occmap.writers.atomic import check_target, open_atomic
+from occmap.writers.geotiff import describe
 
 HIDDEN_GREY = 127
 """Under transparent pixels, for viewers that show no transparency."""
@@ -26,8 +28,13 @@ class PngWriter(Writer):
 
     description = "PNG image of the probability, unknown transparent"
 
+    def check(self, path: Path, options: WriteOptions) -> None:
+        """Refuse a name beside which no world file can be written; raises OutputError."""
+        for beside in list_beside(path, options):
+            check_target(beside)
+
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write the image; return its path.
+        """Write the image, and where it lies on the globe if that is given; return the paths.
 
         Raises
         ------
@@ -39,6 +46,7 @@ class PngWriter(Writer):
         negate = int(options.shade is Shade.LIGHT_OCCUPIED)
         # Named as in a map's YAML, they say how the pixels are decided.
         texts = {"occupied_thresh": occupied, "free_thresh": free, "negate": negate}
+        texts |= grid.about._asdict() if grid.about else {}
         # Not by pillow: it tries five filters on each row, which takes twice as long, and large
         # maps, which are runs of one grey, get smaller with none of them.
         packer = zlib.compressobj(ZLIB_LEVEL)
@@ -47,12 +55,30 @@ class PngWriter(Writer):
         for name, text in texts.items():
             chunks.append((b"tEXt", f"{name}\0{text}".encode("ascii")))
         chunks += [(b"IDAT", b"".join([*packed, packer.flush()])), (b"IEND", b"")]
-        with open_atomic(path) as (file,):
+        layout = describe(grid.shape, grid.place, grid.resolution, options.georeference)
+        beside = list_beside(path, options)
+        with open_atomic(path, *beside) as (file, *others):
+            for other, told in zip(others, write_place(layout), strict=False):
+                other.write(told.encode())
             file.write(b"\x89PNG\r\n\x1a\n")
             for kind, data in chunks:
                 checksum = zlib.crc32(kind + data)
                 file.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum))
-        return (path,)
+        return path, *beside
+
+
+def list_beside(path: Path, options: WriteOptions) -> tuple[Path, ...]:
+    """List the files that say where an image lies on the globe, if it does."""
+    world, frame = path.with_suffix(".pgw"), path.with_name(f"{path.name}.aux.xml")
+    return (world, frame) if options.georeference else ()
+
+
+def write_place(layout: dict[str, Any]) -> tuple[str, str]:
+    """Write a world file, and what GDAL and QGIS read the frame of its coordinates from."""
+    a, b, c, d, e, f = layout["transform"]
+    numbers = a, d, b, e, c + (a + b) / 2, f + (d + e) / 2  # of the middle of the first pixel
+    frame = f"<PAMDataset><SRS>{layout['crs']}</SRS></PAMDataset>\n"
+    return "".join(f"{number!r}\n" for number in numbers), frame
 
 
 def paint_bands(grid: OccupancyMap, options: WriteOptions) -> Iterator[UInt8]:

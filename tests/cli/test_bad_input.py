@@ -227,3 +227,26 @@ def test_an_update_as_a_file_name_is_read_by_its_path() -> None:
     shutil.copy("log.csv", "beam")
     assert "no log is given" in fail(2, "beam", "-o", "m.pgm")
     assert occmap("build", "./beam", "-o", "m.pgm", "-q").code == 0
+
+
+@pytest.mark.parametrize(
+    ("place", "found"),
+    [
+        ("91,0,0", "no place has latitude 91 and longitude 0; write degrees: LAT,LON,YAW"),
+        ("0,-181,0", "no place has latitude 0 and longitude -181; write degrees: LAT,LON,YAW"),
+        (
+            "52.5,13.4",
+            "--georeference 52.5,13.4: 2 values where 3 belong; write latitude,longitude",
+        ),
+        ("north,13,0", "--georeference north,13,0: 'north' is not a number; write latitude"),
+        ("nan,13,0", "--georeference nan,13,0: 'nan' is not a number"),
+    ],
+)
+def test_a_place_that_is_on_no_globe(place: str, found: str) -> None:
+    assert fail(2, "log.csv", "-o", "m.tif", "--georeference", place).startswith(found)
+
+
+def test_a_world_file_that_cannot_be_written() -> None:
+    Path("m.pgw").mkdir()
+    error = fail(1, "log.csv", "-o", "m.png", "--georeference", "1,2,3")
+    assert error.startswith("m.pgw: ")

@@ -60,6 +60,7 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
             {"selection": Selection(("/a", "/b"), 1.0, 2.5, 3)},
         ),
         ("--light-occupied", {"writing": WriteOptions(shade=Shade.LIGHT_OCCUPIED)}),
+        ("--georeference 52.5,13.4,-9", {"writing": WriteOptions(georeference=(52.5, 13.4, -9.0))}),
         ("--model simple:p_hit=0.8", {"model": SimpleModel(p_hit=0.8)}),
         ("--model simple --p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
         ("--prior 0.4", {"model": CountingModel(0.4)}),

@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from occmap import build_map
+from occmap.page.pages import describe_product
+from occmap.writers import Product
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap, read_error
 from tests.samples import SAMPLE_LOGS
@@ -131,3 +134,69 @@ def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
     done = occmap("merge", "both.npz", "--subtract", "b.npz", "-o", "rest.npz")
     assert (done.code, done.err) == (0, "")
     assert len(read_evidence(Path("rest.npz")).manifest.builds) == 1
+
+
+def test_edits_of_a_file_of_options_lie_beside_it() -> None:
+    site = Path("site")
+    site.mkdir()
+    Path("edits.csv").rename(site / "edits.csv")
+    (site / "occmap.toml").write_text('edits = "edits.csv"\n')
+    line = ("build", DRIVE, "--config", site / "occmap.toml", "-o", "m.pgm")
+    made = occmap(*line)
+    assert made.code == 0
+    assert (read_box("m.pgm", 10.9, -1.5, 11.5, -0.9) == 254).all()
+    assert occmap(*line, "--edits", "none.csv").code == 2  # what is typed lies where one is
+
+
+@pytest.mark.parametrize(
+    ("shape", "is_outside"),
+    [
+        ("free,box,100,2,101,3", True),
+        ("free,box,2,100,3,101", True),
+        ("forbidden,polygon,-9,0,-8,0,-8,1", True),
+        ("free,box,11,-1,90,2", False),
+        ("free,line,-4.2,0,-4.2,1,0.2", True),  # it ends at -4.1, and the map at -4.05
+        ("free,line,-4.2,0,-4.2,1,0.4", False),
+    ],
+)
+def test_a_shape_outside_of_the_map_is_named(shape: str, is_outside: bool) -> None:
+    Path("edits.csv").write_text(f"{shape}\n")
+    assert occmap("build", DRIVE, "-o", "m.npz", "-q").code == 0
+    for line in (("build", DRIVE), ("render", "m.npz")):
+        made = occmap(*line, "-o", "m.pgm", "--edits", "edits.csv")
+        notes = [each for each in made.err.splitlines() if "outside of the map" in each]
+        assert len(notes) == is_outside
+        if shape.startswith("free,box,100"):
+            assert "x 100 to 101 m, y 2 to 3 m" in notes[0]
+
+
+def test_diff_tells_changes_where_edits_lie_from_others() -> None:
+    Path("more.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,9,9\n")
+    line = ("render", "-q", "m.npz", "-o")
+    assert occmap("build", "-q", DRIVE, "-o", "m.npz").code == 0
+    assert occmap(*line, "plain.pgm").code == 0
+    assert occmap(*line, "edited.pgm", "--edits", "more.csv").code == 0
+    plain, edited = (np.asarray(Image.open(f"{name}.pgm")) for name in ("plain", "edited"))
+    changed = int((plain != edited).sum())
+    told = occmap("diff", "plain.pgm", "edited.pgm", "--edits", "more.csv", "--json")
+    said = json.loads(told.out)
+    assert said["edited"] == said["changed"] == changed > 0
+    Path("elsewhere.csv").write_text("free,box,0,0,1,1\nforbidden,box,10.9,-1.5,11.5,-0.9\n")
+    told = occmap("diff", "plain.pgm", "edited.pgm", "--edits", "elsewhere.csv")
+    assert "edits    0 changed cells in shapes that were drawn" in told.out
+    told = occmap("diff", "plain.pgm", "edited.pgm", "--json")
+    assert json.loads(told.out)["edited"] is None
+    error = read_error(occmap("diff", "plain.pgm", "edited.pgm", "--edits", "none.csv"), 2)
+    assert error.startswith("none.csv: cannot be read")
+
+
+def test_a_page_has_the_outlines_of_edits() -> None:
+    Path("edits.csv").write_text("free,polygon,1,2,3,2,3,4\noccupied,line,0,0,5,0\n")
+    made = build_map(DRIVE, outputs="m.npz", edits="edits.csv")
+    assert made.evidence is not None
+    evidence = made.evidence
+    page = describe_product(Product(made, lambda: evidence), made.writing)
+    assert page.stage is not None
+    outlines = [each for each in page.stage.plots[0].renderers if each.name == "edits"]
+    corners = [(list(o.data_source.data["x"]), list(o.data_source.data["y"])) for o in outlines]
+    assert corners == [([1, 3, 3, 1], [2, 2, 4, 2]), ([0, 5], [0, 0])]

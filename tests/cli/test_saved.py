@@ -96,6 +96,8 @@ def test_scan_counts_say_what_they_count() -> None:
         ("-o m.png --mode scale", "--mode scale does nothing"),
         ("-o m.pgm -o n.npz --light-occupied", "--light-occupied does nothing"),
         ("-o m.PGM -o m.png --mode raw --light-occupied", ""),
+        ("-o m.pgm -o n.npz --georeference 1,2,3", "--georeference does nothing"),
+        ("-o m.pgm -o m.png --georeference 1,2,3", ""),
         ("-o m.png --mode trinary", ""),
     ],
 )
@@ -117,6 +119,11 @@ def test_a_log_that_counts_twice_is_noted_and_taken_out_as_the_note_says() -> No
     assert (told.code, told.err) == (0, "")
     assert "0 cells, 0.000%" in occmap("diff", "once.npz", "a.npz").out
     assert occmap("build", *PLAIN_WORDS, "b.csv", "--resume", "a.npz", "-o", "ab.npz").err == ""
+
+
+def test_a_single_file_is_not_fitted_to_anything() -> None:
+    told = occmap("merge", "a.npz", "--fit", "-o", "m.npz")
+    assert (told.code, "--fit does nothing" in told.err) == (0, True)
 
 
 def test_halves_that_are_merged_are_no_loss() -> None:
@@ -173,6 +180,12 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
             "Missing argument 'NPZ|ZARR...'; write, for example, occmap merge monday.npz",
         ),
         (["merge", "a.npz"], 2, "add -o merged.npz"),
+        (["merge", "a.npz", "q.npz", "--fit", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
+        (
+            ["merge", "a.npz", "b.npz", "--fit", "-o", "m.npz"],
+            1,
+            "not sure where the walls of b.npz lie",
+        ),
         (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
         (

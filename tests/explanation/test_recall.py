@@ -82,7 +82,7 @@ def list_usual(group: Any, usual: Any, name: str = "") -> list[str]:
 
 
 def test_every_option_is_tested() -> None:
-    left = {"extent", "margin", "edits"} | set(UNRECORDED) - {"framing"}
+    left = {"extent", "margin", "edits", "georeference"} | set(UNRECORDED) - {"framing"}
     assert set(list_usual(UNUSUAL, BuildOptions())) == left
 
 

@@ -7,16 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.cells import Evidence
-from occmap.choices import to_rpy
+from occmap.cells import Evidence, Manifest, Slices
+from occmap.choices import format_mount, to_rpy
 from occmap.difference import Place
-from occmap.errors import PoseError
+from occmap.errors import MapError, PoseError
+from occmap.evidence import make_empty, paint_box, render, to_grid
+from occmap.grid import CellBox
+from occmap.grid.tiles import TILE, mark_observed, stack_tiles
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring.fit import Transform, Walls, find_transform, fit
+from occmap.scoring.fit import Transform, Walls, find_transform, fit, lay_on, move_evidence
+from occmap.store.merging import merge
 from occmap.types import Pose
-from tests.samples import SAMPLE_LOGS
+from tests.samples import REAL_LOGS, SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.mcap"
 MOVED = (1.2, -0.7, 0.2)
@@ -31,16 +35,21 @@ def save_first_half(path: Path, align: float = 0.0) -> Evidence:
     return evidence
 
 
+def assert_near(pose: Pose) -> None:
+    """Where the true transform moves the office, to 3 cm and 0.2 degrees."""
+    true, found = Transform(*MOVED), Transform(pose.x, pose.y, to_rpy(pose)[2])
+    corners = np.array([(-4.0, -3.0), (12.0, -3.0), (12.0, 9.0), (-4.0, 9.0)])
+    apart = found.move(corners) - true.move(corners)
+    assert np.linalg.norm(apart.mean(axis=0)) < 0.03
+    assert abs(found.yaw - true.yaw) < math.radians(0.2)
+
+
 @pytest.mark.parametrize("align", [0.0, 30.0])
 def test_the_second_half_of_a_drive_is_laid_on_the_first(align: float, tmp_path: Path) -> None:
     past = save_first_half(tmp_path / "first.npz", align)
     options = replace(SECOND, posing=PosingOptions(align=align))
     pose, note = find_transform([DRIVE], options, past)
-    true, found = Transform(*MOVED), Transform(pose.x, pose.y, to_rpy(pose)[2])
-    corners = np.array([(-4.0, -3.0), (12.0, -3.0), (12.0, 9.0), (-4.0, 9.0)])  # of the office
-    apart = found.move(corners) - true.move(corners)
-    assert np.linalg.norm(apart.mean(axis=0)) < 0.03
-    assert abs(found.yaw - true.yaw) < math.radians(0.2)
+    assert_near(pose)
     assert "`transform=(1." in note
 
 
@@ -99,3 +108,128 @@ def test_there_must_be_something_to_fit_to() -> None:
     (note,) = BuildOptions(fit=True).list_idle()
     assert "`fit`" in note
     assert "`resume`" in note
+
+
+def save_second_half(path: Path) -> Evidence:
+    evidence = build([DRIVE], SECOND, [path]).evidence
+    assert evidence is not None
+    return replace(evidence, where=str(path))
+
+
+@pytest.mark.parametrize("align", [0.0, 30.0])
+def test_saved_evidence_is_laid_on_other_evidence(align: float, tmp_path: Path) -> None:
+    past = save_first_half(tmp_path / "first.npz", align)
+    options = replace(SECOND, posing=PosingOptions(align=align))
+    second = build([DRIVE], options, [tmp_path / "second.npz"]).evidence
+    assert second is not None
+    moved = lay_on(second, past)
+    pose = Pose(*moved.manifest.builds[0]["options"]["posing"]["transform"])
+    assert_near(pose)
+    typed = format_mount(pose)
+    assert f"`transform=({typed})`" in moved.notes[0]
+    # Nearly all cells are those of a build with that transform.
+    again = build([DRIVE], replace(options, posing=replace(options.posing, transform=pose)), [])
+    box = CellBox.of(render(to_grid(moved), options.model, 10**9)).join(CellBox.of(again.map))
+    one, other = (
+        paint_box(grid, options.model, box).classes for grid in (to_grid(moved), again.observed)
+    )
+    known = (one | other) > 0
+    assert (one == other)[known].mean() > 0.95
+
+
+def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
+    past, second = save_first_half(tmp_path / "a.npz"), save_second_half(tmp_path / "b.npz")
+    far = move_evidence(second, Transform(9.0, -4.0, 1.2))
+    with pytest.raises(PoseError, match=r"not sure|beyond"):
+        lay_on(far, past)
+    with pytest.raises(MapError, match="update"):
+        lay_on(replace(second, manifest=replace(second.manifest, update="beam")), past)
+    of_clouds = [replace(e, manifest=replace(e.manifest, update="cloud")) for e in (second, past)]
+    with pytest.raises(PoseError, match="planar lasers"):
+        lay_on(*of_clouds)
+
+
+@pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
+@pytest.mark.parametrize(
+    ("name", "middle_s"), [("freiburg-079-corrected", 550.0), ("fr079-robotlaser", 550.0)]
+)
+@pytest.mark.parametrize("back", [(1.1, 1.6, 0.3), (-1.5, 0.2, -0.25)])
+def test_halves_of_real_logs_merge_nearly_to_the_whole(
+    name: str, middle_s: float, back: tuple[float, float, float], tmp_path: Path
+) -> None:
+    log, true = REAL_LOGS / "carmen" / f"{name}.log.gz", Transform(*back)
+    x, y = true.move_back(np.zeros((1, 2)))[0].tolist()
+    moved = PosingOptions(transform=Pose.planar(x, y, -true.yaw))
+    first, second = (
+        build([log], options, [tmp_path / "half.npz"]).evidence
+        for options in (
+            BuildOptions(selection=Selection(end_s=middle_s)),
+            BuildOptions(selection=Selection(start_s=middle_s), posing=moved),
+        )
+    )
+    assert first is not None
+    assert second is not None
+    whole = build([log], BuildOptions())
+    box = CellBox.of(whole.map)
+    x_min, y_min, x_max, y_max = whole.map.extent
+    laid = lay_on(second, first)
+    found = Transform(*laid.manifest.builds[0]["moved"])
+    middle = true.move_back(np.array([[(x_min + x_max) / 2, (y_min + y_max) / 2]]))
+    assert np.linalg.norm(found.move(middle) - true.move(middle)) < 0.03
+    assert abs(found.yaw - true.yaw) < math.radians(0.2)
+    one, other = (
+        paint_box(grid, BuildOptions().model, box).classes
+        for grid in (to_grid(merge([first, laid])), whole.observed)
+    )
+    assert (one == other)[(one | other) > 0].mean() > 0.96
+
+
+def make_evidence(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
+    """Evidence of 1 m cells (row, column) with hits and misses, all seen in slice 7."""
+    manifest = Manifest(1.0, "beam", "counts", "", 10.0, 0.5, "counting", ())
+    grid = make_empty(manifest)
+    for (row, col), numbers in cells.items():
+        key = row // TILE, col // TILE
+        tile = grid.tiles.setdefault(key, np.zeros((2, TILE, TILE), np.int64))
+        tile[:, row % TILE, col % TILE] = numbers
+    return Evidence(manifest, *stack_tiles(grid.tiles), (mark_observed(grid, 7),))
+
+
+def list_cells(evidence: Evidence) -> dict[tuple[int, int], tuple[int, int]]:
+    found = {}
+    for (row, col), tile in zip(evidence.tiles.tolist(), evidence.cells, strict=True):
+        for up, right in np.argwhere(tile.any(axis=0)).tolist():
+            found[row * TILE + up, col * TILE + right] = tuple(tile[:, up, right].tolist())
+    return found
+
+
+CELLS = {(0, 0): (3, 0), (0, 63): (1, 5), (70, -1): (0, 9), (-130, 200): (2**40, 1)}
+
+
+def test_whole_cells_and_quarter_turns_move_evidence_exactly() -> None:
+    evidence = make_evidence(CELLS)
+    moved = move_evidence(evidence, Transform(100.0, -7.0, 0.0))
+    assert list_cells(moved) == {(r - 7, c + 100): both for (r, c), both in CELLS.items()}
+    # (x, y) goes to (-y, x), so the cell from (c, r) to (c + 1, r + 1) to row c, column -r - 1.
+    turned = move_evidence(evidence, Transform(0.0, 0.0, math.pi / 2))
+    assert list_cells(turned) == {(c, -r - 1): both for (r, c), both in CELLS.items()}
+    (slices,) = turned.slices
+    grid = to_grid(turned)
+    expected = mark_observed(grid, 7)
+    for name in Slices.__dataclass_fields__:
+        assert np.array_equal(getattr(slices, name), getattr(expected, name))
+
+
+def test_a_turn_leaves_neither_holes_in_a_floor_nor_gaps_in_a_wall() -> None:
+    floor = {(row, col): (0, 4) for row in range(100) for col in range(100)}
+    wall = {(50, col): (8, 0) for col in range(100)}
+    turn = Transform(0.3, 0.4, math.radians(17.0))
+    moved = list_cells(move_evidence(make_evidence(floor | wall), turn))
+    for (row, col), numbers in moved.items():  # each has what the cell has that its middle was in
+        x, y = turn.move_back(np.array([col + 0.5, row + 0.5])).tolist()
+        assert numbers == (floor | wall)[math.floor(y), math.floor(x)]
+    assert len(moved) == pytest.approx(100 * 100, rel=0.01)
+    columns = {col for (_, col), (hits, _) in moved.items() if hits}
+    assert columns == set(range(min(columns), max(columns) + 1))
+    rows = [[row for (row, c), (hits, _) in moved.items() if hits and c == col] for col in columns]
+    assert all(max(each) - min(each) < 2 for each in rows)

@@ -1,15 +1,17 @@
 """GeoTIFF: the cells of the map at their places, with overviews, in one sound file."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+from rasterio.warp import transform
 
 from occmap import build_map
 from occmap.cells import Evidence, Ground, OccupancyMap
 from occmap.errors import OutputError
-from occmap.writers import WriteOptions, find_writer
+from occmap.writers import Product, WriteOptions, find_writer
 from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
 from tests.samples import SAMPLE_LOGS
 
@@ -37,6 +39,32 @@ def test_cells_are_where_they_are(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["m.tif"]
 
 
+@pytest.mark.parametrize("name", ["m.tif", "m.png"])
+def test_a_place_on_the_globe_is_where_it_is(name: str, tmp_path: Path) -> None:
+    """A point of the map, 10 m and 5 m from its zero, where x points 30 degrees north of east."""
+    latitude, longitude = 52.5, 13.4
+    options = WriteOptions(georeference=(latitude, longitude, 30.0))
+    files = find_writer(tmp_path / name).write_product(
+        tmp_path / name, Product(make_map(), lambda: make_evidence(None)), options
+    )
+    assert sorted(files) == sorted(tmp_path.iterdir())
+    with rasterio.open(tmp_path / name) as image:
+        # Rows are counted from the top, which is at 110 m; column 0 begins at 2 m.
+        col, row = (10 - 2) / 0.1, (110 - 5) / 0.1
+        a, b, c, d, e, f, *_ = image.transform
+        x, y = c + a * col + b * row, f + d * col + e * row
+        (east,), (north,) = transform(image.crs, "EPSG:4326", [x], [y])
+    turn = math.radians(30)
+    assert x == pytest.approx(10 * math.cos(turn) - 5 * math.sin(turn), abs=1e-6)
+    assert y == pytest.approx(10 * math.sin(turn) + 5 * math.cos(turn), abs=1e-6)
+    # Radii of curvature of WGS 84 along the meridian and across it.
+    squared, axis, phi = 0.00669437999014, 6378137.0, math.radians(latitude)
+    across = axis / math.sqrt(1 - squared * math.sin(phi) ** 2)
+    along = across * (1 - squared) / (1 - squared * math.sin(phi) ** 2)
+    assert north == pytest.approx(latitude + math.degrees(y / along), abs=1e-9)  # 0.1 mm
+    assert east == pytest.approx(longitude + math.degrees(x / across / math.cos(phi)), abs=1e-9)
+
+
 @pytest.mark.parametrize(
     "error", [OSError(28, "No space left"), rasterio._err.CPLE_AppDefinedError(3, 1, "No space")]
 )
@@ -52,6 +80,11 @@ def test_nothing_is_left_where_it_cannot_be_written(
     assert list(tmp_path.iterdir()) == []
 
 
+def write_ground(path: Path, ground: Ground | None) -> None:
+    product = Product(make_map(), lambda: make_evidence(ground))
+    assert GroundWriter().write_product(path, product, WriteOptions()) == (path,)
+
+
 def make_evidence(ground: Ground | None) -> Evidence:
     """Evidence of nothing, over some ground."""
     nothing = np.zeros((0, 2), np.int64)
@@ -65,7 +98,7 @@ def test_the_ground_lies_where_it_was_measured(tmp_path: Path) -> None:
         height[block, at], measured[block, at] = level, True
     ground = Ground(np.array([[-1, 0], [0, 1]]), height, measured)
 
-    GroundWriter().write_evidence(tmp_path / "m.ground.tif", make_evidence(ground))
+    write_ground(tmp_path / "m.ground.tif", ground)
 
     with rasterio.open(tmp_path / "m.ground.tif") as image:
         assert image.bounds == pytest.approx((0, -9.6, 19.2, 9.6))
@@ -77,7 +110,7 @@ def test_the_ground_lies_where_it_was_measured(tmp_path: Path) -> None:
 
 def test_the_ground_of_a_planar_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"m\.ground\.tif: .* made of none"):
-        GroundWriter().write_evidence(tmp_path / "m.ground.tif", make_evidence(None))
+        write_ground(tmp_path / "m.ground.tif", None)
 
 
 def test_the_longer_ending_is_another_format(tmp_path: Path) -> None:

@@ -1,0 +1,118 @@
+"""Poses of another recording: of a robot's own topics, or what a SLAM exports after the drive."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from occmap import build_map
+from occmap.errors import PoseError
+from tests.cli.runner import occmap, read_error
+from tests.readers.ros import (
+    ROS1,
+    ROS2,
+    SECOND,
+    Written,
+    drive,
+    header,
+    pose,
+    transforms,
+    write_bag1,
+    write_mcap,
+)
+
+
+def make(kind: str, stamp_ns: int, x: float) -> Any:
+    """A message that says where the robot was."""
+    types = ROS2.types
+    if kind == "TransformStamped":
+        return transforms(ROS2, stamp_ns, [("map", "trajectory_0", x)]).transforms[0]
+    head, place = header(ROS2, stamp_ns, "map"), pose(ROS2, x)
+    if kind == "PoseStamped":
+        return types["geometry_msgs/msg/PoseStamped"](head, place)
+    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    twist = types["geometry_msgs/msg/Twist"](zero, zero)
+    return types["nav_msgs/msg/Odometry"](
+        head,
+        "base",
+        types["geometry_msgs/msg/PoseWithCovariance"](place, np.zeros(36)),
+        types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+    )
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A drive that lacks the transform to its base."""
+    monkeypatch.chdir(tmp_path)
+    return write_bag1(Path("log.bag"), [each for each in drive(ROS1) if each.topic != "/tf"])
+
+
+STAMPS = [(k + 1) * SECOND + 5 for k in range(6)]
+
+
+def write_poses(kind: str, topic: str) -> Path:
+    return write_mcap(
+        Path("slam.mcap"),
+        [Written(topic, at, make(kind, at, 0.5 * k)) for k, at in enumerate(STAMPS)],
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic"),
+    [("Odometry", "/odom"), ("PoseStamped", "/pose"), ("TransformStamped", "trajectory_0")],
+)
+def test_a_drive_has_the_poses_of_another_recording(kind: str, topic: str, log: Path) -> None:
+    whole = build_map(write_bag1(Path("whole.bag"), drive(ROS1)))
+    write_poses(kind, topic)
+    for poses in ("slam.mcap", f"slam.mcap:{topic}"):
+        made = build_map(log, poses=poses)
+        assert made.about is not None
+        assert whole.about is not None
+        assert made.about.evidence == whole.about.evidence
+        note = f"log.bag: poses from slam.mcap:{topic}, taken as those of 'base'"
+        assert note in made.report.notes
+
+
+def test_a_path_that_is_sent_again_and_again_is_its_last(log: Path) -> None:
+    whole = build_map(write_bag1(Path("whole.bag"), drive(ROS1)))
+    poses = [make("PoseStamped", at, 0.5 * k) for k, at in enumerate(STAMPS)]
+    drifted = [make("PoseStamped", at, 0.5 * k + 9) for k, at in enumerate(STAMPS[:3])]
+    kind = ROS2.types["nav_msgs/msg/Path"]
+    messages = [
+        Written("/path", STAMPS[2], kind(header(ROS2, STAMPS[2], "map"), drifted)),
+        Written("/path", STAMPS[5], kind(header(ROS2, STAMPS[5], "map"), poses)),
+        *(Written("/pose", at, make("PoseStamped", at, 0.0)) for at in STAMPS[:2]),
+    ]
+    write_mcap(Path("slam.mcap"), messages)
+    made = build_map(log, poses="slam.mcap")  # the path has more poses
+    assert made.about is not None
+    assert whole.about is not None
+    assert made.about.evidence == whole.about.evidence
+
+
+def test_the_frames_of_the_other_recording_do_not_mix_with_those_of_the_log(log: Path) -> None:
+    others = [each for each in drive(ROS2) if each.topic == "/tf"]
+    poses = [Written("/odom", at, make("Odometry", at, 0.5 * k)) for k, at in enumerate(STAMPS)]
+    write_mcap(Path("slam.mcap"), [*others, *poses])
+    made = build_map(log, poses="slam.mcap")
+    assert made.report.scans.used == 6
+    with pytest.raises(PoseError, match="have no poses"):
+        build_map(log)
+
+
+@pytest.mark.parametrize(
+    ("poses", "found"),
+    [
+        ("slam.mcap:/other", "topics with poses: slam.mcap:/odom"),
+        ("log.bag", "log.bag: holds no such topic of poses; no Path, PoseStamped or Odometry"),
+        ("none.bag", "none.bag: no such file"),
+        ("none.bag:/odom", "none.bag:/odom: no such file"),
+        ("broken.bag", "broken.bag: "),
+    ],
+)
+def test_poses_that_are_not_there(poses: str, found: str, log: Path) -> None:
+    write_poses("Odometry", "/odom")
+    Path("broken.bag").write_bytes(b"no bag")
+    error = read_error(occmap("build", log, "-o", "m.pgm", "--poses", poses), 1)
+    assert found in error

@@ -1,0 +1,165 @@
+"""Files of a map say what it is of, and nothing of when it was made."""
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+from mcap.reader import make_reader
+from PIL import Image
+from ruamel.yaml import YAML
+
+from occmap.cells import Manifest, make_factors, sum_tiles
+from occmap.store import open_store
+from occmap.writers.npz import read_evidence
+from tests.cli.runner import occmap
+from tests.samples import SAMPLE_LOGS
+
+DRIVE = SAMPLE_LOGS / "drive.mcap"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The drive in all formats that say what they are of."""
+    folder = tmp_path_factory.mktemp("built")
+    words: list[Any] = ["build", "-q", DRIVE]
+    for suffix in ("pgm", "png", "npz", "mcap", "tif", "zarr", "html"):
+        words += ["-o", folder / f"m.{suffix}"]
+    assert occmap(*words).code == 0
+    return folder
+
+
+def read_comments(path: Path) -> dict[str, str]:
+    lines = (line.partition(": ") for line in path.read_text().splitlines())
+    return {name[2:]: text for name, _, text in lines if name.startswith("# ")}
+
+
+def read_texts(path: Path) -> dict[str, str]:
+    """The texts in a PNG."""
+    with Image.open(path) as image:
+        return {str(name): str(text) for name, text in image.info.items()}
+
+
+def test_all_formats_say_the_same(built: Path) -> None:
+    said = read_comments(built / "m.yaml")
+    assert list(said) == ["occmap", "evidence", "rendering", "logs"]
+    assert said["logs"] == '"drive.mcap"'
+    with (built / "m.mcap").open("rb") as file:
+        (metadata,) = make_reader(file).iter_metadata()
+    assert metadata.metadata == said
+    with rasterio.open(built / "m.tif") as image:
+        assert said.items() <= image.tags().items()
+    assert said.items() <= read_texts(built / "m.png").items()
+    head = json.loads(bytes(np.load(built / "m.npz")["manifest"]))
+    assert head["evidence"] == open_store(built / "m.zarr").name == said["evidence"]
+    page = (built / "m.html").read_text()
+    assert said["evidence"] in page
+    assert said["rendering"] in page
+
+
+def test_loaders_of_the_yaml_see_what_they_always_saw(built: Path) -> None:
+    loaded = YAML(typ="safe").load((built / "m.yaml").read_text())
+    assert set(loaded) == {
+        *("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"),
+    }
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--jobs", 2), ("--dask", "local"), ("--resume", "a.npz", "--start", 40)],
+    ids=["jobs", "dask", "resume"],
+)
+def test_equal_evidence_has_one_name(
+    words: tuple[Any, ...], built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert occmap("build", "-q", DRIVE, "--end", 40, "-o", "a.npz").code == 0
+    assert occmap("build", "-q", DRIVE, *words, "-o", "m.pgm").code == 0
+    assert Path("m.yaml").read_bytes() == (built / "m.yaml").read_bytes()
+
+
+def test_merged_and_rendered_evidence_has_the_name_too(built: Path, tmp_path: Path) -> None:
+    a, b = tmp_path / "a.npz", tmp_path / "b.zarr"
+    assert occmap("build", "-q", DRIVE, "--end", 40, "-o", a).code == 0
+    assert occmap("build", "-q", DRIVE, "--start", 40, "-o", b).code == 0
+    said = read_comments(built / "m.yaml")
+    for line in (("merge", b, a), ("render", built / "m.npz"), ("render", built / "m.zarr")):
+        assert occmap(*line, "-q", "-o", tmp_path / "m.pgm").code == 0
+        assert read_comments(tmp_path / "m.yaml") == said
+    for words in (("--cut", "0.5"), ("--margin", "1"), ("--mode", "raw"), ("--min-passes", "2")):
+        rendered = occmap("render", "-q", built / "m.npz", "-o", tmp_path / "m.pgm", *words)
+        assert rendered.code == 0
+        other = read_comments(tmp_path / "m.yaml")
+        assert other.pop("rendering") != said["rendering"]
+        assert other.items() <= said.items()
+
+
+def test_edits_change_the_rendering_by_what_they_draw(built: Path, tmp_path: Path) -> None:
+    line = ("render", "-q", built / "m.npz", "-o", tmp_path / "m.pgm", "--edits")
+    names = []
+    for file, text in (("a", "free,box,0,0,1,1"), ("b", "free,box,0,0,1,1 # x"), ("b", "")):
+        (tmp_path / file).write_text(text)
+        assert occmap(*line, tmp_path / file).code == 0
+        names.append(read_comments(tmp_path / "m.yaml")["rendering"])
+    assert names[0] == names[1] != names[2] == read_comments(built / "m.yaml")["rendering"]
+
+
+def test_diff_says_if_maps_are_of_one_evidence(built: Path, tmp_path: Path) -> None:
+    name = read_comments(built / "m.yaml")["evidence"]
+    other = tmp_path / "m.png"
+    occmap("render", "-q", built / "m.npz", "-o", other, "--cut", "0.5")
+    told = occmap("diff", built / "m.pgm", other)
+    assert f"evidence {name}, of both; what changed is how it was rendered" in told.out
+    told = occmap("diff", built / "m.npz", built / "m.pgm")
+    assert f"evidence {name}, of both\n" in told.out
+    occmap("build", "-q", DRIVE, "--end", 40, "-o", other.with_suffix(".npz"))
+    told = occmap("diff", built / "m.pgm", other.with_suffix(".npz"), "--json")
+    second = json.loads(bytes(np.load(tmp_path / "m.npz")["manifest"]))["evidence"]
+    assert json.loads(told.out)["evidence"] == [name, second]
+    lines = (built / "m.yaml").read_text().splitlines()
+    bare = tmp_path / "bare.yaml"
+    bare.write_text("\n".join(line for line in lines if line[0] != "#"))
+    (tmp_path / "m.pgm").write_bytes((built / "m.pgm").read_bytes())
+    told = occmap("diff", bare, built / "m.pgm", "--json")
+    assert told.code != 0 or json.loads(told.out)["evidence"] == [None, name]
+
+
+def test_names_of_logs_break_no_line(tmp_path: Path) -> None:
+    log = tmp_path / 'a\nimage: b"é.csv'
+    log.write_bytes((SAMPLE_LOGS / "drive.csv").read_bytes())
+    assert occmap("build", "-q", log, "-o", tmp_path / "m.pgm", "-o", tmp_path / "m.png").code == 0
+    said = read_comments(tmp_path / "m.yaml")["logs"]
+    assert said == r'"a\nimage: b\"\u00e9.csv"'
+    assert read_texts(tmp_path / "m.png")["logs"] == said
+    assert YAML(typ="safe").load((tmp_path / "m.yaml").read_text())["image"] == "m.pgm"
+
+
+def test_a_name_is_that_of_a_slow_sum(built: Path) -> None:
+    evidence = read_evidence(built / "m.npz")
+    factors = make_factors(2 * 64 * 64).tolist()
+    total = 0
+    for (row, col), tile in zip(evidence.tiles.tolist(), evidence.cells.tolist(), strict=True):
+        place = int.from_bytes(hashlib.sha256(f"{row} {col}".encode()).digest()[:8], "big") | 1
+        numbers = [number for layer in tile for line in layer for number in line]
+        total += place * sum(map(math.prod, zip(factors, numbers, strict=True)))
+    what = f"0.05 surface  {total % 2**64}"
+    name = hashlib.sha256(what.encode()).hexdigest()[:12]
+    assert name == read_comments(built / "m.yaml")["evidence"]
+
+
+def test_order_width_and_empty_tiles_count_for_nothing() -> None:
+    rng = np.random.default_rng(3)
+    tiles = {(-2, 7): rng.integers(-9, 9, (2, 64, 64)), (0, 0): rng.integers(0, 9, (2, 64, 64))}
+    manifest = Manifest(0.05, "beam", "counts", "", 10.0, 0.5, "counting", ())
+    name = manifest.identify(sum_tiles(tiles.items()))
+    nothing = {(5, 5): np.zeros((2, 64, 64), np.int32)}
+    others = {key: tile.astype(np.int32) for key, tile in reversed(tiles.items())}
+    assert manifest.identify(sum_tiles((others | nothing).items())) == name
+    swapped = dict(zip(tiles, reversed(tiles.values()), strict=True))
+    assert manifest.identify(sum_tiles(swapped.items())) != name
+    tiles[0, 0][1, 3, 3] += 1
+    assert manifest.identify(sum_tiles(tiles.items())) != name
