@@ -40,6 +40,8 @@ _MESSAGE_DATA = 31
 _FOOTER_BODY = 20
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
+_MOST_HEAD = 1 << 10
+"""The fields of a chunk before its records are shorter, with the name of its compression."""
 _MOST_SUMMARY = 1 << 30
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
@@ -90,7 +92,7 @@ class McapSource(RecordSource):
 
     def _open_chunk(self, position: int, record: bytes) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
-        stream = _open_body(record)
+        stream = _open_body(record[:_MOST_HEAD])
         try:  # not by Chunk.read, which gives nothing of a chunk that is cut
             _times, size = stream.read(16), stream.read8()
             crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
