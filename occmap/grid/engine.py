@@ -175,8 +175,7 @@ class SparseBeamWindow(Window):
         layers = 2 if counts else 1
         numbers = np.zeros(2 * size, np.int32) if counts else np.zeros(size, np.int64)
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
-        places = np.empty(TILE + AT_A_TIME, np.int64)
-        self.tiles = Tiles(table, np.zeros(1, np.int64), layers, places)
+        self.tiles = Tiles(table, np.zeros(1, np.int64), layers)
         stride = 1 << (cols - 1).bit_length()
         no_changes = Changes(np.zeros(0, np.int32), rows, cols)
         self.canvas = Canvas(numbers, stride, no_changes, make_notes(rows, cols))

@@ -92,12 +92,14 @@ class TileGrid:
             mine = self.tiles.get(key)
             if mine is None:
                 self.tiles[key] = tile if kept_whole else tile.copy()
-                place = CellBox.at(*key)
-                self._reach = place if self._reach is None else self._reach.join(place)
                 continue
             if total > INT32_LIMIT:
                 mine = self.tiles[key] = mine.astype(np.int64, copy=False)
             mine += tile
+        if tiles:
+            rows, cols = zip(*tiles, strict=True)
+            reach = CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
+            self._reach = reach if self._reach is None else self._reach.join(reach)
 
     def like(self, tiles: Mapping[Key, Tile]) -> "TileGrid":
         """A grid of these tiles instead, on the same lattice and of the same kind."""

@@ -44,6 +44,8 @@ _CHUNK_HEAD = _CHUNK_NUMBERS + 4 + len("zstd") + 8
 """Bytes before the records of a chunk, at most: its compression and their length follow"""
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
+_MOST_HEAD = 1 << 10
+"""The fields of a chunk before its records are shorter, with the name of its compression."""
 _MOST_SUMMARY = 1 << 30
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
@@ -97,7 +99,7 @@ class McapSource(RecordSource):
 
     def _open_chunk(self, position: int, record: bytes) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
-        stream = _open_body(record)
+        stream = _open_body(record[:_MOST_HEAD])
         try:  # not by Chunk.read, which gives nothing of a chunk that is cut
             _times, size = stream.read(16), stream.read8()
             crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()

@@ -501,12 +501,11 @@ def _count_begun(spans: Spans, row: np.uint64, place: np.int32) -> int:
     A wall along a row may make hundreds of them, so they are halved until few are left.
     """
     limits, begin, size = spans.limits, spans.starts[row], spans.counts[row]
-    at = begin
+    at, begun = begin, np.int32(0)
     while size > AT_A_TIME:
         half = size >> 1
         at += half if limits[np.uint64(at + half - 1)] <= place else 0
         size -= half
-    begun = np.int32(0)
     for k in range(AT_A_TIME):  # what comes after these lies behind the place
         begun += np.int32(limits[np.uint64(at + k)] <= place)
     return int(at - begin + begun)

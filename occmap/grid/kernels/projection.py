@@ -99,34 +99,46 @@ def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
 def link_neighbours(rays: Rays, ends_x: Int32, ends_y: Int32, jump: float, links: Int16) -> None:
     """Say how many beams to draw between each beam and the next, and what each beam weighs.
 
-    Neighbours meet one surface where their ranges differ by at most `jump` (m) or by a tenth.
+    Neighbours meet one surface where their ranges differ by at most `jump` (m) or by a tenth. There
+    are no branches, so that many are compared at a time.
 
     Parameters
     ----------
     links
-        As those of `Beams`, and written here; each beam weighs `ALONE`, and none is drawn.
+        As those of `Beams`, and written here; all are 0.
     """
-    distance, kinds = rays.distance, rays.kind
-    scans, count = kinds.shape
+    scans, count = rays.kind.shape
+    last = count - 1
     for s in range(scans):
-        for b in range(count if rays.full_circle and count > 1 else count - 1):
-            c = b + 1 if b + 1 < count else 0
-            across, up = ends_x[s, c] - ends_x[s, b], ends_y[s, c] - ends_y[s, b]
-            cells = max(abs(across), abs(up)) >> CELL_SHIFT
-            both_hit = (kinds[s, b] == HIT) & (kinds[s, c] == HIT)
-            apart = abs(distance[s, b] - distance[s, c])
-            slanted = (apart <= SLANT * distance[s, b]) & (apart <= SLANT * distance[s, c])
-            joined = both_hit & (slanted | (apart <= jump)) & (cells <= WIDEST_GAP)
-            both_free = (kinds[s, b] == FREE) & (kinds[s, c] == FREE)
-            drawn = min(cells, MOST_BETWEEN) if joined else 0
-            rest = MOST_BETWEEN - drawn if joined | both_free else 0
-            # Rounded down: half a unit keeps whole numbers from what rounding does.
-            share = 1.0 / (drawn + 1)
-            links[0, s, b] += rest
-            links[0, s, c] += rest
-            links[1, s, b] = drawn
-            links[2, s, b] = np.int32(np.floor((across + 0.5) * share))
-            links[3, s, b] = np.int32(np.floor((up + 0.5) * share))
+        kinds, distance, x, y = rays.kind[s], rays.distance[s], ends_x[s], ends_y[s]
+        around = 1 if rays.full_circle and last else 0  # the first beam comes after the last
+        for a, b, size in ((0, 1, last), (last, 0, around)):
+            before, after = kinds[a : a + size], kinds[b : b + size]
+            range_before, range_after = distance[a : a + size], distance[b : b + size]
+            from_x, from_y = x[a : a + size], y[a : a + size]
+            to_x, to_y = x[b : b + size], y[b : b + size]
+            rests, numbers = links[0, s, a : a + size], links[1, s, a : a + size]
+            steps_x, steps_y = links[2, s, a : a + size], links[3, s, a : a + size]
+            for i in range(size):
+                across, up = to_x[i] - from_x[i], to_y[i] - from_y[i]
+                cells = max(abs(across), abs(up)) >> CELL_SHIFT
+                both_hit = (before[i] == HIT) & (after[i] == HIT)
+                apart = abs(range_before[i] - range_after[i])
+                slanted = (apart <= SLANT * range_before[i]) & (apart <= SLANT * range_after[i])
+                joined = both_hit & (slanted | (apart <= jump)) & (cells <= WIDEST_GAP)
+                both_free = (before[i] == FREE) & (after[i] == FREE)
+                drawn = min(cells, MOST_BETWEEN) if joined else 0
+                # Rounded down: half a unit keeps whole numbers from what rounding does.
+                share = 1.0 / (drawn + 1)
+                rests[i] = MOST_BETWEEN - drawn if joined | both_free else 0
+                numbers[i] = drawn
+                steps_x[i] = np.int32(np.floor((across + 0.5) * share))
+                steps_y[i] = np.int32(np.floor((up + 0.5) * share))
+        # So far a beam has in place of its weight what the pair of it and the next does not draw.
+        rest = links[0, s, last]
+        for b in range(count):
+            rest_before, rest = rest, links[0, s, b]
+            links[0, s, b] = ALONE + rest_before + rest
 
 
 def prepare(rays: Rays, spec: GridSpec) -> Rays:
@@ -193,7 +205,6 @@ def project(rays: Rays, spec: GridSpec) -> Beams:
     )
     left, bottom, right, top = project_ends(beams, spec.tables.depth)
     if drawing:
-        links[0] = ALONE
         link_neighbours(rays, beams.ends_x, beams.ends_y, spec.jump, links)
     lowest = np.minimum(beams.origins.min(axis=(0, 1)), (left, bottom))
     highest = np.maximum(beams.origins.max(axis=(0, 1)), (right, top))
