@@ -22,8 +22,7 @@ SLOPE_MM = 0.12 * COLUMN_MM
 BROAD = 10
 """A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
 BRINK_MM, DROP_MM = 60, 80
-"""A level ends where one of the next two columns is so much lower; what falls by the second does
-not go on"""
+"""A level ends where the next column is so much lower; what falls by the second does not go on"""
 NO_GROUND = -(1 << 30)
 """A column without ground."""
 
@@ -134,7 +133,7 @@ def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths:
 
 @array_kernel
 def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: Found) -> None:
-    """Take as ground what lies as deep below the sensor as the ground does; lowest first.
+    """Take as ground the peak with the most points that lies as deep below the sensor as it does.
 
     Parameters
     ----------
@@ -161,10 +160,8 @@ def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: F
                     continue
                 for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
                     depth = path[i, 2] - peaks.height[k]
-                    if least <= depth <= most:
-                        if height[at] == NO_GROUND or peaks.height[k] < height[at]:
-                            height[at], weight[at] = peaks.height[k], peaks.weight[k]
-                        break
+                    if least <= depth <= most and peaks.weight[k] > weight[at]:
+                        height[at], weight[at] = peaks.height[k], peaks.weight[k]
 
 
 @step
@@ -323,12 +320,9 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
         return False
     row, col = place_row(blocks, at), place_col(blocks, at)
     way = max(abs(lower.up), abs(lower.right))
-    for k in range(1, 3):
-        up, right = int(np.rint(k * lower.up / way)), int(np.rint(k * lower.right / way))
-        near = find_column(blocks, row + up, col + right)
-        if near < 0 or height[near] == NO_GROUND or height[at] - height[near] > BRINK_MM:
-            return False
-    return True
+    up, right = int(np.rint(lower.up / way)), int(np.rint(lower.right / way))
+    near = find_column(blocks, row + up, col + right)
+    return near >= 0 and height[near] != NO_GROUND and height[at] - height[near] <= BRINK_MM
 
 
 @array_kernel
