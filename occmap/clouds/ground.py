@@ -392,7 +392,7 @@ FLOOR_M = 0.25
 BESIDE_M = 1.0
 """The ground is shifted to where the robot stood at most so far away"""
 STEADY_M = 0.06
-"""Where the height of a sensor differs by more, a hand carries it: then the ground is not shifted"""
+"""Where a sensor's height differs by more, a hand carries it, and the ground is not shifted (m)"""
 POINTS = 2000
 """Points of a cloud that are looked at, about"""
 TILT_ROUNDS = 6
