@@ -128,7 +128,7 @@ def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths:
 
 @array_kernel
 def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: Found) -> None:
-    """Take as ground the peak with the most points that lies as deep below the sensor as it does.
+    """Take as ground what lies as deep below the sensor as the ground does; lowest first.
 
     Parameters
     ----------
@@ -155,8 +155,10 @@ def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: F
                     continue
                 for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
                     depth = path[i, 2] - peaks.height[k]
-                    if least <= depth <= most and peaks.weight[k] > weight[at]:
-                        height[at], weight[at] = peaks.height[k], peaks.weight[k]
+                    if least <= depth <= most:
+                        if height[at] == NO_GROUND or peaks.height[k] < height[at]:
+                            height[at], weight[at] = peaks.height[k], peaks.weight[k]
+                        break
 
 
 @step
