@@ -26,7 +26,7 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions, Stamps
 from occmap.readers import Note, Stream
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.mounts import SUSPECT, correct_mount
+from occmap.scans.mounts import SUSPECT, find_mount, turn_mount
 from occmap.sensor import ReturnOptions
 from occmap.types import Float32, Float64, Pose, PosedScans, PoseSample, Scan, ScanBatch
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
@@ -548,15 +548,18 @@ def test_of_two_lasers_the_one_that_is_off_gets_a_transform_of_its_own(tmp_path:
     given = bolted("base_link", "laser", Pose.planar(0.0, 0.0, 1.5))
     poser = make_poser(*drive("odom", "base_link"), static_transforms=(given,))
     poser.chains = {"laser": None, "other": None}
-    assert correct_mount(poser, "laser", Pose.planar(0, 0, 1.0)) == "sensor_pose=0,0,1"
+    mount = find_mount(poser, "laser")
+    assert mount
+    assert mount.write(Pose.planar(0, 0, 1.0)) == {"sensor_pose": "0,0,1"}
     poser.chains = {}
     assert not poser.find_chains(["laser"])
     poser.chains["other"] = None
-    better = correct_mount(poser, "laser", Pose.planar(0, 0, -1.5))
-    assert better == "static_transforms=base_link,laser,0,0,0,0,0,0"
+    mount = find_mount(poser, "laser")
+    assert mount
+    better = mount.write(turn_mount(mount.pose, Pose.planar(0, 0, -1.5)))
+    assert better == {"static_transforms": "base_link,laser,0,0,0,0,0,0"}
     options = BuildOptions(posing=PosingOptions(static_transforms=(given,)))
-    name, _, value = better.partition("=")
-    words = compose_build([str(right)], options, {name: value})
+    words = compose_build([str(right)], options, better)
     assert words[3:-2] == ("--static-tf", "base_link,laser,0,0,0,0,0,0")
 
 

@@ -4,6 +4,8 @@ from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
@@ -16,6 +18,7 @@ HEADER = "# angle_min: 0\n# angle_increment: 1\n# time_increment: 0.0001\nstamp,
 
 def compile_kernels() -> None:
     """Build maps of few scans and of many by every update and kind of model, and score one."""
+    compile_for_clouds()
     models: tuple[SensorModel, ...] = CountingModel(), QuadraticModel()
     choices = product((1, 500), BEAM_UPDATES, models, Deskew)
     with TemporaryDirectory(prefix="occmap-") as name:
@@ -27,6 +30,20 @@ def compile_kernels() -> None:
             options = BuildOptions(update=update, model=model, posing=posing, jobs=1)
             made = build([log], options, [Path(name) / "map.npz"])
     score_map(made.map, [make_scans(1)], jobs=1)
+
+
+def compile_for_clouds() -> None:
+    """Build a map of clouds that show a wide floor and something on it."""
+    across, along = np.mgrid[-50:50, -50:50].reshape(2, -1) * 0.15
+    points = np.stack([across, along, np.where(across > 7, 0.0, -0.6)], axis=1)
+    with TemporaryDirectory(prefix="occmap-") as name:
+        log, poses = Path(name) / "clouds", Path(name) / "drive.tum"
+        log.mkdir()
+        for at in range(2):
+            np.save(log / f"{at}.npy", points.astype(np.float32))
+        poses.write_text("".join(f"{at} 0 {at} 0 0 0 0 1\n" for at in range(2)))
+        options = BuildOptions(posing=PosingOptions(poses=str(poses)), jobs=1)
+        build([log], options, [Path(name) / "map.npz"])
 
 
 if __name__ == "__main__":

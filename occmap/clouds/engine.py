@@ -15,6 +15,7 @@ from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import Cloud, find_reach, list_clouds
 from occmap.clouds.kernels.tracing import COUNTS, SECTORS, Band, Canvas, lay_ground, trace_cloud
 from occmap.grid import CellBox, Lattice
+from occmap.grid.kernels.units import NEAR_WEIGHT
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, mark_observed, unite, view_tiles
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
@@ -57,7 +58,7 @@ class Sheet:
                 return
             self.used = -1 - used
             grown = allocate(table, corner, 2 * self.used)
-            for layer in ("counts", "state", "ground", "base"):
+            for layer in ("places", "counts", "state", "ground", "base"):
                 getattr(grown, layer)[: self.used] = getattr(self.canvas, layer)
             self.canvas = grown
 
@@ -76,12 +77,9 @@ class Sheet:
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""
-        table = self.canvas.table
-        places = np.empty((self.used, 2), np.int64)
-        places[table[table >= 0]] = np.argwhere(table >= 0) + self.canvas.corner
         cells = self.canvas.counts[: self.used].reshape(-1, 2, TILE, TILE)
         seen = cells.any(axis=(1, 2, 3))
-        places, taken = places[seen], cells[seen]
+        places, taken = self.canvas.places[: self.used][seen], cells[seen]
         cells[seen] = 0
         return places, taken
 
@@ -92,6 +90,7 @@ def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
     return Canvas(
         table,
         corner,
+        np.zeros((tiles, 2), np.int64),
         np.zeros((tiles, 2, size), np.int32),
         np.zeros((tiles, size), np.uint8),
         np.zeros((tiles, size), np.int16),
@@ -118,7 +117,7 @@ class CloudEngine:
         limits: tuple[float, float],
         slice_ns: int | None = None,
     ) -> None:
-        self.grid = TileGrid(lattice, EvidenceKind.COUNTS)
+        self.grid = TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT)
         self.ground = ground
         blocks = index_blocks(ground.blocks)
         # A table of its own for each thread, of tiles around all ground.
@@ -156,7 +155,7 @@ class CloudEngine:
         places, cells = sheet.empty()
         if not len(places):
             return
-        grid = TileGrid(self.grid.lattice, EvidenceKind.COUNTS)
+        grid = TileGrid(self.grid.lattice, EvidenceKind.COUNTS, NEAR_WEIGHT)
         grid.add(view_tiles(places, cells), int(cells.max()))
         seen = None if self._slice_ns is None else mark_observed(grid, sheet.number)
         with self._lock:

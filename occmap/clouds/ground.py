@@ -5,7 +5,7 @@ otherwise than they are said to.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from threading import Lock
 from typing import NamedTuple
@@ -422,6 +422,10 @@ NEAREST_M, FARTHEST_M = 1.0, 8.0
 """Floor is looked for between these distances: farther away, poses that are off move it more."""
 FLOOR_M = 0.25
 """No floor lies farther from the ground that was found."""
+BESIDE_M = 1.0
+"""The ground is shifted to where the robot stood at most so far away"""
+STEADY_M = 0.06
+"""Where a sensor's height differs by more, a hand carries it, and the ground is not shifted (m)"""
 POINTS = 2000
 """Points of a cloud that are looked at, about"""
 TILT_ROUNDS = 6
@@ -440,15 +444,24 @@ class Tilts(NamedTuple):
     """Whether the first explains them better"""
 
 
-def measure_tilts(clouds: Iterable[PosedScans], ground: Ground) -> Tilts | None:
+def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
     """Measure by which rotation the floor in clouds lies flat; None where too little is seen.
 
     A rotation by a small vector d lifts a point that lies at p from the sensor by d . (p x up). In
     the sensor's frame d is constant where its mount is wrong, in the map's where the poses are.
+    What the ground is made of is turned likewise, and hides the error: so it is shifted to where
+    the robot stood when it came by, which is as far below the sensor anywhere.
     """
-    rows = [row for posed in clouds for row in list_levers(posed, ground)]
-    if not rows:
+    stood = np.array([cloud.origin for posed in clouds for cloud in list_clouds(posed)])
+    stood = stood.reshape(-1, 3)
+    stood[:, 2] -= ground.find_heights(stood)
+    stood = stood[np.isfinite(stood[:, 2])]
+    if not len(stood):
         return None
+    stood[:, 2] -= np.median(stood[:, 2])
+    if stood[:, 2].std() > STEADY_M:
+        stood[:, 2] = 0
+    rows = [row for posed in clouds for row in list_levers(posed, ground, stood)]
     above, in_sensor, in_map = (np.concatenate(each) for each in zip(*rows, strict=True))
     if len(above) < POINTS:
         return None
@@ -457,8 +470,16 @@ def measure_tilts(clouds: Iterable[PosedScans], ground: Ground) -> Tilts | None:
     return Tilts(-sensor, -upright, left <= left_by_map)
 
 
-def list_levers(posed: PosedScans, ground: Ground) -> Iterable[tuple[Float64, Float64, Float64]]:
-    """List, cloud by cloud, how high points lie over the ground, and what they would be lifted."""
+def list_levers(
+    posed: PosedScans, ground: Ground, stood: Float64
+) -> Iterable[tuple[Float64, Float64, Float64]]:
+    """List, cloud by cloud, how high points lie over the ground, and what they would be lifted.
+
+    Parameters
+    ----------
+    stood
+        (P, 3) where the robot stood, and how far below it the ground was found too low (m).
+    """
     for cloud in list_clouds(posed):
         some, pose = pose_points(cloud, max(len(cloud.points) // POINTS, 1))
         turned = np.einsum("nij,nj->ni", pose[:, :, :3], some)
@@ -466,12 +487,14 @@ def list_levers(posed: PosedScans, ground: Ground) -> Iterable[tuple[Float64, Fl
         distance = np.linalg.norm((place - cloud.origin)[:, :2], axis=1)
         with np.errstate(invalid="ignore"):
             near = (distance > NEAREST_M) & (distance < FARTHEST_M)
-        above = np.full(len(some), np.inf)
-        above[near] = place[near, 2] - ground.find_heights(place[near])
-        floor: Bool = np.abs(above) < FLOOR_M
+        some, turned, place, up_there = (
+            each[near] for each in (some, turned, place, pose[:, 2, :3])
+        )
+        apart = np.linalg.norm(place[:, None, :2] - stood[:, :2], axis=2)
+        above = place[:, 2] - ground.find_heights(place) - stood[apart.argmin(axis=1), 2]
+        floor: Bool = (apart.min(axis=1) < BESIDE_M) & (np.abs(above) < FLOOR_M)
         up = np.array([0.0, 0.0, 1.0])
-        up_there = pose[floor, 2, :3]
-        yield above[floor], np.cross(some[floor], up_there), np.cross(turned[floor], up)
+        yield above[floor], np.cross(some[floor], up_there[floor]), np.cross(turned[floor], up)
 
 
 def fit_robustly(levers: Float64, above: Float64) -> tuple[Float64, float]:

@@ -21,7 +21,7 @@ from occmap.cells import MOST_OBSERVED, Slices
 from occmap.errors import MapError
 from occmap.grid import CellBox, Lattice
 from occmap.grid.kernels import units
-from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, TABLE_STEPS, Tables
+from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, NEAR_WEIGHT, TABLE_STEPS, Tables
 from occmap.report import write_metres
 from occmap.types import Bool, Float64, Int32, Int64, UInt8, Update
 
@@ -251,8 +251,8 @@ def tabulate(free: Formula, hit: Formula, depth: float) -> Tables:
 
 
 def find_unit(update: str) -> int:
-    """What one beam, or one scan, weighs in the numbers of a cell; raises ValueError if unknown."""
-    return BEAM_WEIGHT if Update(update) is Update.SURFACE else 1
+    """What a beam, scan or cloud weighs at most in a cell; raises ValueError if it is unknown."""
+    return {Update.SURFACE: BEAM_WEIGHT, Update.CLOUD: NEAR_WEIGHT}.get(Update(update), 1)
 
 
 @dataclass(frozen=True)

@@ -277,7 +277,8 @@ def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFin
             ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
-        against = list(poses.list_floor_concerns(log, poser, posed, below))
+        level = replace(poser, options=posed.posing)
+        against = list(poses.list_floor_concerns(log, level, posed, below))
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits = survey.drive.limits.list_notes()

@@ -5,14 +5,13 @@ The floor that clouds see says whether a mount, or the poses' up, is wrong.
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from occmap.cells import Ground
-from occmap.choices import format_mount, format_static
+from occmap.choices import format_mount
 from occmap.clouds.mounting import find_seat
 from occmap.errors import MountError, PoseError
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
@@ -25,12 +24,14 @@ from occmap.posing.sources import Sources
 from occmap.readers import Log, get_moments
 from occmap.scans import mounts
 from occmap.scans.logs import (
+    choose_topics,
     count_scans,
     gather_poses,
     refuse_part,
     refuse_shared_mount,
     take_first,
 )
+from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.types import IDENTITY, Float64, Pose, PosedScans
 
@@ -176,13 +177,13 @@ def list_floor_concerns(
 
     share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
     seen: defaultdict[str, list[PosedScans]] = defaultdict(list)
-    for _, posed, _ in mounts.open_drive(log, options).read(
-        Tally(), lambda ns, _: draw(ns) < share
-    ):
+    topics = choose_topics(log, options.selection.topics)
+    drive = Drive(log, topics, poser, options)  # which knows by now what leaps away
+    for _, posed, _ in drive.read(Tally(), lambda ns, _: draw(ns) < share):
         if posed is not None:
             seen[posed.batch.topic].append(posed)
     for topic, clouds in sorted(seen.items()):
-        mount = find_mount(poser, clouds[0].batch.frame, options)
+        mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         if concern := find_misplaced(mount, clouds):
             yield topic, concern
             continue
@@ -198,16 +199,14 @@ def list_floor_concerns(
             found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever"
             yield topic, Concern(f"{found} it goes: its mount is wrong by that", mended)
             continue
-        # What the ground is made of was turned likewise: it hides about a third of the error, and
-        # is off by as much elsewhere, which the margin has to cover, too.
-        whole = 1.6 * angle
-        margin = options.clouds.range_margin + 2.2 * math.radians(whole)
-        found = f"the floor is tilted by about {whole:.1f} deg against the poses"
+        # The ground is made of the same points, and is off by as much where others see it.
+        margin = options.clouds.range_margin + 2.2 * math.radians(angle)
+        found = f"the floor is tilted by about {angle:.1f} deg against the poses"
         why = "their up is wrong, and floor far away would stand up"
         yield topic, Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
 
 
-def find_misplaced(mount: "Mount | None", clouds: Sequence[PosedScans]) -> Concern | None:
+def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> Concern | None:
     """Find out if a sensor sits in another way than its poses say: by far, as in another frame."""
     if mount is None:
         return None
@@ -243,25 +242,3 @@ def tell_slope(ground: Ground) -> Iterator[str]:
             f"most of the floor is tilted by {angle:.1f} deg in the map: heights count from the "
             "floor, so that obstacles are right"
         )
-
-
-class Mount(NamedTuple):
-    """How a sensor is mounted, and how another mount is given in its place."""
-
-    pose: Pose
-    write: Callable[[Pose], Mapping[str, str]]
-    """Gives the option for a mount"""
-
-
-def find_mount(poser: Poser, frame: str, options: BuildOptions) -> Mount | None:
-    """Find the mount of a sensor; None where it is not fixed."""
-    given, chain = options.posing.sensor_pose, poser.chains.get(frame)
-    # None, or of a frame that tf does not know: the poses are the sensor's own.
-    if given is not None or chain is None or frame not in poser.sources.tree:
-        return Mount(given or IDENTITY, lambda pose: {"sensor_pose": format_mount(pose)})
-    step = chain.steps[-1] if chain.steps else None
-    if step is None or step.inverted or not step.track.static:
-        return None
-    pose = Pose(*step.track.position[0].tolist(), *step.track.quaternion[0].tolist())
-    frames = step.parent, step.child
-    return Mount(pose, lambda pose: {"static_transforms": format_static(*frames, pose)})

@@ -282,7 +282,9 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
     if turn is None or turn == IDENTITY:
         return ""
-    return correct_mount(poser, parts[0].batch.frame, turn)
+    mount = find_mount(poser, parts[0].batch.frame)
+    mended = {} if mount is None else mount.write(turn_mount(mount.pose, turn))
+    return "".join(f"{option}={value}" for option, value in mended.items())
 
 
 def warn_of_misfit(better: str) -> Concern:
@@ -293,30 +295,43 @@ def warn_of_misfit(better: str) -> Concern:
     return Concern(text, {option: value})
 
 
-def correct_mount(poser: Poser, frame: str, turn: Pose) -> str:
-    """Find the option, with its value, that turns a sensor further than it is mounted.
+class Mount(NamedTuple):
+    """How a sensor is mounted, and how another mount is given in its place."""
 
-    That is `sensor_pose` for a single laser whose body is known, and else a transform in place of
-    the last one on the way to the sensor; "" where that one moves, so that nothing is mounted.
+    pose: Pose
+    option: str
+    frames: tuple[str, str] | None = None
+    """Of the transform, where that is the option"""
+
+    def write(self, pose: Pose) -> dict[str, str]:
+        """The option, with its value, for a mount."""
+        value = format_static(*self.frames, pose) if self.frames else format_mount(pose)
+        return {self.option: value}
+
+
+def find_mount(poser: Poser, frame: str, *, in_3d: bool = False) -> Mount | None:
+    """Find how a sensor is mounted; None where it moves, so that nothing is.
+
+    Another mount is given as `sensor_pose` for a single laser whose body is known, and else as a
+    transform in place of the last one on the way to the sensor: that keeps its height, too.
     """
-    given = poser.options.sensor_pose
-    chain = poser.chains.get(frame)
+    given, chain = poser.options.sensor_pose, poser.chains.get(frame)
     if given or chain is None:  # None: the poses stand beside the scans
-        return f"sensor_pose={format_mount(turn_mount(given or IDENTITY, turn))}"
+        return Mount(given or IDENTITY, "sensor_pose")
     tree, base = poser.sources.tree, poser.options.base_frame
     bases = [base] if base else tree.list_bases(frame)
+    is_alone = len(poser.chains) == 1
     if frame not in tree:  # the poses were taken as the sensor's own
-        if len(poser.chains) == 1:
-            return f"sensor_pose={format_mount(turn)}"
         body = bases[0] if len(bases) == 1 else BASE_NAMES[0]
-        return f"static_transforms={format_static(body, frame, turn)}"
+        if is_alone:
+            return Mount(IDENTITY, "sensor_pose")
+        return Mount(IDENTITY, "static_transforms", (body, frame))
     steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
-    if steps and len(poser.chains) == 1 and (mount := place_on(steps)):
-        return f"sensor_pose={format_mount(turn_mount(mount, turn))}"
-    last = chain.steps[-1]
-    if (mount := place_on([last])) is None:
-        return ""
-    return f"static_transforms={format_static(last.parent, frame, turn_mount(mount, turn))}"
+    if steps and is_alone and not in_3d and (mount := place_on(steps)):
+        return Mount(mount, "sensor_pose")
+    if not chain.steps or (mount := place_on(chain.steps[-1:])) is None:
+        return None
+    return Mount(mount, "static_transforms", (chain.steps[-1].parent, frame))
 
 
 def place_on(steps: Sequence[Edge]) -> Pose | None:

@@ -7,6 +7,7 @@ import pytest
 
 from occmap import jit
 from occmap.cli.warm import compile_kernels
+from occmap.clouds.kernels import growth, heights, tracing
 from occmap.grid.kernels import beams, cast, polygon, projection, radial_polygon
 from occmap.options import BuildOptions
 from occmap.pipeline import build
@@ -16,7 +17,9 @@ from occmap.scoring import combine
 from occmap.scoring.compare import compare
 from occmap.sensor.models import parse_model
 from occmap.types import BEAM_UPDATES, Update
+from tests.samples import SAMPLE_LOGS
 
+HALL = SAMPLE_LOGS / "hall.mcap"
 BUILDING = beams, decimals, polygon, projection, radial_polygon
 
 
@@ -55,6 +58,14 @@ def test_a_build_needs_no_kernel_that_was_not_compiled_before(
     options = BuildOptions(update=update, model=parse_model(model), jobs=1, posing=posing)
     assert build([log], options, [tmp_path / "m.npz"]).report.scans.used == 9
     assert count_compiled(*BUILDING) == compiled
+
+
+def test_a_build_of_clouds_needs_no_kernel_that_was_not_compiled_before(tmp_path: Path) -> None:
+    kernels = heights, growth, tracing
+    compiled = count_compiled(*kernels)
+    assert compiled["heights.add_histogram"]
+    assert build([HALL], BuildOptions(jobs=2), [tmp_path / "m.npz"]).report.scans.used > 9
+    assert count_compiled(*kernels) == compiled
 
 
 def test_a_comparison_needs_no_kernel_that_was_not_compiled_before(tmp_path: Path) -> None:

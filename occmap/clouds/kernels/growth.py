@@ -22,8 +22,7 @@ SLOPE_MM = 0.12 * COLUMN_MM
 BROAD = 10
 """A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
 BRINK_MM, DROP_MM = 60, 80
-"""A level ends where one of the next two columns is so much lower; what falls by the second does
-not go on"""
+"""A level ends where the next column is so much lower; what falls by the second does not go on"""
 NO_GROUND = -(1 << 30)
 """A column without ground."""
 
@@ -52,17 +51,12 @@ def find_column(blocks: Blocks, row: int, col: int) -> int:
 
 
 @step
-def place_row(blocks: Blocks, at: int) -> int:
-    """The row of a column by where it lies."""
-    block: int = blocks.places[at >> 2 * BLOCK_BITS, 0]
-    return (block << BLOCK_BITS) | ((at >> BLOCK_BITS) & (BLOCK - 1))
-
-
-@step
-def place_col(blocks: Blocks, at: int) -> int:
-    """The column of a column by where it lies."""
-    block: int = blocks.places[at >> 2 * BLOCK_BITS, 1]
-    return (block << BLOCK_BITS) | (at & (BLOCK - 1))
+def locate(blocks: Blocks, at: int) -> tuple[int, int]:
+    """The row and the column of a column by where it lies."""
+    block = blocks.places[at >> 2 * BLOCK_BITS]
+    row: int = (block[0] << BLOCK_BITS) | ((at >> BLOCK_BITS) & (BLOCK - 1))
+    col: int = (block[1] << BLOCK_BITS) | (at & (BLOCK - 1))
+    return row, col
 
 
 class Peaks(NamedTuple):
@@ -172,7 +166,7 @@ def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: F
 @step
 def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
     """The mean height (mm) of the nearest measured columns: those of one ring, up to `reach`."""
-    row, col = place_row(blocks, at), place_col(blocks, at)
+    row, col = locate(blocks, at)
     for ring in range(1, reach + 1):
         total, many = 0, 0
         for up in range(-ring, ring + 1):
@@ -207,7 +201,7 @@ def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach:
     while fronts:
         many = 0
         for i in range(fronts):
-            row, col = place_row(blocks, front[i]), place_col(blocks, front[i])
+            row, col = locate(blocks, front[i])
             for up in range(-reach, reach + 1):
                 for right in range(-reach, reach + 1):
                     at = find_column(blocks, row + up, col + right)
@@ -255,7 +249,7 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> Stepped:
     that far from the path, and less than 30 cm.
     """
     height, weight, passed = found
-    row, col = place_row(blocks, at), place_col(blocks, at)
+    row, col = locate(blocks, at)
     points, weighted, ups, rights = 0, 0, 0, 0
     for up in range(-STEPPED, STEPPED + 1):
         for right in range(-STEPPED, STEPPED + 1):
@@ -297,7 +291,8 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
 @step
 def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool:
     """Whether the surface of a column goes on for 1.5 m, on one way (columns)."""
-    row, col, way = place_row(blocks, at), place_col(blocks, at), max(abs(up), abs(right))
+    row, col = locate(blocks, at)
+    way = max(abs(up), abs(right))
     seen, high = 0, float(height[at])
     for k in range(1, BROAD + 1 if way else 0):
         rise, run = int(np.rint(k * up / way)), int(np.rint(k * right / way))
@@ -323,14 +318,11 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
         return False
     if not goes_on(blocks, height, at, -lower.up, -lower.right):
         return False
-    row, col = place_row(blocks, at), place_col(blocks, at)
+    row, col = locate(blocks, at)
     way = max(abs(lower.up), abs(lower.right))
-    for k in range(1, 3):
-        up, right = int(np.rint(k * lower.up / way)), int(np.rint(k * lower.right / way))
-        near = find_column(blocks, row + up, col + right)
-        if near < 0 or height[near] == NO_GROUND or height[at] - height[near] > BRINK_MM:
-            return False
-    return True
+    up, right = int(np.rint(lower.up / way)), int(np.rint(lower.right / way))
+    near = find_column(blocks, row + up, col + right)
+    return near >= 0 and height[near] != NO_GROUND and height[at] - height[near] <= BRINK_MM
 
 
 @array_kernel
@@ -368,7 +360,7 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, bas
         base[at] = height[at]
         if height[at] == NO_GROUND:
             continue
-        row, col = place_row(blocks, at), place_col(blocks, at)
+        row, col = locate(blocks, at)
         total, points = 0, 0
         for up in range(-SMOOTH, SMOOTH + 1):
             for right in range(-SMOOTH, SMOOTH + 1):
@@ -394,7 +386,7 @@ def fill_ground(blocks: Blocks, height: Int32, rounds: int) -> None:
         for at in range(size):
             if height[at] == NO_GROUND:
                 continue
-            row, col = place_row(blocks, at), place_col(blocks, at)
+            row, col = locate(blocks, at)
             for up in range(-1, 2):
                 for right in range(-1, 2):
                     near = find_column(blocks, row + up, col + right)

@@ -6,7 +6,7 @@ import numpy as np
 
 from occmap.clouds.kernels.growth import NO_GROUND, Blocks, find_column
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
-from occmap.grid.kernels.units import CELL_SHIFT, TILE_BITS
+from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, TILE_BITS
 from occmap.jit import array_kernel, step
 from occmap.types import COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
 
@@ -20,6 +20,9 @@ SECTORS = 4 * SECTORS_OF_QUARTER
 GROUND, OBSTACLE, ABOVE, BELOW, TOO_FAR, NO_RETURN = range(6)
 """Places in the counts of points."""
 COUNTS = 6
+NEAR_M = 8.0
+"""Poses that are off move what is seen from farther away by more than the clearance, and beams are
+farther apart there than things are thick: such a look weighs less"""
 FAR = -(1 << 31) + 1
 """The height of what is too far away"""
 NOTHING = 1 << 62
@@ -33,6 +36,8 @@ class Canvas(NamedTuple):
     """(R, C) number of each tile; -1: without ground, -2: not looked at"""
     corner: Int64
     """(2,) row and column of the first tile"""
+    places: Int64
+    """(T, 2) row and column of each tile"""
     counts: Int32
     """(T, 2, 4096) hits and misses"""
     state: UInt8
@@ -100,6 +105,8 @@ def lay_ground(
                 return -1 - used
             canvas.table[up, right] = used
             canvas.base[used] = lowest
+            canvas.places[used, 0] = canvas.corner[0] + up
+            canvas.places[used, 1] = canvas.corner[1] + right
             for i in range(cells * cells):
                 if heights[i] == NO_GROUND:
                     canvas.state[used, i] = UNKNOWN
@@ -263,10 +270,14 @@ def trace_cloud(
             many = clear_line(
                 at_y >> CELL_SHIFT, at_x >> CELL_SHIFT, row, col, canvas, touched, many
             )
+    last, near = (1 << TILE_BITS) - 1, NEAR_M * scale / (1 << CELL_SHIFT)
     for i in range(many):
         at = touched[i]
-        hit = state[at] & HIT
-        canvas.counts[at >> 2 * TILE_BITS, 0 if hit else 1, at & ((1 << 2 * TILE_BITS) - 1)] += 1
+        tile, inside = at >> 2 * TILE_BITS, at & ((1 << 2 * TILE_BITS) - 1)
+        up = (canvas.places[tile, 0] << TILE_BITS) + (inside >> TILE_BITS) - (at_y >> CELL_SHIFT)
+        right = (canvas.places[tile, 1] << TILE_BITS) + (inside & last) - (at_x >> CELL_SHIFT)
+        weight = NEAR_WEIGHT if up * up + right * right < near * near else 1
+        canvas.counts[tile, 0 if state[at] & HIT else 1, inside] += weight
         state[at] = 0
 
 

@@ -38,6 +38,8 @@ ALONE = BETWEEN = 2
 BEAM_WEIGHT = ALONE + 2 * MOST_BETWEEN
 """The most that a beam weighs: its own 2, and 3 for each of two neighbours on its surface. The
 module `projection` says how."""
+NEAR_WEIGHT = 4
+"""What a cloud weighs in cells near its sensor; in those far away it weighs 1"""
 
 MANY = 4096
 """Cells are visited when so many are listed: loops are long, and the lists fit the cache."""
