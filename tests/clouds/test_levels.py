@@ -73,7 +73,7 @@ def test_a_map_that_leans_is_laid_flat(angles: tuple[float, float], posing: Posi
     up = turn(*options.posing.level, 0) @ turn(*angles, 0) @ [0, 0, 1]
     assert math.degrees(math.acos(up[2])) < 1  # as sharp as it needs to be
     heights = ground.height_mm[ground.measured]
-    assert np.ptp(np.quantile(heights, [0.05, 0.95])) < 60
+    assert np.ptp(np.quantile(heights, [0.05, 0.95])) < 150  # mm, over 8 m
     assert "`level=(0,0)` leaves it as it is" in notes[-1]
 
 
