@@ -135,7 +135,7 @@ def cut_tiles(cells: Int64) -> Int64:
     return parts.transpose(1, 3, 0, 2, 4)
 
 
-FORMAT, VERSION = "occmap store", 1
+FORMAT, VERSION = "occmap store", 2
 LAYERS = {
     "counts": ("hits", "misses"),
     "log_odds": ("log_odds", "observations"),

@@ -59,7 +59,7 @@ from occmap.types import Bool, Int64, UInt8
 from occmap.writers import EvidenceWriter
 from occmap.writers.atomic import open_atomic
 
-FORMAT, VERSION = "occmap evidence", 4
+FORMAT, VERSION = "occmap evidence", 5
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"

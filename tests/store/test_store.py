@@ -246,7 +246,7 @@ def test_every_list_and_shard_with_a_byte_altered_is_refused(path: Path) -> None
         ("resolution", 0.05, "its attributes were altered"),
         ("offset", [0, 0], "its attributes were altered"),
         ("digest", "0" * 64, "its attributes were altered"),
-        ("version", 2, "of version 2"),
+        ("version", 3, "of version 3"),
         ("format", "other", "not evidence of occmap"),
         ("complete", False, "is not complete"),
         ("model", None, "its attributes were altered"),

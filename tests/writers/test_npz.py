@@ -218,11 +218,11 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
         ("", "it is cut or altered"),
         ("[]", "it is cut or altered"),
         ("{}", "it is cut or altered"),
-        ('{"format": "occmap evidence", "version": 4}', "it is cut or altered"),
-        ('{"format": "occmap evidence", "version": 5}', "version 5, while this occmap reads 4"),
+        ('{"format": "occmap evidence", "version": 5}', "it is cut or altered"),
+        ('{"format": "occmap evidence", "version": 6}', "version 6, while this occmap reads 5"),
         (
-            '{"format": "occmap evidence", "version": 3}',
-            "occmap evidence of an older occmap (version 3, now 4); build it again from its logs, "
+            '{"format": "occmap evidence", "version": 4}',
+            "occmap evidence of an older occmap (version 4, now 5); build it again from its logs, "
             "with `outputs=m.npz`",
         ),
         ('{"format": "else", "version": 1}', "holds 'else', not evidence of occmap"),
