@@ -158,7 +158,7 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
     chosen = read_options(BuildOptions, options, "build_map")
     several = [outputs] if isinstance(outputs, AnyPath) else outputs
     files = read_value("outputs", tuple[Path, ...], several)
-    others = [*files, Path(chosen.posing.poses or "")]
+    others = [*files, *chosen.posing.files]
     paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))

@@ -100,8 +100,7 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
     bags = [path / "metadata.yaml" for path in paths]  # of a folder that is a bag
     bags += [storage for path in paths if path.is_dir() for storage in path.glob("*.mcap")]
-    poses = [Path(options.posing.poses)] if options.posing.poses else []
-    return [*paths, *bags, *poses]
+    return [*paths, *bags, *options.posing.files]
 
 
 def open_past(

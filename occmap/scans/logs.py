@@ -17,7 +17,7 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
-from occmap.posing.sources import RECORDING, TF_TOPICS
+from occmap.posing.sources import TF_TOPICS
 from occmap.readers import (
     HoldingClouds,
     Log,
@@ -164,16 +164,17 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
     The topics of the other one begin with its path; its transforms are passed over.
     """
     yield from read_poses(log)
-    named = RECORDING.fullmatch(posing.poses or "")
-    if named and Path(named[1]).is_file():
-        for each in read_poses(open_log(Path(named[1]))):
-            topic = f"{named[1]}:{each.topic}"
-            if last_part(each.topic) in TF_TOPICS:
-                continue
-            if isinstance(each, PoseSample):
-                yield each._replace(topic=topic)
-            else:
-                yield replace(each, topic=topic)
+    if posing.recording is None:
+        return
+    path, _ = posing.recording
+    for each in read_poses(open_log(path)):
+        topic = f"{path}:{each.topic}"
+        if last_part(each.topic) in TF_TOPICS:
+            continue
+        if isinstance(each, PoseSample):
+            yield each._replace(topic=topic)
+        else:
+            yield replace(each, topic=topic)
 
 
 def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:
