@@ -190,7 +190,7 @@ def describe_origin(
 ) -> About:
     """Say what the map is of."""
     plan = plan_manifest(options, past=past.manifest if past else None)
-    name = plan.identify(sum_tiles(tiles.tiles.items()))
+    name = plan.identify(sum_tiles(tiles.tiles, tiles.tiles.values()))
     return describe_about(plan, name, options, (path.name for path in paths))
 
 

@@ -238,7 +238,7 @@ def score_by_logs(
             "again with a first `transform`"
         )
     elif not found.is_sure:
-        told = found.tell("their hits lie on its walls")
+        told = found.tell("the hits lie on its walls")
         remarks.notes.append(f"it is not sure how the logs lie on the map: {told}")
     seen = [move_rays(rays, moved) for rays in seen]
     trial, occupied, free = weigh(written, seen, options.jobs)
