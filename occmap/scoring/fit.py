@@ -146,15 +146,24 @@ class Match(NamedTuple):
     share: float
     rival: float
     """The share at the best other place, which is APART_M or APART_RAD away at least"""
+    is_far: bool = False
+    """Whether it lies at the end of what is searched"""
 
     @property
-    def is_sure(self) -> bool:
-        """Whether no other place is nearly as good, as along a corridor or in another building."""
-        return self.share >= LEAST_SHARE and self.rival <= MOST_RIVAL * self.share
+    def told(self) -> str:
+        """How well it fits."""
+        return f"{self.share:.0%} of the walls match, and {self.rival:.0%} at the best other place"
 
-    def tell(self, what: str) -> str:
-        """Say how well it fits, of what lies where, such as "hits lie on its walls"."""
-        return f"{self.share:.0%} of {what}, and {self.rival:.0%} at the best other place"
+    def doubt(self, whose: str, where: str) -> str:
+        """Say why it is not sure where something lies on a map; "" where it is.
+
+        Another place may be nearly as good, as along a corridor or in another building.
+        """
+        if self.share < LEAST_SHARE or self.rival > MOST_RIVAL * self.share:
+            return f"it is not sure how {whose} lies on {where}: {self.told}"
+        if self.is_far:
+            return f"{whose} may lie on {where} better beyond what is searched: {self.told}"
+        return ""
 
 
 def fit(points: Float64, walls: Walls) -> Match:
@@ -175,7 +184,8 @@ def fit(points: Float64, walls: Walls) -> Match:
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
     x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
     right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
-    return Match(Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6)), share, rival)
+    found = Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6))
+    return Match(found, share, rival, found.is_far(walls.pivot))
 
 
 class _Search(NamedTuple):
@@ -230,7 +240,7 @@ def _are_apart(place: Transform, other: Transform) -> bool:
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
 
-LEAVE_OUT = "leave `fit` out, and build with a `transform`"
+GIVE_FIRST = "build with a first `transform`, or leave `fit` out"
 
 
 def find_transform(
@@ -249,36 +259,25 @@ def find_transform(
     hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
     logs = ", ".join(map(str, paths))
     found = fit(hits, walls)
-    told = describe_match(found, walls, logs, past.where)
+    refuse_doubt(found, logs, past.where)
     pose = add_move(options.posing.transform, found.transform, options.posing.align)
-    return pose, f"{past.where}: {logs} fit it with `transform=({format_mount(pose)})`: {told}"
+    typed = f"`transform=({format_mount(pose)})`"
+    return pose, f"{past.where}: {logs} fit it with {typed}: {found.told}"
 
 
 def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
     """Measure how far it is to the walls of evidence; raises PoseError where it is of clouds."""
     if past.manifest.update == Update.CLOUD:
         found = "`fit` takes scans of planar lasers, not clouds"
-        raise PoseError(found, where=past.where, fix=LEAVE_OUT)
+        raise PoseError(found, where=past.where, fix="leave `fit` out")
     grid = render(to_grid(past), model, max_cells)
     return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
 
 
-def describe_match(found: Match, walls: Walls, whose: str, where: str) -> str:
-    """Say how well hits lie on the walls of the evidence `where`.
-
-    Raises
-    ------
-    PoseError
-        It is not sure that they lie there, or they may lie better farther away.
-    """
-    told = found.tell("the hits lie on its walls")
-    if not found.is_sure:
-        text = f"it is not sure where {whose} lie on it: {told}"
-        raise PoseError(text, where=where, fix=LEAVE_OUT)
-    if found.transform.is_far(walls.pivot):
-        text = f"{whose} may lie on it best beyond what is searched: {told}"
-        raise PoseError(text, where=where, fix="build with a first `transform`, and try again")
-    return told
+def refuse_doubt(found: Match, whose: str, where: str) -> None:
+    """Refuse to lay something on the evidence `where`; raises PoseError unless it is sure how."""
+    if doubt := found.doubt(whose, "it"):
+        raise PoseError(doubt, where=where, fix=GIVE_FIRST)
 
 
 def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
@@ -310,11 +309,11 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     if grid.kind is EvidenceKind.COUNTS:
         weights *= grid.read(CellBox.of(made))[0]
     found = fit(spread_points(weights, Place(made.resolution, *made.origin)), walls)
-    told = describe_match(found, walls, f"the walls of {evidence.where}", where)
+    refuse_doubt(found, evidence.where, where)
     moved = move_evidence(evidence, found.transform)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
     typed = " and ".join(f"`transform=({format_mount(Pose(*each))})`" for each in given)
-    note = f"{evidence.where}: fits {where} with {typed}: {told}"
+    note = f"{evidence.where}: fits {where} with {typed}: {found.told}"
     return replace(moved, notes=(*evidence.notes, note))
 
 
