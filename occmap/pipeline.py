@@ -14,7 +14,6 @@ from occmap.evidence.manifest import (
     describe_build,
     list_doubts,
     plan_manifest,
-    recall_level,
 )
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -161,7 +160,8 @@ def open_ground(options: BuildOptions, past: Evidence | None) -> tuple[BuildOpti
         if path is not None:
             raise MapError("has no ground: its evidence is not of clouds", where=path)
         return options, None
-    level = options.posing.level or recall_level(whose.manifest)
+    levels = (build["options"]["posing"].get("level") for build in whose.manifest.builds[-1:])
+    level = options.posing.level or next((tuple(level) for level in levels if level), None)
     return replace(options, posing=replace(options.posing, level=level)), whose.ground
 
 

@@ -76,12 +76,6 @@ def leave_out_edits(build: BuildRecord) -> BuildRecord:
     return {name: value for name, value in build.items() if name != "edits"}
 
 
-def recall_level(manifest: Manifest) -> tuple[float, float] | None:
-    """Recall the roll and pitch (degrees) that lay the floor of the last build flat, if any do."""
-    level = manifest.builds[-1]["options"]["posing"].get("level")
-    return level and tuple(level)
-
-
 def write_options(options: Any) -> dict[str, Any]:
     """Write the options that change what is observed."""
     return {name: value for name, value in write_value(options).items() if name not in UNRECORDED}

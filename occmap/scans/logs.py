@@ -19,12 +19,12 @@ from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
 from occmap.posing.sources import TF_TOPICS
 from occmap.readers import (
+    Counting,
     HoldingClouds,
     Log,
     ReaderOptions,
     Role,
     find_reader,
-    get_moments,
     open_log,
     probe_path,
     read_poses,
@@ -131,7 +131,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else gather_poses(log, options), options, get_moments(log))
+    poser = Poser.build([], options) if stated else read_poser(log, options)
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
@@ -156,6 +156,12 @@ def refuse_part(path: Path) -> None:
     if len(files := rosbag.list_storage(whole)) > 1:
         found = f"its scans have no poses, and it is one of {len(files)} files of a recording"
         raise PoseError(found, where=path, fix=f"give the folder: {whole}")
+
+
+def read_poser(log: Log, options: PosingOptions) -> Poser:
+    """Read every pose source of a log; raises as `Poser.build`."""
+    moments = log.moments if isinstance(log, Counting) else None
+    return Poser.build(gather_poses(log, options), options, moments)
 
 
 def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:
