@@ -332,8 +332,9 @@ def list_outside(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
         if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
             outside.append((x, y, right, top))
     if outside:
-        lie = f"{count(len(outside), 'shape')} outside of the map and without effect"
-        yield f"{writing.edits}: {lie}, the first at {write_box(outside[0])}"
+        lie = f"{count(len(outside), 'shape')} outside of the map, and without effect"
+        first = "at" if len(outside) == 1 else "the first at"
+        yield f"{writing.edits}: {lie}: {first} {write_box(outside[0])}"
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
