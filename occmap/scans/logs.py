@@ -150,12 +150,10 @@ def refuse_part(path: Path) -> None:
     """
     from occmap.readers import rosbag  # noqa: PLC0415  late: it brings mcap and apsw
 
-    whole = path.parent
-    if path.is_dir() or not (whole / rosbag.METADATA).exists():
-        return
-    if len(files := rosbag.list_storage(whole)) > 1:
+    files = rosbag.list_storage(path.parent) if path.is_file() else []
+    if path in files and len(files) > 1 and (path.parent / rosbag.METADATA).exists():
         found = f"its scans have no poses, and it is one of {len(files)} files of a recording"
-        raise PoseError(found, where=path, fix=f"give the folder: {whole}")
+        raise PoseError(found, where=path, fix=f"give the folder: {path.parent}")
 
 
 def read_poser(log: Log, options: PosingOptions) -> Poser:
