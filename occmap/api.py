@@ -1,7 +1,7 @@
 """What a notebook or a program calls: the commands as functions, and the map that they give."""
 
 from base64 import b64encode
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
@@ -156,9 +156,8 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         the map would be too large, or an output cannot be written.
     """
     chosen = read_options(BuildOptions, options, "build_map")
-    several = [outputs] if isinstance(outputs, AnyPath) else outputs
-    files = read_value("outputs", tuple[Path, ...], several)
-    others = [*files, Path(chosen.posing.poses or "")]
+    files = read_paths("outputs", outputs)
+    others = [*files, *chosen.posing.files]
     paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))
@@ -282,7 +281,8 @@ def merge(
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
     added, taken = list_paths(paths), read_value("subtract", tuple[Path, ...], subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
-    whole = read_all(merging.combine(added, taken, lay_on if fit else None))
+    lay = lay_on if read_value("fit", bool, fit) else None
+    whole = read_all(merging.combine(added, taken, lay))
     made = publishing.render_kept(whole, chosen)
     return Map.of(made, chosen.writing, [*added, *taken])
 
@@ -360,10 +360,9 @@ def score(  # noqa: PLR0913  what a caller gives, by name
         Neither logs nor the truth are given, a map or a log cannot be read, no beam measured a
         range, an option is unknown or out of its range, or the picture cannot be written.
     """
-    chosen = read_common(options, "score", OF_A_SCORED_MAP)
-    several = list_paths([logs] if isinstance(logs, AnyPath) else list(logs))
+    chosen = read_options(BuildOptions, options, "score", OF_A_SCORED_MAP)
     against = maps.Against(
-        logs=tuple(find_inputs(several, chosen.reading).logs) if several else (),
+        logs=tuple(find_inputs(read_paths("logs", logs), chosen.reading).logs),
         truth=read_path("truth", truth),
         within_m=read_value("within_m", float, within_m),
         is_fitted=read_value("fit", bool, fit),
@@ -373,7 +372,15 @@ def score(  # noqa: PLR0913  what a caller gives, by name
 
 
 @refuse_exhaustion()
-def explain(path: AnyPath, x: float, y: float, **options: Any) -> explanation.Explanation:
+def explain(
+    path: AnyPath,
+    x: float,
+    y: float,
+    *,
+    logs: AnyPath | Iterable[AnyPath] = (),
+    poses: AnyPath | Iterable[AnyPath] = (),
+    **options: Any,
+) -> explanation.Explanation:
     """Say what was seen at a point of saved evidence, and by which scans: `occmap explain`.
 
     Parameters
@@ -382,10 +389,13 @@ def explain(path: AnyPath, x: float, y: float, **options: Any) -> explanation.Ex
         Evidence (.npz or .zarr).
     x, y
         The point in the map frame (m).
+    logs
+        Those that the evidence was made of, to list the scans that observed the cell.
+    poses
+        The trajectory files that these were built with.
     options
-        logs: those that the evidence was made of, to list the scans that observed the cell; poses:
-        the trajectories that these were built with; model (the default is what the evidence was
-        built with), min_passes, occupied_thresh and free_thresh: how the cell is judged.
+        model (the default is what the evidence was built with), min_passes, occupied_thresh and
+        free_thresh: how the cell is judged.
 
     Returns
     -------
@@ -398,7 +408,9 @@ def explain(path: AnyPath, x: float, y: float, **options: Any) -> explanation.Ex
         A file cannot be read, the evidence was not made of a log, or an option is unknown or out of
         its range.
     """
-    question = read_options(explanation.Question, {"x": x, "y": y, **options}, "explain")
+    files = {"logs": read_paths("logs", logs), "poses": read_paths("poses", poses)}
+    asked = {"x": x, "y": y, **files, **options}
+    question = read_options(explanation.Question, asked, "explain")
     return explanation.explain(open_saved(read_value("path", Path, path)), question)
 
 
@@ -425,21 +437,20 @@ def read_request(
         No log is given, or an option is unknown, out of its range, or concerns one map alone.
     """
     paths = list_logs(logs, call)
-    common = read_common(options, call, OF_A_BUILD)
+    common = read_options(BuildOptions, options, call, OF_A_BUILD)
     return find_inputs(paths, common.reading).logs, common
-
-
-def read_common(options: Mapping[str, Any], call: str, refused: Container[str]) -> BuildOptions:
-    """Make options of those that a caller gives; raises UsageError, also for a refused one."""
-    for name in options:
-        if name in refused:
-            raise UsageError(f"{call} has no option {name!r}", fix="build_map takes it")
-    return read_options(BuildOptions, options, call)
 
 
 def read_path(name: str, path: AnyPath | None) -> Path | None:
     """Make a path of what a caller gave, or None; raises UsageError where it is neither."""
     return None if path is None else read_value(name, Path, path)
+
+
+def read_paths(name: str, paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
+    """Make paths of one or of several that a caller gave; raises UsageError where one is none."""
+    several = [paths] if isinstance(paths, AnyPath) else paths
+    made: tuple[Path, ...] = read_value(name, tuple[Path, ...], several)
+    return made
 
 
 def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:

@@ -186,13 +186,13 @@ class Manifest:
         return cls(**{**fields, **lists})
 
 
-def sum_tiles(tiles: Iterable[tuple[Iterable[int], Any]]) -> int:
-    """Sum all numbers of tiles (2, 64, 64), each times a factor of its own place.
+def sum_tiles(places: Iterable[Iterable[int]], tiles: Iterable[Any]) -> int:
+    """Sum all numbers of tiles (2, 64, 64), each times a factor of its own place (row, column).
 
     So what holds no observation adds nothing, no order counts, and sums of parts are that of all.
     """
     total = 0
-    for (row, col), tile in tiles:
+    for (row, col), tile in zip(places, tiles, strict=True):
         place = hashlib.sha256(f"{row} {col}".encode()).digest()[:8]
         inner = np.dot(tile.ravel().astype(np.uint64), make_factors(tile.size))
         total += int(inner) * (int.from_bytes(place) | 1)

@@ -10,7 +10,7 @@ import operator
 import os
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from enum import EnumType
@@ -371,7 +371,9 @@ def check_bounds(options: Any) -> None:
             raise UsageError(f"`{each.name}={value}` is not possible", fix=f"give {least}{most}")
 
 
-def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Options:
+def read_options(
+    kind: type[Options], given: Mapping[str, Any], call: str, of_a_build: Container[str] = ()
+) -> Options:
     """Make options of the values that a caller gave by name.
 
     None leaves an option at its default, unless None is one of its values.
@@ -382,16 +384,19 @@ def read_options(kind: type[Options], given: Mapping[str, Any], call: str) -> Op
         A dataclass of options; those in a group, a dataclass in it, are given by name, too.
     call
         The function that was called, for the error.
+    of_a_build
+        Options that it does not take, but build_map does.
 
     Raises
     ------
     UsageError
         No option has such a name, or a value is not what the option takes.
     """
-    known = list_options(kind)
+    known = {name: it for name, it in list_options(kind).items() if name not in of_a_build}
     for name in given:
         if name not in known:
             fix = suggest(name, sorted(known), f"help(occmap.{call})")
+            fix = "build_map takes it" if name in of_a_build else fix
             raise UsageError(f"{call} has no option {name!r}", fix=fix)
     values = {
         name: known[name].read(value)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 IN_PNG = ("free_thresh", "occupied_thresh", "negate")
 """What a PNG of occmap says of its pixels, as a YAML would"""
 YAML_BYTES = 1 << 16
-"""A map's YAML has seven lines."""
+"""A map's YAML has a dozen lines."""
 FARTHEST_M = 1e15
 """Farther out, or with larger cells, a float cannot tell one cell from the next."""
 BYTES = {0xDC80 + byte: 0xE080 + byte for byte in range(128)}
@@ -127,7 +127,8 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
         raise MapError(f"there is no {stating.name} beside it", where=path, fix="give the YAML")
     meta = parse_meta(stating, read_yaml(stating))
     image = path if is_image else path.parent / meta.image
-    said = re.search(rb"^# evidence: ([0-9a-f]{12})$", stating.read_bytes()[:YAML_BYTES], re.M)
+    with stating.open("rb") as file:
+        said = re.search(rb"^# evidence: ([0-9a-f]{12})$", file.read(YAML_BYTES), re.M)
     name = said[1].decode() if said else None
     return ClassMap(path, classify(read_image(image), meta), meta.place, image, evidence=name)
 
@@ -459,15 +460,18 @@ def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()
     blob = find_largest_blob(one != other)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
     changed_cells = sum(changed.values())
-    nothing = np.full(both.shape, np.nan, np.float32)
-    blank = OccupancyMap(nothing, one > 0, corner.resolution, (corner.x, corner.y))
-    is_drawn = ~np.isnan(apply_edits(blank, shapes).log_odds)
+    edited = None
+    if shapes:
+        nothing = np.full(both.shape, np.nan, np.float32)
+        blank = OccupancyMap(nothing, one > 0, corner.resolution, (corner.x, corner.y))
+        is_drawn = ~np.isnan(apply_edits(blank, shapes).log_odds)
+        edited = int(np.count_nonzero(is_drawn & (one != other)))
     return MapDifference(
         share=changed_cells / max(known, 1),
         known=known,
         changed_cells=changed_cells,
         changed=changed,
-        edited=int(np.count_nonzero(is_drawn & (one != other))) if shapes else None,
+        edited=edited,
         largest=blob and ChangedBlob(blob[0], corner.measure(blob[1])),
         columns=both.cols,
         rows=both.rows,

@@ -164,9 +164,8 @@ def load_numba() -> Any:
     import numba  # noqa: PLC0415  late: it takes long to load
     from numba.extending import typeof_impl  # noqa: PLC0415  likewise
 
-    if getattr(
-        numba.config, "DISABLE_JIT", 0
-    ):  # Python's integers do not wrap, nor does 1 / 0 give inf
+    # Python's integers do not wrap, nor does 1 / 0 give inf.
+    if getattr(numba.config, "DISABLE_JIT", 0):
         found = "NUMBA_DISABLE_JIT is set, and occmap's kernels are right only as machine code"
         raise UsageError(found, fix="unset it")
     typeof_impl.register(Kernel)(lambda called, _: numba.types.Dispatcher(called.dispatcher))

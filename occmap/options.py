@@ -144,11 +144,9 @@ class BuildOptions:
     def list_idle(self) -> Iterator[str]:
         """Name the options that do nothing under the update."""
         values = list_values(self)
-        for name in IDLE.get(self.update, ()):
+        for name in IDLE[self.update]:
             if values[name] != OPTIONS[name].default:
                 yield f"`{name}` does nothing with the {self.update} update"
-        if self.update is not Update.POLYGON and self.border_gap != BuildOptions.border_gap:
-            yield "`border_gap` does nothing: it is for `occmap build polygon`"
         if self.fit and not (self.resume or self.resume_if_there):
             yield "`fit` does nothing: it is for `resume`"
 
@@ -156,8 +154,10 @@ class BuildOptions:
 OPTIONS = list_options(BuildOptions)
 """All of them by name"""
 IDLE = {
-    Update.BEAM: ("jump",),
-    Update.CLOUD: ("jump", "hit_offset", "no_return", "range_max", "deskew"),
+    Update.POLYGON: (),
+    Update.SURFACE: ("border_gap",),
+    Update.BEAM: ("jump", "border_gap"),
+    Update.CLOUD: ("border_gap", "jump", "hit_offset", "no_return", "range_max", "deskew"),
 }
 """Options that do nothing with an update"""
 

@@ -14,7 +14,6 @@ from occmap.evidence.manifest import (
     describe_build,
     list_doubts,
     plan_manifest,
-    recall_level,
 )
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -100,8 +99,7 @@ def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
     bags = [path / "metadata.yaml" for path in paths]  # of a folder that is a bag
     bags += [storage for path in paths if path.is_dir() for storage in path.glob("*.mcap")]
-    poses = [Path(options.posing.poses)] if options.posing.poses else []
-    return [*paths, *bags, *poses]
+    return [*paths, *bags, *options.posing.files]
 
 
 def open_past(
@@ -162,7 +160,8 @@ def open_ground(options: BuildOptions, past: Evidence | None) -> tuple[BuildOpti
         if path is not None:
             raise MapError("has no ground: its evidence is not of clouds", where=path)
         return options, None
-    level = options.posing.level or recall_level(whose.manifest)
+    levels = (build["options"]["posing"].get("level") for build in whose.manifest.builds[-1:])
+    level = options.posing.level or next((tuple(level) for level in levels if level), None)
     return replace(options, posing=replace(options.posing, level=level)), whose.ground
 
 
@@ -191,7 +190,7 @@ def describe_origin(
 ) -> About:
     """Say what the map is of."""
     plan = plan_manifest(options, past=past.manifest if past else None)
-    name = plan.identify(sum_tiles(tiles.tiles.items()))
+    name = plan.identify(sum_tiles(tiles.tiles, tiles.tiles.values()))
     return describe_about(plan, name, options, (path.name for path in paths))
 
 

@@ -238,6 +238,7 @@ def test_paths_are_given_one_by_one(call: Any) -> None:
         (occmap.compare, "models", 3),
         (occmap.compare, "picture", 3),
         (occmap.merge, "subtract", "b.npz"),
+        (partial(occmap.merge, "a.npz"), "fit", "yes"),
         (partial(occmap.diff, "a.pgm"), "picture", b"c.png"),
     ],
 )
@@ -588,7 +589,8 @@ def test_score_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> No
         ({"truth": "a.yaml", "fit": 1}, "give True or False"),
         ({"logs": DRIVE, "resolution": 0.1}, "score has no option 'resolution'"),
         ({"logs": DRIVE, "occupied_tresh": 0.1}, "did you mean 'occupied_thresh'"),
-        ({"logs": [3]}, "3 is not a path"),
+        ({"logs": [3]}, "logs is [3]; give a list, each item a path"),
+        ({"logs": DRIVE, "qqqqq": 1}, "no option 'qqqqq'; there are base_frame, deskew, "),
     ],
 )
 def test_score_names_what_it_cannot_use(given: dict[str, Any], found: str, halves: Path) -> None:
@@ -598,7 +600,7 @@ def test_score_names_what_it_cannot_use(given: dict[str, Any], found: str, halve
 
 def test_explain_gives_what_the_command_prints(halves: Path) -> None:
     path = halves / "a.npz"
-    found = occmap.explain(path, 1.5, -0.25, logs=[DRIVE], model="simple", min_passes=1)
+    found = occmap.explain(path, 1.5, -0.25, logs=DRIVE, model="simple", min_passes=1)
     words = ("--log", DRIVE, "--model", "simple", "--min-passes", "1")
     printed = run("explain", path, "1.5", "-0.25", *words)
     assert printed == {**printed, **as_printed(found.to_json())}

@@ -57,15 +57,12 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
     taken = values["subtract"]
     if values["fit"] and len(paths) == 1:
         console.announce("--fit does nothing: one file has nothing to be moved onto")
+    lay = None
+    if values["fit"]:
+        from occmap.scoring import fit  # noqa: PLC0415  late: few merges want it
 
-    def read() -> Saved:
-        if not values["fit"]:
-            return combine(paths, taken)
-        from occmap.scoring.fit import lay_on  # noqa: PLC0415  late: few merges want it
-
-        return combine(paths, taken, lay_on)
-
-    return put_out(console, [*paths, *taken], read, values)
+        lay = fit.lay_on
+    return put_out(console, [*paths, *taken], lambda: combine(paths, taken, lay), values)
 
 
 @command(

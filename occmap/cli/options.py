@@ -217,7 +217,7 @@ def gather_logs(
         Nothing comes on stdin.
     """
     given = click.get_current_context().with_resource(keep_stdin(paths))
-    others = [*outputs, Path(options.posing.poses or "")]
+    others = [*outputs, *options.posing.files]
     found = find_inputs(given, options.reading, others)
     console.announce(*found.notes)
     return found.logs

@@ -366,7 +366,7 @@ def measure_depth(
     """
     if not len(path):
         fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
-        raise MapError("no cloud is used that has points and a pose", fix=fix)
+        raise MapError("no cloud that is asked for has points and a pose", fix=fix)
     depths = np.zeros(MOST_DEPTH // BIN_MM + 1, np.int64)
     for beside in BESIDE:
         depths[:] = 0

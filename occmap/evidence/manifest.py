@@ -58,11 +58,10 @@ def describe_build(
         del chosen["posing"]["level"]
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
     del chosen["writing"]["georeference"]  # likewise
-    poses = options.posing.poses
-    trajectory = [Path(poses)] if poses and Path(poses).is_file() else []
-    if trajectory:
-        chosen["posing"]["poses"] = trajectory[0].name
-    files = [*paths, *trajectory]
+    for path in options.posing.files:
+        _, topic = options.posing.recording or (path, "")
+        chosen["posing"]["poses"] = f"{path.name}:{topic}" if topic else path.name
+    files = [*paths, *options.posing.files]
     return {
         "occmap": version("occmap"),
         "inputs": [entry for path in files for entry in known.get(path) or describe_files(path)],
@@ -75,12 +74,6 @@ def describe_build(
 def leave_out_edits(build: BuildRecord) -> BuildRecord:
     """What a build observed: edits are drawn over its map, and are nothing of that."""
     return {name: value for name, value in build.items() if name != "edits"}
-
-
-def recall_level(manifest: Manifest) -> tuple[float, float] | None:
-    """Recall the roll and pitch (degrees) that lay the floor of the last build flat, if any do."""
-    level = manifest.builds[-1]["options"]["posing"].get("level")
-    return level and tuple(level)
 
 
 def write_options(options: Any) -> dict[str, Any]:
@@ -112,7 +105,9 @@ def list_files(path: Path) -> list[Path]:
 def find_trajectory(build: BuildRecord) -> dict[str, Any] | None:
     """Find the entry of the trajectory file: the last input, where poses are of its name."""
     last: dict[str, Any] = build["inputs"][-1]
-    return last if last["name"] == build["options"]["posing"]["poses"] else None
+    poses = build["options"]["posing"]["poses"] or ""
+    # Of another recording, its topic may follow.
+    return last if poses == last["name"] or poses.startswith(f"{last['name']}:") else None
 
 
 def list_inputs(build: BuildRecord) -> list[dict[str, Any]]:

@@ -134,7 +134,8 @@ def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Pat
         differs = f" (the SHA-256 of {others} is another)" if others else ""
         found = f"its poses came from {trajectory['name']}, which is needed again{differs}"
         raise PoseError(found, where=log, fix=f"add `poses={trajectory['name']}`")
-    return replace(options, posing=replace(options.posing, poses=str(path)))
+    topic = (options.posing.poses or "").removeprefix(trajectory["name"])  # as in ":/path"
+    return replace(options, posing=replace(options.posing, poses=f"{path}{topic}"))
 
 
 def refuse_stranger(evidence: Evidence, log: Path) -> None:

@@ -239,8 +239,7 @@ def open_scratch(
     OutputError
         The folder cannot be made.
     """
-    poses = options.posing.poses
-    inputs = [*paths, Path(poses)] if poses else paths
+    inputs = [*paths, *options.posing.files]
     files = [file for path in inputs if path.exists() for file in manifests.list_files(path)]
     states = [file.stat() for file in files]
     what = [

@@ -21,12 +21,12 @@ from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Status, Transforms
 from occmap.posing.sources import Sources
-from occmap.readers import Log, get_moments
+from occmap.readers import Log
 from occmap.scans import mounts
 from occmap.scans.logs import (
     choose_topics,
     count_scans,
-    gather_poses,
+    read_poser,
     refuse_part,
     refuse_shared_mount,
     take_first,
@@ -64,7 +64,7 @@ def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
     """
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options.posing)
-    poser = Poser.build(gather_poses(log, options.posing), options.posing, get_moments(log))
+    poser = read_poser(log, options.posing)
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
     if faults and poser.fixed is None:
@@ -96,7 +96,7 @@ def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     others = replace(posing.poser.options, stamps=other)
-    poser = Poser.build(gather_poses(log, others), others, get_moments(log))
+    poser = read_poser(log, others)
     poser.find_chains(topic.frames)
     stamps = other.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)

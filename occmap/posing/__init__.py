@@ -4,9 +4,11 @@ Here is what a user may choose about poses, why a scan is left out, and what spo
 """
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from occmap.choices import ABOVE_ZERO, MOUNT, PLANAR, TILT, TRANSFORM, check_bounds, option
@@ -22,6 +24,9 @@ MAX_PLACE_M = 1e8
 
 MAX_MOUNT_M = 1e6
 """The farthest mount (m): nothing on a robot is further away, and a bound refuses nan and inf."""
+
+RECORDING = re.compile(r"(.+\.(?:bag|mcap|db3))(?::(.+))?", re.IGNORECASE)
+"""Another recording that has the poses, and maybe their topic in it, as in slam.bag:/path"""
 
 
 class Deskew(StrEnum):
@@ -172,6 +177,18 @@ class PosingOptions:
             _check_pose(self.sensor_pose, "the sensor's pose")
         for sample in self.static_transforms:
             _check_pose(sample.pose, f"the transform {sample.parent} -> {sample.child}")
+
+    @property
+    def recording(self) -> tuple[Path, str] | None:
+        """The other recording that `poses` names, and the topic in it; "" where it names none."""
+        named = RECORDING.fullmatch(self.poses or "")
+        return (Path(named[1]), named[2] or "") if named and Path(named[1]).is_file() else None
+
+    @property
+    def files(self) -> list[Path]:
+        """The file that `poses` names, a trajectory or a recording; none where it is a topic."""
+        path = self.recording[0] if self.recording else Path(self.poses or "")
+        return [path] if path.is_file() else []
 
 
 def _check_pose(pose: Pose, name: str) -> None:

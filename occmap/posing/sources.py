@@ -4,7 +4,6 @@ Notes say where these contradict each other. Resolution finds the way from the m
 scan, and whose poses it follows.
 """
 
-import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import MountError, PoseError
-from occmap.posing import PosingOptions, Stamps
+from occmap.posing import RECORDING, PosingOptions, Stamps
 from occmap.posing.chain import Chain, make_chain
 from occmap.posing.frames import (
     BASE_NAMES,
@@ -39,8 +38,6 @@ INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
 """How many of the static transforms that changed are named: their names are long."""
-RECORDING = re.compile(r"(.+\.(?:bag|mcap|db3))(?::(.+))?", re.IGNORECASE)
-"""Another recording that has the poses, and maybe their topic in it, as in slam.bag:/path"""
 USE_TF = "leave out `poses`: transforms are used without it"
 
 
@@ -79,9 +76,9 @@ def gather(
         The trajectory file cannot be read.
     """
     every, unusable, changes = _build_edges(samples, options.stamps)
-    named = RECORDING.fullmatch(options.poses or "")
-    beside = f"{named[1]}:" if named else "\0"  # with what its topics begin
-    edges = [edge for edge in every if not edge.topic.startswith(beside)]
+    recording, topic = options.recording or (None, "")
+    others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
+    edges = [edge for edge in every if edge not in others]
     given = [
         Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
         for each in options.static_transforms
@@ -92,11 +89,12 @@ def gather(
     stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
     poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
     of_file: list[str] = []
-    if named and Path(named[1]).is_file():
-        others = [edge for edge in every if edge.topic.startswith(beside)]
-        trajectory: Edge | None = _choose_beside(options, others, tree)
-    else:
-        trajectory = _find_trajectory(options, poses, of_file, moments) if options.poses else None
+    trajectory: Edge | None = None
+    if recording is not None:
+        chosen = _choose_beside(others, f"{recording}:{topic}", tree)
+        trajectory = replace(chosen, parent=options.map_frame or chosen.parent)
+    elif options.poses:
+        trajectory = _find_trajectory(options, poses, of_file, moments)
     notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
@@ -186,22 +184,23 @@ def _find_trajectory(
     raise PoseError(found, where=name, fix=fix)
 
 
-def _choose_beside(options: PosingOptions, others: Sequence[Edge], tree: FrameTree) -> Edge:
-    """Choose a topic of poses of another recording: the one that is named, or has the most."""
-    name = options.poses or ""
-    topics = sorted({edge.topic for edge in others})
-    usable = [edge for edge in others if name == edge.topic or name not in topics]
-    usable = [edge for edge in usable if edge.topic.startswith(name) and len(edge.track) > 1]
-    chosen = max(usable, key=lambda edge: len(edge.track), default=None)
-    if chosen is None:
-        fix = (
-            f"topics with poses: {join_names(topics)}"
-            if topics
-            else "no Path, PoseStamped or Odometry"
-        )
-        raise PoseError("holds no such topic of poses", where=name, fix=fix)
-    child = chosen.child if chosen.child in tree else ""  # its name for the body may be another
-    return replace(chosen, parent=options.map_frame or chosen.parent, child=child)
+def _choose_beside(others: Sequence[Edge], name: str, tree: FrameTree) -> Edge:
+    """Choose a topic of poses of another recording: the one of a name, or that has the most.
+
+    Parameters
+    ----------
+    name
+        The recording and the topic, as in "slam.bag:/path"; "slam.bag:" names no topic.
+    """
+    usable = [edge for edge in others if len(edge.track) > 1]
+    if not name.endswith(":"):
+        usable = [edge for edge in usable if edge.topic == name]
+    if not usable:
+        fix = f"topics with poses: {join_names(sorted({edge.topic for edge in others}))}"
+        raise PoseError("holds no such topic of poses", where=name.rstrip(":"), fix=fix)
+    chosen = max(usable, key=lambda edge: len(edge.track))
+    # Its name for the body may be another.
+    return chosen if chosen.child in tree else replace(chosen, child="")
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:

@@ -236,11 +236,6 @@ class HoldingClouds(Protocol):
         """The clouds of these topics, in file order, one at a time."""
 
 
-def get_moments(log: Log) -> Moments | None:
-    """Get the times of the scans of a log that holds nothing else."""
-    return log.moments if isinstance(log, Counting) else None
-
-
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
     return log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()

@@ -38,10 +38,12 @@ _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
-_CHUNK_NUMBERS = 28
-"""Bytes of the times, the size and the checksum with which the body of a chunk begins"""
-_CHUNK_HEAD = _CHUNK_NUMBERS + 4 + len("zstd") + 8
-"""Bytes before the records of a chunk, at most: its compression and their length follow"""
+_CHUNK_HEAD = re.compile(
+    rb".{16}(.{8}).{4}(?:\x00{4}(?=\1)|\x03\x00{3}lz4|\x04\x00{3}zstd)(.{8})", re.DOTALL
+)
+"""Before the records of a chunk: times, size, checksum, compression, and how long they are, which
+is the size where they are not compressed"""
+_LONGEST_HEAD = 44
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_HEAD = 1 << 10
@@ -80,8 +82,9 @@ class McapSource(RecordSource):
         if opcode == Opcode.FOOTER or opcode not in _OPCODES:
             return None
         kind = _KINDS.get(opcode, Kind.OTHER)
-        if kind is Kind.OTHER and _holds_chunk(file.read(_CHUNK_HEAD), length):
-            kind = Kind.CHUNK
+        chunk = kind is Kind.OTHER and _CHUNK_HEAD.match(file.read(_LONGEST_HEAD))
+        if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
+            kind = Kind.CHUNK  # whatever its opcode says
         return Record(kind, position, start, end)
 
     def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
@@ -185,18 +188,6 @@ class McapSource(RecordSource):
             described = {key for key, channel in summary.channels.items() if channel.type}
             summary.is_whole = summary.counts.keys() <= described
         return summary
-
-
-def _holds_chunk(body: bytes, length: int) -> bool:
-    """Whether a body of some length begins as that of a chunk does, whatever its opcode says."""
-    unpacked = int.from_bytes(body[16:24], "little")
-    for name in (b"", b"lz4", b"zstd"):
-        start = _CHUNK_NUMBERS + 4 + len(name) + 8
-        size = int.from_bytes(body[start - 8 : start], "little")
-        named = body.startswith(struct.pack("<I", len(name)) + name, _CHUNK_NUMBERS)
-        if named and 0 < size <= length - start and (name or size == unpacked):
-            return True
-    return False
 
 
 def _open_body(record: bytes) -> ReadDataStream:

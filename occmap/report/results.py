@@ -328,15 +328,13 @@ def list_outside(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
     low_x, low_y, high_x, high_y = facts.extent
     outside = []
     for shape in writing.shapes:
-        corners, reach = np.concatenate(shape.rings), (shape.width or 0.0) / 2
-        (x, y), (right, top) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-        beside = x - reach >= high_x or right + reach <= low_x
-        if beside or y - reach >= high_y or top + reach <= low_y:
+        (x, y), (right, top) = (end.tolist() for end in shape.measure(facts.resolution))
+        if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
             outside.append((x, y, right, top))
     if outside:
-        place = write_box(outside[0])
-        shapes = "a shape" if len(outside) == 1 else f"{len(outside):,} shapes, the first"
-        yield f"{writing.edits}: {shapes} at {place}, lies outside of the map and changes nothing"
+        lie = f"{count(len(outside), 'shape')} outside of the map, and without effect"
+        first = "at" if len(outside) == 1 else "the first at"
+        yield f"{writing.edits}: {lie}: {first} {write_box(outside[0])}"
 
 
 def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:

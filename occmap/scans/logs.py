@@ -17,14 +17,14 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
-from occmap.posing.sources import RECORDING, TF_TOPICS
+from occmap.posing.sources import TF_TOPICS
 from occmap.readers import (
+    Counting,
     HoldingClouds,
     Log,
     ReaderOptions,
     Role,
     find_reader,
-    get_moments,
     open_log,
     probe_path,
     read_poses,
@@ -131,7 +131,7 @@ def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser
     first = take_first(log, topics)
     refuse_shared_mount(log, first, options)
     stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([] if stated else gather_poses(log, options), options, get_moments(log))
+    poser = Poser.build([], options) if stated else read_poser(log, options)
     if not stated:
         failures = poser.find_chains({scan.frame for scan in first})
         if failures and poser.fixed is None:
@@ -150,12 +150,16 @@ def refuse_part(path: Path) -> None:
     """
     from occmap.readers import rosbag  # noqa: PLC0415  late: it brings mcap and apsw
 
-    whole = path.parent
-    if path.is_dir() or not (whole / rosbag.METADATA).exists():
-        return
-    if len(files := rosbag.list_storage(whole)) > 1:
+    files = rosbag.list_storage(path.parent) if path.is_file() else []
+    if path in files and len(files) > 1 and (path.parent / rosbag.METADATA).exists():
         found = f"its scans have no poses, and it is one of {len(files)} files of a recording"
-        raise PoseError(found, where=path, fix=f"give the folder: {whole}")
+        raise PoseError(found, where=path, fix=f"give the folder: {path.parent}")
+
+
+def read_poser(log: Log, options: PosingOptions) -> Poser:
+    """Read every pose source of a log; raises as `Poser.build`."""
+    moments = log.moments if isinstance(log, Counting) else None
+    return Poser.build(gather_poses(log, options), options, moments)
 
 
 def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:
@@ -164,16 +168,17 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
     The topics of the other one begin with its path; its transforms are passed over.
     """
     yield from read_poses(log)
-    named = RECORDING.fullmatch(posing.poses or "")
-    if named and Path(named[1]).is_file():
-        for each in read_poses(open_log(Path(named[1]))):
-            topic = f"{named[1]}:{each.topic}"
-            if last_part(each.topic) in TF_TOPICS:
-                continue
-            if isinstance(each, PoseSample):
-                yield each._replace(topic=topic)
-            else:
-                yield replace(each, topic=topic)
+    if posing.recording is None:
+        return
+    path, _ = posing.recording
+    for each in read_poses(open_log(path)):
+        topic = f"{path}:{each.topic}"
+        if last_part(each.topic) in TF_TOPICS:
+            continue
+        if isinstance(each, PoseSample):
+            yield each._replace(topic=topic)
+        else:
+            yield replace(each, topic=topic)
 
 
 def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:

@@ -25,9 +25,9 @@ from occmap.posing import Concern
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
-from occmap.readers import Log, get_moments, open_log
+from occmap.readers import Log, open_log
 from occmap.scans import make_engine
-from occmap.scans.logs import choose_topics, count_messages, gather_poses, make_poser
+from occmap.scans.logs import choose_topics, count_messages, make_poser, read_poser
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor import ReturnOptions, interpret
@@ -175,7 +175,7 @@ def name_mount(
 ) -> PoseError:
     """Add to the error that a mount is missing which mount suits the scans, if one does."""
     trial = replace(options, posing=replace(options.posing, sensor_pose=IDENTITY))
-    poser = Poser.build(gather_poses(log, trial.posing), trial.posing, get_moments(log))
+    poser = read_poser(log, trial.posing)
     guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
     return error.named(format_mount(guess.mount), guess.why) if guess else error
 

@@ -132,11 +132,12 @@ def level_ground(
 
     finder, level = count(options), (0.0, 0.0)
     found = BuildGround(*finder.find(options.clouds, known), options)
+    if known is not None or options.posing.level is not None:
+        return found
     place = place_logs(options.posing)
     start, turned = place.position[0], place.rotation[0]
     _, path, sample = finder.count()
-    begins_there = np.linalg.norm(path / 1000 - start, axis=1).min(initial=np.inf) < BEGIN_M
-    if known is not None or options.posing.level is not None or not begins_there:
+    if np.linalg.norm(path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
     sample = (sample - start) @ turned  # in the logs' own map
     for _ in range(LEVEL_ROUNDS):

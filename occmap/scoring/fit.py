@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.cells import Evidence, Slices
 from occmap.choices import format_mount, to_rpy
@@ -20,15 +21,13 @@ from occmap.evidence import read_model, render, to_grid
 from occmap.evidence.manifest import write_value
 from occmap.grid import CellBox
 from occmap.grid.tiles import (
-    BITS,
     MAX_CELLS,
     TILE,
     EvidenceKind,
     Key,
-    Tile,
     pack,
-    split_tiles,
     stack_tiles,
+    take,
     unite,
     unpack,
 )
@@ -147,15 +146,24 @@ class Match(NamedTuple):
     share: float
     rival: float
     """The share at the best other place, which is APART_M or APART_RAD away at least"""
+    is_far: bool = False
+    """Whether it lies at the end of what is searched"""
 
     @property
-    def is_sure(self) -> bool:
-        """Whether no other place is nearly as good, as along a corridor or in another building."""
-        return self.share >= LEAST_SHARE and self.rival <= MOST_RIVAL * self.share
+    def told(self) -> str:
+        """How well it fits."""
+        return f"{self.share:.0%} of the walls match, and {self.rival:.0%} at the best other place"
 
-    def tell(self, what: str) -> str:
-        """Say how well it fits, of what lies where, such as "hits lie on its walls"."""
-        return f"{self.share:.0%} of {what}, and {self.rival:.0%} at the best other place"
+    def doubt(self, whose: str, where: str) -> str:
+        """Say why it is not sure where something lies on a map; "" where it is.
+
+        Another place may be nearly as good, as along a corridor or in another building.
+        """
+        if self.share < LEAST_SHARE or self.rival > MOST_RIVAL * self.share:
+            return f"it is not sure how {whose} lies on {where}: {self.told}"
+        if self.is_far:
+            return f"{whose} may lie on {where} better beyond what is searched: {self.told}"
+        return ""
 
 
 def fit(points: Float64, walls: Walls) -> Match:
@@ -176,7 +184,8 @@ def fit(points: Float64, walls: Walls) -> Match:
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
     x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
     right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
-    return Match(Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6)), share, rival)
+    found = Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6))
+    return Match(found, share, rival, found.is_far(walls.pivot))
 
 
 class _Search(NamedTuple):
@@ -231,7 +240,7 @@ def _are_apart(place: Transform, other: Transform) -> bool:
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
 
-LEAVE_OUT = "leave `fit` out, and build with a `transform`"
+GIVE_FIRST = "build with a first `transform`, or leave `fit` out"
 
 
 def find_transform(
@@ -249,37 +258,26 @@ def find_transform(
     sample = sample_rays(paths, options)
     hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
     logs = ", ".join(map(str, paths))
-    found = fit(hits, walls) if len(hits) else Match(STAY, 0.0, 0.0)
-    told = describe_match(found, walls, logs, past.where)
+    found = fit(hits, walls)
+    refuse_doubt(found, logs, past.where)
     pose = add_move(options.posing.transform, found.transform, options.posing.align)
-    return pose, f"{past.where}: {logs} fit it with `transform=({format_mount(pose)})`: {told}"
+    typed = f"`transform=({format_mount(pose)})`"
+    return pose, f"{past.where}: {logs} fit it with {typed}: {found.told}"
 
 
 def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
     """Measure how far it is to the walls of evidence; raises PoseError where it is of clouds."""
     if past.manifest.update == Update.CLOUD:
         found = "`fit` takes scans of planar lasers, not clouds"
-        raise PoseError(found, where=past.where, fix=LEAVE_OUT)
+        raise PoseError(found, where=past.where, fix="leave `fit` out")
     grid = render(to_grid(past), model, max_cells)
     return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
 
 
-def describe_match(found: Match, walls: Walls, whose: str, where: str) -> str:
-    """Say how well hits lie on the walls of the evidence `where`.
-
-    Raises
-    ------
-    PoseError
-        It is not sure that they lie there, or they may lie better farther away.
-    """
-    told = found.tell("their hits lie on its walls")
-    if not found.is_sure:
-        text = f"it is not sure where {whose} lie on it: {told}"
-        raise PoseError(text, where=where, fix=LEAVE_OUT)
-    if found.transform.is_far(walls.pivot):
-        text = f"{whose} may lie on it best beyond what is searched: {told}"
-        raise PoseError(text, where=where, fix="build with a first `transform`, and try again")
-    return told
+def refuse_doubt(found: Match, whose: str, where: str) -> None:
+    """Refuse to lay something on the evidence `where`; raises PoseError unless it is sure how."""
+    if doubt := found.doubt(whose, "it"):
+        raise PoseError(doubt, where=where, fix=GIVE_FIRST)
 
 
 def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
@@ -311,11 +309,11 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     if grid.kind is EvidenceKind.COUNTS:
         weights *= grid.read(CellBox.of(made))[0]
     found = fit(spread_points(weights, Place(made.resolution, *made.origin)), walls)
-    told = describe_match(found, walls, f"the walls of {evidence.where}", where)
+    refuse_doubt(found, evidence.where, where)
     moved = move_evidence(evidence, found.transform)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
     typed = " and ".join(f"`transform=({format_mount(Pose(*each))})`" for each in given)
-    note = f"{evidence.where}: fits {where} with {typed}: {told}"
+    note = f"{evidence.where}: fits {where} with {typed}: {found.told}"
     return replace(moved, notes=(*evidence.notes, note))
 
 
@@ -333,53 +331,47 @@ def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
     That is the cell in which its middle was before. So no cell between others stays empty, no wall
     is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
     """
-    size = evidence.manifest.resolution
-    held = {(row, col): at for at, (row, col) in enumerate(evidence.tiles.tolist())}
-    seen_then = [dict(split_tiles(layer)) for layer in evidence.slices]
-    middles = Place(size, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
-    made: dict[Key, Tile] = {}
-    layers: list[list[Slices]] = [[] for _ in evidence.slices]
-    for row, col in list_reached(evidence.tiles, by, size):
-        before = by.move_back(middles + np.array([col, row]) * TILE * size)
-        cells = np.floor(before[:, ::-1] / size).astype(np.int64)
-        inside: Int64 = cells % TILE @ np.array([TILE, 1])
-        for source in np.unique(cells // TILE, axis=0).tolist():
-            if (key := (source[0], source[1])) not in held:
-                continue
-            which = (cells // TILE == source).all(axis=1)
-            tile = made.setdefault((row, col), np.zeros((2, TILE, TILE), np.int64))
-            numbers = evidence.cells[held[key]].reshape(2, -1)
-            tile.reshape(2, -1)[:, which] = numbers[:, inside[which]]
-            for layer, of_tiles in zip(layers, seen_then, strict=True):
-                if key in of_tiles:
-                    layer.append(_move_slices(of_tiles[key], (row, col), which, inside))
-    tiles, numbers = stack_tiles({key: tile for key, tile in made.items() if tile.any()})
-    align = evidence.manifest.align
-    builds = tuple(_record_move(build, by, align) for build in evidence.manifest.builds)
-    manifest = replace(evidence.manifest, builds=builds)
-    slices = tuple(map(unite, layers))
-    return replace(evidence, manifest=manifest, tiles=tiles, cells=numbers, slices=slices)
+    manifest = evidence.manifest
+    builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
+    cells = stack_tiles(_move_tiles(evidence.tiles, evidence.cells, by, manifest.resolution))
+    slices = tuple(_move_slices(each, by, manifest.resolution) for each in evidence.slices)
+    manifest = replace(manifest, builds=builds)
+    return replace(evidence, manifest=manifest, tiles=cells[0], cells=cells[1], slices=slices)
 
 
-def list_reached(tiles: Int64, by: Transform, size: float) -> list[Key]:
-    """List the tiles that others (T, 2) may reach into when they are moved."""
-    corners = tiles[:, np.newaxis, ::-1] + np.array(list(product((0, 1), repeat=2)))
-    moved = by.move(corners.reshape(-1, 2) * TILE * size).reshape(corners.shape)
-    places = np.floor(moved[..., ::-1] / (TILE * size)).astype(np.int64)
-    low, high = places.min(axis=1).tolist(), (places.max(axis=1) + 1).tolist()
-    ranges = [map(range, *box) for box in zip(low, high, strict=True)]
-    return sorted({(row, col) for rows, cols in ranges for row, col in product(rows, cols)})
+def _move_tiles(
+    tiles: Int64, cells: NDArray[Any], by: Transform, resolution: float
+) -> dict[Key, NDArray[Any]]:
+    """Move stacked tiles (T, 2) and what their cells (T, 2, 64, 64) hold; empty ones are gone."""
+    held = {(row, col): at for at, (row, col) in enumerate(tiles.tolist())}
+    numbers = np.concatenate([cells, np.zeros_like(cells[:1])]).reshape(len(cells) + 1, 2, -1)
+    middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
+    side = TILE * resolution
+    centres = by.move(tiles[:, ::-1].astype(np.float64) * side + side / 2) / side
+    # No part of a tile reaches beyond the tiles beside that in which its centre lies.
+    beside = np.array(list(product((-1, 0, 1), repeat=2)))
+    reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
+    made = {}
+    for row, col in np.unique(reached.reshape(-1, 2), axis=0).tolist():
+        before = by.move_back(middles + np.array([col, row]) * side)
+        sources = np.floor(before[:, ::-1] / resolution).astype(np.int64)
+        found, which = np.unique(sources // TILE, axis=0, return_inverse=True)
+        at = np.array([held.get((row, col), -1) for row, col in found.tolist()])[which.ravel()]
+        tile = numbers[at, :, sources % TILE @ np.array([TILE, 1])].T
+        if tile.any():
+            made[row, col] = tile.reshape(2, TILE, TILE)
+    return made
 
 
-def _move_slices(of_tile: Slices, key: Key, which: Bool, inside: Int64) -> Slices:
-    """Move what slices say of a tile to those cells of another that come from it."""
-    known = np.unpackbits(unpack(of_tile).reshape(len(of_tile.numbers), 2, -1), axis=-1)
-    bits = np.zeros_like(known)
-    bits[..., which] = known[..., inside[which]]
-    packed = np.packbits(bits, axis=-1).reshape(-1, *BITS)
-    some = packed.any(axis=(1, 2, 3))
-    tiles = np.full((int(some.sum()), 2), key, np.int64)
-    return pack(tiles, of_tile.numbers[some], packed[some])
+def _move_slices(slices: Slices, by: Transform, resolution: float) -> Slices:
+    """Move what slices say, one after the other."""
+    parts = []
+    for number in np.unique(slices.numbers).tolist():
+        of_slice = take(slices, np.flatnonzero(slices.numbers == number))
+        known = np.unpackbits(unpack(of_slice), axis=-1)
+        tiles, moved = stack_tiles(_move_tiles(of_slice.tiles, known, by, resolution))
+        parts.append(pack(tiles, np.full(len(tiles), number), np.packbits(moved != 0, axis=-1)))
+    return unite(parts)
 
 
 def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:

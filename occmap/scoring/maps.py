@@ -33,6 +33,7 @@ FARTHEST_M = 2.0
 """Distances from walls count up to here"""
 BESIDE = 1.5
 """In cells: all eight cells around one are nearer"""
+AS_THEY_LIE = Match(STAY, 1.0, 0.0)
 FREE, OCCUPIED, NEITHER = CellClass.FREE, CellClass.OCCUPIED, CellClass.NEITHER
 WHITE, BLACK, GREY = (254, 254, 254), (0, 0, 0), (205, 205, 205)
 INVENTED, DANGER, MISSED = (213, 94, 0), (0, 114, 178), (230, 159, 0)
@@ -121,8 +122,6 @@ class TruthScore:
     """95 in 100 of these distances are no larger (m)"""
     transform: Transform
     """By what the map was moved so that it fits the truth: x, y (m) and yaw (rad)"""
-    doubt: str = field(metadata=HIDDEN)
-    """What speaks against that; "" where nothing does"""
     picture: UInt8 = field(metadata=HIDDEN)
     """(H, W, 3) red, green, blue, highest y on top"""
 
@@ -169,8 +168,9 @@ def score(
     if against.logs:
         by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
     if true:
-        by_truth = score_by_truth(written, true, against.within_m, against.is_fitted)
-        notes += filter(None, [by_truth.doubt])
+        found = fit_walls(written, true) if against.is_fitted else AS_THEY_LIE
+        notes += filter(None, [found.doubt("the map", str(truth))])
+        by_truth = score_by_truth(written, true, against.within_m, found.transform)
         if picture:
             from occmap.writers.images import write_colours  # noqa: PLC0415  late: brings pillow
 
@@ -230,16 +230,10 @@ def score_by_logs(
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place, FARTHEST_M)
-    found = fit(hits, walls) if is_fitted else Match(STAY, 1.0, 0.0)
+    found = fit(hits, walls) if is_fitted else AS_THEY_LIE
     moved = found.transform
-    if moved.is_far(walls.pivot):
-        remarks.notes.append(
-            "the logs fit best at the end of what is searched, and perhaps better beyond: try "
-            "again with a first `transform`"
-        )
-    elif not found.is_sure:
-        told = found.tell("their hits lie on its walls")
-        remarks.notes.append(f"it is not sure how the logs lie on the map: {told}")
+    if doubt := found.doubt("the drive", "the map"):
+        remarks.notes.append(f"{doubt}: try again with a first `transform`")
     seen = [move_rays(rays, moved) for rays in seen]
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
@@ -295,7 +289,7 @@ def to_probabilities(written: ClassMap, occupied: float, free: float) -> Occupan
 
 
 def score_by_truth(
-    written: ClassMap, truth: ClassMap, within_m: float, is_fitted: bool
+    written: ClassMap, truth: ClassMap, within_m: float, moved: Transform = STAY
 ) -> TruthScore:
     """Hold a map against the truth; both may be of any resolution, the finer one counts.
 
@@ -303,15 +297,14 @@ def score_by_truth(
     ----------
     within_m
         How far a wall may be off (m).
-    is_fitted
-        Move the map by the transform by which its walls fit those of the truth best.
+    moved
+        By what the map is moved first.
 
     Raises
     ------
     MapError
         One of them says not where it lies, or both together are too large.
     """
-    moved, doubt = fit_walls(written, truth) if is_fitted else (STAY, "")
     place, shape = cover(written, truth, moved)
     is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)
     side = place.resolution
@@ -348,18 +341,14 @@ def score_by_truth(
         wall_distance_m=float(distances.mean()) if distances.size else math.inf,
         wall_distance_95_m=float(np.quantile(distances, 0.95)) if distances.size else math.inf,
         transform=moved,
-        doubt=doubt,
         picture=picture[::-1],
     )
 
 
-def fit_walls(written: ClassMap, truth: ClassMap) -> tuple[Transform, str]:
-    """Find how a map fits the truth best, and what speaks against it; "" where nothing does."""
+def fit_walls(written: ClassMap, truth: ClassMap) -> Match:
+    """Find by which transform the walls of a map lie on those of the truth best."""
     walls = find_place(written).list_middles(written.classes == OCCUPIED)
-    found = fit(walls, Walls.of(truth.classes == OCCUPIED, find_place(truth), FARTHEST_M))
-    told = found.tell("its walls lie on those of the truth")
-    doubt = f"it is not sure how the map lies on {truth.path}: {told}"
-    return found.transform, "" if found.is_sure else doubt
+    return fit(walls, Walls.of(truth.classes == OCCUPIED, find_place(truth), FARTHEST_M))
 
 
 def share(part: Bool, whole: Bool) -> float:

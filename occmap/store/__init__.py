@@ -122,8 +122,8 @@ def identify(saved: Saved) -> str:
     if isinstance(saved, Store):
         return saved.name
     parts = [saved] if isinstance(saved, Evidence) else map(saved.read_block, saved.blocks)
-    tiles = (zip(each.tiles.tolist(), each.cells, strict=True) for each in parts)
-    return saved.manifest.identify(sum(map(sum_tiles, tiles)))
+    total = sum(sum_tiles(each.tiles.tolist(), each.cells) for each in parts)
+    return saved.manifest.identify(total)
 
 
 def as_blocks(saved: Saved) -> Blocks:

@@ -247,7 +247,7 @@ def describe_block(block: Block, content: BlockContent) -> BlockRecord:
     # Of a block where nothing was observed, an empty box at its corner.
     reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
     count = int(np.count_nonzero(seen))
-    total = sum_tiles(zip(content.tiles.tolist(), content.cells, strict=True))
+    total = sum_tiles(content.tiles.tolist(), content.cells)
     return BlockRecord(block, count, reach, hash_content(content), list_builds(content), total)
 
 

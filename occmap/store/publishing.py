@@ -126,8 +126,8 @@ class BlockMap:
             blocks = self.source.blocks.keys() & set(list_blocks(self.box.grow(1)))
         beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
         for shape in self.writing.shapes:  # they may lie where nothing was observed
-            corners, reach = np.concatenate(shape.rings), shape.find_reach(self.resolution)
-            edited = Lattice(self.resolution).enclose(corners, reach).clip(self.box)
+            corners = np.array(shape.measure(self.resolution))
+            edited = Lattice(self.resolution).enclose(corners).clip(self.box)
             beside |= set(list_blocks(edited))
         # Cells that were forgotten count as lost, and may lie beyond those that are left.
         counts_beyond = self.min_passes is not None and not self.is_part

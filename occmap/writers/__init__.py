@@ -96,13 +96,12 @@ class WriteOptions:
 
     def __post_init__(self) -> None:
         _ = self.shapes  # refuses a file that is wrong
+        latitude, longitude, _ = self.georeference or (0.0, 0.0, 0.0)
+        is_there = abs(latitude) <= 90 and abs(longitude) <= 180
+        found = f"no place has latitude {latitude:g} and longitude {longitude:g}"
+        require(is_there, found, "write degrees: LAT,LON,YAW")
         free, occupied = self.thresholds
         found = f"`occupied_thresh` is {occupied}, `free_thresh` is {free}"
-        if self.georeference:
-            latitude, longitude, _ = self.georeference
-            is_there = abs(latitude) <= 90 and abs(longitude) <= 180
-            place = f"no place has latitude {latitude:g} and longitude {longitude:g}"
-            require(is_there, place, "write degrees: LAT,LON,YAW")
         if not 0 < free < occupied < 1:
             raise UsageError(found, fix="they must satisfy 0 < free < occupied < 1")
         # Two grey levels: else no grey may be left for a cell that is neither free nor occupied.

@@ -64,6 +64,11 @@ class Shape:
         """How far from a line cells of some size belong to it (m)."""
         return 0.0 if self.width is None else max(self.width / 2, CLOSED * resolution)
 
+    def measure(self, resolution: float) -> tuple[Float64, Float64]:
+        """Lowest x and y, and highest x and y, of what belongs to it among such cells (m)."""
+        corners, reach = np.concatenate(self.rings), self.find_reach(resolution)
+        return corners.min(axis=0) - reach, corners.max(axis=0) + reach
+
     def find_cells(self, grid: OccupancyMap) -> tuple[tuple[slice, slice], Bool]:
         """Find the cells whose middle is inside the area, or near the line.
 
@@ -72,12 +77,10 @@ class Shape:
         window, covered
             Rows and columns of a part of the map, and which of its cells it covers.
         """
-        reach = self.find_reach(grid.resolution)
-        corners, place = np.concatenate(self.rings), grid.place
-        ends = corners.min(axis=0) - reach, corners.max(axis=0) + reach
+        reach, place = self.find_reach(grid.resolution), grid.place
         (col, row), (col_end, row_end) = (
             np.clip(end / grid.resolution - place[::-1] + beyond, 0, grid.shape[::-1]).astype(int)
-            for end, beyond in zip(ends, (-1, 2), strict=True)
+            for end, beyond in zip(self.measure(grid.resolution), (-1, 2), strict=True)
         )
         # Counted from the map's zero, so that a part of a map has the middles of the whole.
         x = (place[1] + np.arange(col, col_end) + 0.5) * grid.resolution

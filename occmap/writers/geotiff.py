@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -79,15 +78,12 @@ class GroundWriter(Writer):
         size = COLUMN_MM / 1000
         where = describe(heights.shape, low * side, size, options.georeference)
         kind = {"dtype": "float32", "nodata": math.nan}
-        write_image(path, where | kind, [(None, heights[::-1])])
+        write_image(path, where | kind, [(None, heights[::-1])], {})
         return (path,)
 
 
 def write_image(
-    path: Path,
-    layout: dict[str, Any],
-    parts: Iterable[tuple[Any, Any]],
-    tags: Mapping[str, str] = MappingProxyType({}),
+    path: Path, layout: dict[str, Any], parts: Iterable[tuple[Any, Any]], tags: Mapping[str, str]
 ) -> None:
     """Write an image part by part: where in the image each part lies, and its pixels.
 

@@ -91,10 +91,9 @@ class NpzWriter(EvidenceWriter):
             It cannot be written; then nothing is left behind.
         """
         arrays = pack(evidence)
-        manifest = evidence.manifest
-        head = {"format": FORMAT, "version": VERSION, **asdict(manifest)}
-        cells = zip(evidence.tiles.tolist(), evidence.cells, strict=True)
-        head["evidence"] = manifest.identify(sum_tiles(cells))
+        head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
+        total = sum_tiles(evidence.tiles.tolist(), evidence.cells)
+        head["evidence"] = evidence.manifest.identify(total)
         head["checksum"] = compute_checksum(head, arrays)
         text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
         arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}

@@ -213,12 +213,10 @@ def test_odd_angles_are_noted_by_build_and_check(
 def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
     words = [log, "--jump", "0.3", "--border-gap", "4", "-o", tmp_path / "map.pgm"]
-    jump, gap = (
-        "note: --jump does nothing with the beam update\n",
-        "note: --border-gap does nothing: it is for `occmap build polygon`\n",
-    )
-    assert occmap("build", "beam", *words).err == jump + gap
-    assert occmap("build", *words).err == gap
+    told = "note: --{} does nothing with the {} update\n".format
+    both = told("jump", "beam") + told("border-gap", "beam")
+    assert occmap("build", "beam", *words).err == both
+    assert occmap("build", *words).err == told("border-gap", "surface")
     assert occmap("build", "polygon", *words).err == ""
 
 

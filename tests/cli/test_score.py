@@ -54,7 +54,7 @@ def test_what_does_not_belong_together_is_told(made: Path, tmp_path: Path) -> No
     assert "of the hits lie in occupied cells" in apart
     assert "--fit may find it" in apart
     doubts = occmap("score", hall, "--log", DRIVE, "--truth", made, "--fit").err
-    assert "it is not sure how the logs lie on the map: " in doubts
+    assert "it is not sure how the drive lies on the map: " in doubts
     assert f"it is not sure how the map lies on {made}: " in doubts
     assert occmap("score", made, "--log", DRIVE, "--truth", PLAN, "--fit").err == ""
 

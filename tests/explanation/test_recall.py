@@ -49,7 +49,7 @@ UNUSUAL = BuildOptions(
         max_speed=math.inf,
         transform=Pose.planar(1 / 3, -2.5, 0.1),
         align=-12.34,
-        level=(1.5, -2.25),
+        level=(1.25, -100.0),
         deskew=Deskew.AUTO,
         stamps=Stamps.RECORD,
         static_transforms=(PoseSample(0, "robot", "laser", MOUNT, static=True),),

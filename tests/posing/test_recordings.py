@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap import build_map
+from occmap import build_map, explain
 from occmap.errors import PoseError
+from occmap.store import open_saved
 from tests.cli.runner import occmap, read_error
 from tests.readers.ros import (
     ROS1,
@@ -105,7 +106,7 @@ def test_the_frames_of_the_other_recording_do_not_mix_with_those_of_the_log(log:
     ("poses", "found"),
     [
         ("slam.mcap:/other", "topics with poses: slam.mcap:/odom"),
-        ("log.bag", "log.bag: holds no such topic of poses; no Path, PoseStamped or Odometry"),
+        ("log.bag", "log.bag: holds no such topic of poses; topics with poses: none"),
         ("none.bag", "none.bag: no such file"),
         ("none.bag:/odom", "none.bag:/odom: no such file"),
         ("broken.bag", "broken.bag: "),
@@ -116,3 +117,22 @@ def test_poses_that_are_not_there(poses: str, found: str, log: Path) -> None:
     Path("broken.bag").write_bytes(b"no bag")
     error = read_error(occmap("build", log, "-o", "m.pgm", "--poses", poses), 1)
     assert found in error
+
+
+def test_the_other_recording_is_an_input_of_the_build(log: Path) -> None:
+    write_poses("Odometry", "/odom")
+    day = Path("day")
+    day.mkdir()
+    Path("slam.mcap").rename(day / "slam.mcap")
+    chosen = ("--poses", "day/slam.mcap:/odom")
+    error = read_error(occmap("build", log, "-o", day / "slam.mcap", *chosen), 2)
+    assert "day/slam.mcap" in error  # nothing writes over it
+    log.rename(day / "log.bag")
+    occmap("build", day, "-o", "m.npz", *chosen)  # and of a folder it is no log
+    build = open_saved(Path("m.npz")).manifest.builds[0]
+    assert [each["name"] for each in build["inputs"]] == ["log.bag", "slam.mcap"]
+    assert build["options"]["posing"]["poses"] == "slam.mcap:/odom"
+    made = explain("m.npz", 1, 1, logs=[day / "log.bag"], poses=[day / "slam.mcap"])
+    assert made.scans_used == 6
+    with pytest.raises(PoseError, match="add `poses=slam"):
+        explain("m.npz", 1, 1, logs=[day / "log.bag"])

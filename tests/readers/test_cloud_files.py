@@ -313,7 +313,7 @@ def test_clouds_without_poses_are_told_by_check_and_refused_by_a_build(tmp_path:
     (tmp_path / "poses.txt").write_text(TUM)  # of other times
     options = BuildOptions(posing=PosingOptions(poses=str(tmp_path / "poses.txt")))
     assert "1 after the last pose" in inspect([tmp_path], options).problems[0]
-    with pytest.raises(MapError, match="no cloud is used that has points and a pose"):
+    with pytest.raises(MapError, match="no cloud that is asked for has points and a pose"):
         build([tmp_path], options)
 
 

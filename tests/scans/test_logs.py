@@ -10,7 +10,7 @@ import occmap
 from occmap.errors import PoseError
 from occmap.readers import ReaderOptions
 from occmap.scans.logs import find_inputs
-from tests.readers.ros import ROS2, drive, write_mcap
+from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv
 
 
@@ -108,5 +108,7 @@ def test_a_part_of_a_recording_that_lacks_poses_names_the_folder(tmp_path: Path)
         occmap.build_map(part)
     assert told in occmap.check(part).problems[0]
     alone = shutil.copy(part, tmp_path / "alone.mcap")
-    with pytest.raises(PoseError, match="have no poses"):
-        occmap.build_map(alone)
+    beside = write_bag1(whole / "other.bag", [each for each in drive(ROS1) if each.topic != "/tf"])
+    for path in (alone, beside):
+        with pytest.raises(PoseError, match="the scans have no poses"):
+            occmap.build_map(path)

@@ -40,7 +40,7 @@ ROOM = draw("####### #.....# #.....# #.....# #.....# #######")
 
 
 def test_the_truth_itself_is_right() -> None:
-    score = score_by_truth(ROOM, ROOM, 0.0, is_fitted=False)
+    score = score_by_truth(ROOM, ROOM, 0.0)
     assert (score.edges_found, score.edges_invented, score.free_found) == (1, 0, 1)
     assert (score.occupied_called_free, score.free_called_occupied) == (0, 0)
     assert (score.wall_distance_m, score.wall_distance_95_m, score.transform) == (0, 0, STAY)
@@ -48,7 +48,7 @@ def test_the_truth_itself_is_right() -> None:
 
 def test_what_is_missed_and_what_is_invented_by_hand() -> None:
     said = draw("####### #.....# #..#..? #.....? #.....# ##...##")
-    score = score_by_truth(said, ROOM, 0.05, is_fitted=False)
+    score = score_by_truth(said, ROOM, 0.05)
     edges = 22  # all walls, as corners touch free cells, too
     assert score.edges_found == pytest.approx(1 - 5 / edges)
     assert score.occupied_called_free == pytest.approx(3 / edges)  # the others are unknown
@@ -63,15 +63,15 @@ def test_what_is_missed_and_what_is_invented_by_hand() -> None:
 
 def test_a_wall_that_is_off_by_a_cell_is_found_within_a_cell() -> None:
     moved = replace(ROOM, place=Place(0.1, 0.1, 0.0))
-    assert score_by_truth(moved, ROOM, 0.0, is_fitted=False).edges_found < 0.7
-    near = score_by_truth(moved, ROOM, 0.1, is_fitted=False)
+    assert score_by_truth(moved, ROOM, 0.0).edges_found < 0.7
+    near = score_by_truth(moved, ROOM, 0.1)
     assert (near.edges_found, near.edges_invented, near.occupied_called_free) == (1, 0, 0)
 
 
 def test_walls_where_the_truth_is_unknown_are_not_judged() -> None:
     plan = draw("#######??? #.....#??? #######???")
     said = draw("#######??# #.....#.## #######..#")
-    score = score_by_truth(said, plan, 0.0, is_fitted=False)
+    score = score_by_truth(said, plan, 0.0)
     assert (score.edges_found, score.edges_invented, score.wall_distance_m) == (1, 0, 0)
 
 
@@ -80,7 +80,7 @@ def test_resolutions_may_differ(times: int) -> None:
     classes = ROOM.classes.repeat(times, 0).repeat(times, 1)
     fine = replace(ROOM, classes=classes, place=Place(0.1 / times, 0.0, 0.0))
     for one, other in ((fine, ROOM), (ROOM, fine)):
-        score = score_by_truth(one, other, 0.0, is_fitted=False)
+        score = score_by_truth(one, other, 0.0)
         assert (score.edges_found, score.edges_invented, score.free_found) == (1, 0, 1)
 
 
@@ -164,11 +164,11 @@ def test_a_log_may_reach_as_far_as_cells_of_the_map_allow(tmp_path: Path) -> Non
 
 def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MapError, match="not say where it lies"):
-        score_by_truth(draw("#.", None), ROOM, 0.1, is_fitted=False)
+        score_by_truth(draw("#.", None), ROOM, 0.1)
     with pytest.raises(MapError, match="no occupied cell"):
-        score_by_truth(draw("..?"), ROOM, 0.1, is_fitted=False)
+        score_by_truth(draw("..?"), ROOM, 0.1)
     with pytest.raises(MapError, match="too many to compare"):
-        score_by_truth(replace(ROOM, place=Place(0.1, 1e6, 1e6)), ROOM, 0.1, is_fitted=False)
+        score_by_truth(replace(ROOM, place=Place(0.1, 1e6, 1e6)), ROOM, 0.1)
     blind = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 2, [math.nan])
     with pytest.raises(MapError, match="no beam measured a range"):
         score_by_logs(ROOM, [blind], BuildOptions(), is_fitted=False)

@@ -86,7 +86,7 @@ def test_a_corridor_lets_the_search_slide() -> None:
     found = fit(points, walls)
     assert found.share > 0.9
     assert found.rival > 0.9
-    assert not found.is_sure
+    assert "not sure" in found.doubt("the corridor", "itself")
 
 
 def test_sessions_of_different_buildings_are_not_fitted(tmp_path: Path) -> None:

@@ -155,11 +155,11 @@ def test_order_width_and_empty_tiles_count_for_nothing() -> None:
     rng = np.random.default_rng(3)
     tiles = {(-2, 7): rng.integers(-9, 9, (2, 64, 64)), (0, 0): rng.integers(0, 9, (2, 64, 64))}
     manifest = Manifest(0.05, "beam", "counts", "", 10.0, 0.5, "counting", ())
-    name = manifest.identify(sum_tiles(tiles.items()))
+    name = manifest.identify(sum_tiles(tiles, tiles.values()))
     nothing = {(5, 5): np.zeros((2, 64, 64), np.int32)}
     others = {key: tile.astype(np.int32) for key, tile in reversed(tiles.items())}
-    assert manifest.identify(sum_tiles((others | nothing).items())) == name
+    assert manifest.identify(sum_tiles(others | nothing, (others | nothing).values())) == name
     swapped = dict(zip(tiles, reversed(tiles.values()), strict=True))
-    assert manifest.identify(sum_tiles(swapped.items())) != name
+    assert manifest.identify(sum_tiles(swapped, swapped.values())) != name
     tiles[0, 0][1, 3, 3] += 1
-    assert manifest.identify(sum_tiles(tiles.items())) != name
+    assert manifest.identify(sum_tiles(tiles, tiles.values())) != name
