@@ -24,7 +24,7 @@ from occmap.scans import make_engine
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Remarks
-from occmap.scoring import SMALL, Gain, HoldOut, score_map
+from occmap.scoring import SMALL, Gain, HoldOut, Sample, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Rays, ScanBatch
@@ -98,29 +98,13 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     """Read a log, and keep at most so many of the scans that have a pose."""
     drive = open_drive(log, options)
     drive.foresee()
-    kept: list[ScanBatch] = []
-    seen, every = 0, 1
+    sample = Sample[ScanBatch](most)
     for _, posed, _ in drive.read(tally):
         if posed is not None:
-            kept += take_every([posed.batch], every, -seen % every)
-            seen += len(posed.batch.stamp_ns)
-        while sum(len(part.stamp_ns) for part in kept) > most:
-            kept, every = take_every(kept, 2), 2 * every
-    tally.scans_used += seen
+            sample.add(posed.batch)
+    tally.scans_used += sample.seen
     remarks.note(log.path, log.notes, drive.list_notes())
-    return KeptLog(str(log.path), drive.poser, tuple(kept))
-
-
-def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[ScanBatch]:
-    """Take every n-th of the scans of all batches, counted from the first on."""
-    taken = []
-    for batch in batches:
-        scans = len(batch.stamp_ns)
-        rows = np.arange(first, scans, n)
-        first = (first - scans) % n
-        if len(rows):
-            taken.append(batch.take(rows))
-    return taken
+    return KeptLog(str(log.path), drive.poser, tuple(sample.parts))
 
 
 def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:

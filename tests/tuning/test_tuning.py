@@ -16,7 +16,7 @@ from occmap.posing import PosingOptions
 from occmap.readers import open_log
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Remarks
-from occmap.scoring import Gain, Variant
+from occmap.scoring import GOLDEN, Gain, Sample, Variant
 from occmap.scoring.compare import compare
 from occmap.tuning import tune
 from occmap.tuning.search import (
@@ -28,7 +28,6 @@ from occmap.tuning.search import (
     X,
     find_mount,
     keep_logs,
-    take_every,
 )
 from occmap.types import Float64, Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
@@ -290,27 +289,31 @@ def test_nothing_to_score_by_is_refused(tmp_path: Path) -> None:
         tune([log], BuildOptions())
 
 
-@pytest.mark.parametrize("sizes", [[10], [1] * 10, [3, 4, 3], [7, 0, 3]])
-@pytest.mark.parametrize(("n", "first"), [(1, 0), (2, 0), (3, 2), (4, 1)])
-def test_every_nth_scan_is_taken_however_they_are_batched(
-    sizes: list[int], n: int, first: int
+@pytest.mark.parametrize("sizes", [[800], [1] * 800, [300, 0, 499, 1]])
+@pytest.mark.parametrize("lasers", [1, 2, 3, 4, 5, 8])
+def test_scans_are_sampled_evenly_however_they_are_batched_or_take_turns(
+    sizes: list[int], lasers: int
 ) -> None:
-    stamps = np.split(np.arange(10), np.cumsum(sizes)[:-1])
-    still = [np.zeros(size) for size in sizes]
-    batches = [
-        ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, np.ones((len(part), 2), np.float32), each)
-        for part, each in zip(stamps, still, strict=True)
-    ]
-    taken = [int(stamp) for part in take_every(batches, n, first) for stamp in part.stamp_ns]
-    assert taken == list(range(first, 10, n))
+    sample = Sample[ScanBatch](150)
+    for part in np.split(np.arange(800), np.cumsum(sizes)[:-1]):
+        ranges, still = np.ones((len(part), 2), np.float32), np.zeros(len(part))
+        sample.add(ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, ranges, still))
+    taken = np.concatenate([part.stamp_ns for part in sample.parts])
+    assert (sample.seen, sample.scans) == (800, len(taken))
+    assert 75 < len(taken) <= 150
+    assert set(np.diff(taken).tolist()) <= {5, 8, 13}  # the gaps of multiples of the golden ratio
+    of_laser = np.bincount(taken % lasers)
+    assert len(of_laser) == lasers
+    assert np.abs(of_laser / len(taken) - 1 / lasers).max() < 0.05
 
 
 def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("occmap.tuning.search.MOST_SCANS", 150)
     ((log,), notes) = keep(SAMPLE_LOGS / "drive.csv", BuildOptions())
     (batch,) = log.batches
-    assert batch.stamp_ns.tolist() == [scan.stamp_ns for scan in read_drive()[::4]]
-    assert "104 of 414 scans are tried, spread over the logs" in notes
+    every = [scan.stamp_ns for scan in read_drive()]
+    assert batch.stamp_ns.tolist() == [every[n] for n in range(414) if n * GOLDEN % 1 < 0.25]
+    assert f"{log.scans} of 414 scans are tried, spread over the logs" in notes
 
 
 def predict(predicted: list[int]) -> Float64:
