@@ -11,8 +11,9 @@ import pytest
 from occmap import tuning as tuning_package
 from occmap.choices import to_rpy
 from occmap.errors import LogError, PoseError
+from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
-from occmap.posing import PosingOptions
+from occmap.posing import Deskew, PosingOptions
 from occmap.readers import open_log
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Remarks
@@ -93,6 +94,55 @@ def test_a_wrong_mount_is_not_taken_for_a_wrong_clock() -> None:
     assert found == Correction(x=found.x)
     assert found.x == pytest.approx(0.25, abs=STEP_M + 1e-9)
     assert tuning.share > 0.95
+
+
+def write_spin(folder: Path, increment_s: float) -> tuple[Path, Path]:
+    """A laser in a room of 6 x 4 m that turns at 2 rad/s as it drives; and its poses."""
+
+    def place(seconds: Float64) -> Float64:
+        return np.stack([np.sin(seconds / 3) - 3.5, np.cos(seconds / 4) - 2.2, 2 * seconds])
+
+    beams = np.arange(90)
+    head = f"# angle_min: 0\n# angle_increment: {math.tau / 90!r}\n# range_max: 8\n"
+    lines = [f"{head}# time_increment: 0.0025\nstamp," + ",".join(f"r{it}" for it in beams)]
+    for second in np.arange(1.0, 39.0, 0.25):
+        x, y, yaw = place(second + beams * increment_s)
+        to_wall = yaw + beams * math.tau / 90
+        with np.errstate(divide="ignore"):
+            across = np.maximum(-x / np.cos(to_wall), (-6 - x) / np.cos(to_wall))
+            along = np.maximum(-y / np.sin(to_wall), (-4 - y) / np.sin(to_wall))
+        ranges = np.minimum(across, along).tolist()
+        lines.append(f"{second}," + ",".join(f"{it:.4f}" for it in ranges))
+    (folder / "spin.csv").write_text("\n".join(lines) + "\n")
+    moments = np.arange(0.0, 40.0, 0.02)
+    rows = [
+        f"{second!r},{x!r},{y!r},{yaw!r}"
+        for second, x, y, yaw in zip(moments.tolist(), *place(moments).tolist(), strict=True)
+    ]
+    (folder / "poses.csv").write_text("\n".join(["stamp,x,y,yaw", *rows]) + "\n")
+    return folder / "spin.csv", folder / "poses.csv"
+
+
+def test_scans_that_take_long_need_a_pose_for_each_beam(tmp_path: Path) -> None:
+    scans, poses = write_spin(tmp_path, 0.0025)
+    tuning = tune([scans], follow(poses))
+    assert tuning.deskew.verdict is Verdict.FOUND
+    assert tuning.correction == Correction(deskew=True)
+    assert tuning.share > 0.98 > tuning.share_before + 0.2
+    assert tuning.command[-4:-2] == ("--deskew", "on")
+    (warning,) = inspect([scans], replace(follow(poses), resolution=0.02)).warnings
+    assert "the poses do not fit the scans; try `occmap tune`, `deskew=on`, or" in warning
+
+
+def test_scans_that_only_say_that_they_take_long_are_left_as_they_are(tmp_path: Path) -> None:
+    scans, poses = write_spin(tmp_path, 0.0)
+    tuning = tune([scans], follow(poses))
+    assert tuning.deskew.verdict is Verdict.NOTHING
+    assert tuning.correction == Correction()
+    assert tuning.share > 0.95
+    asked = replace(follow(poses).posing, deskew=Deskew.AUTO)
+    decided = tune([scans], replace(follow(poses), posing=asked))
+    assert decided.deskew.verdict is Verdict.UNSEEN
 
 
 def test_a_time_offset_that_a_wrong_mount_hides_is_found(tmp_path: Path) -> None:
