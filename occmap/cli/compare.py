@@ -125,7 +125,8 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     A map is made of four fifths of the scans, a thousand at most, and asked what the others will
     see: the share of beams whose first occupied cell is within two cells of the measured range. A
     search from coarse to fine, some thirty maps, looks for the time offset by which that share is
-    largest, and then for yaw, x and y of the laser on its body. If an offset is found, some sixty
+    largest, and then for yaw, x and y of the laser on its body. Where scans say when each beam was
+    measured, --deskew is tried, too. If an offset is found, some sixty
     more maps look for the mount first, as one may make up for the other, and if the mount is off,
     for all four together. A gain counts if it is more than two standard errors and half a percent,
     and if both halves of the held-out scans show it. What is found is added to the --time-offset
@@ -153,6 +154,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     gained, rise = (f" -> {tuning.share:.4f}", f", a gain of {gain}") if found else ("", "")
     held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
+    if tuning.deskew.verdict is not Verdict.UNSEEN:
+        yield f"deskew   {format_finding(tuning.deskew, ['deskew'])}"
     yield f"time     {format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
@@ -212,6 +215,7 @@ def describe(correction: Correction, names: Sequence[str]) -> str:
         "yaw": f"yaw {math.degrees(correction.yaw):+.4g} deg",
         "x": f"x {correction.x:+.6g} m",
         "y": f"y {correction.y:+.6g} m",
+        "deskew": "a pose for each beam",
     }
     changed = [written[name] for name in names if getattr(correction, name)]
     return ", ".join(changed) or "no change"

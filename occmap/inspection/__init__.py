@@ -186,6 +186,7 @@ def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> 
         if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
             share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
             text = f"{share} lie in occupied cells: the poses do not fit the scans; {ASK_TUNE}"
+            text += ", `deskew=on`" * bool(topic.times.time_increment_s)
             is_mended = any(concern.remedy for concern in mine)
             mine.append(Concern(f"{text}, or another trajectory", {} if is_mended else None))
         found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]

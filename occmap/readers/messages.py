@@ -1,8 +1,8 @@
 """Messages as values: decoded by a library, one by one or many at once, and converted.
 
 Only what goes wrong while bytes are decoded, or a value that `Scan` or `PoseSample` refuses, is
-damage of the log. Any other error is a fault of occmap's, and is not caught. Scans and transforms
-that are laid out alike are taken from the bytes of many messages together.
+damage of the log. Any other error is a fault of occmap's, and is not caught. Scans and poses that
+are laid out alike are taken from the bytes of many messages together.
 """
 
 import json
@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, lru_cache
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,21 @@ FromBytes: TypeAlias = Callable[[memoryview, int], T]
 """From a message's bytes and its record time in ns; it raises DamageError."""
 Parse: TypeAlias = Callable[[memoryview, str], Any]
 """From a message's bytes, and how they are written, to its fields."""
-_Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], bool]
-"""From a message's bytes to its fields, what it raises on bytes that are not well formed, and
-whether messages are of the types that a log holds most of, laid out as ROS does"""
+
+
+class Layout(NamedTuple):
+    """How ROS lays out messages of which a log holds many: a header, or a list of transforms."""
+
+    is_cdr: bool
+    """Whether numbers are aligned; ROS 1 aligns none, and counts messages in their headers"""
+    is_list: bool
+    names_child: bool
+    """Whether a pose stands behind a second frame, the child's"""
+
+
+_Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], Layout | None]
+"""From a message's bytes to its fields, what it raises on bytes that are not well formed, and how
+messages are laid out, if as ROS does"""
 
 # What rosbags raises on definitions and on bytes that are not well formed.
 _DEFINITION_ERRORS = (
@@ -54,24 +66,31 @@ _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types but the older of these, and of ROS 1 neither."""
-_PLAIN_HASHES = {
+_ONE, _MOVED, _LIST = (False, False), (False, True), (True, True)
+_LAYOUTS = {
     "cdr": {
-        "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
-        "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+        "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828": _ONE,  # LaserScan
+        "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8": _ONE,  # PoseStamped
+        "26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e": _ONE,  # uncertain
+        "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0": _MOVED,  # Odometry
+        "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087": _LIST,  # TFMessage
     },
     "ros1": {
-        "RIHS01_483198ef52b200f0d8904fbf199f72919290c84f61d8ebddc7b0b1215e3e4e0e",
-        "RIHS01_0d1525cc15115cd686fb5b0c69bff596832d5f7eb8dc766b0ee926b3ad5f99e2",
-        "RIHS01_3a251e86098111cc45383f1ebaf07d69f5e1fd4484fabd9081da7148cf7eb5be",
+        "483198ef52b200f0d8904fbf199f72919290c84f61d8ebddc7b0b1215e3e4e0e": _ONE,
+        "576be1857cf9c4af2d859f93d09be37b41aae465beccf730afad4a38fe94f160": _ONE,
+        "aea1cb8d7696cf4604347c8fd72209da4d1515283c6517f36dcb58b3f06c582d": _ONE,
+        "57f57a5b51343129742e281ee4dd27913daf43f90bbabed1a9c17c19ec5f388a": _MOVED,
+        "0d1525cc15115cd686fb5b0c69bff596832d5f7eb8dc766b0ee926b3ad5f99e2": _LIST,
+        "3a251e86098111cc45383f1ebaf07d69f5e1fd4484fabd9081da7148cf7eb5be": _LIST,  # tfMessage
     },
 }
-"""The hashes (REP 2016) of LaserScan and of transforms as ROS defines them: most messages of a log
-are of these types, and little-endian ones can be stacked and read many at once"""
+"""How most messages of a log are laid out, by the hashes (REP 2016) of their types as ROS defines
+them; little-endian ones can be stacked and read many at once"""
 
 
 def make_reader(
     channel: Channel, convert: Callable[[Any, str, int], T], parse_whole: Parse | None = None
-) -> tuple[FromBytes[T], bool]:
+) -> tuple[FromBytes[T], Layout | None]:
     """Build the function that reads a channel's messages: decodes and converts them.
 
     Parameters
@@ -83,8 +102,8 @@ def make_reader(
 
     Returns
     -------
-    read, is_plain
-        Whether `read_scan_run` or `read_transforms` can read many of the messages at once.
+    read, layout
+        By which `read_scan_run` or `read_pose_batches` can read many of the messages at once.
 
     Raises
     ------
@@ -94,10 +113,10 @@ def make_reader(
     topic, kind = channel.topic, channel.kind
     parser: _Parser
     if parse_whole:
-        parser = lambda data: parse_whole(data, channel.encoding), (), False
+        parser = lambda data: parse_whole(data, channel.encoding), (), None
     else:
         parser = _PARSERS[channel.encoding](channel)
-    parse, errors, is_plain = parser
+    parse, errors, layout = parser
 
     def read(data: memoryview, record_ns: int) -> T:
         try:
@@ -106,7 +125,7 @@ def make_reader(
             raise DamageError(f"is not a {kind} ({type(error).__name__})") from error
         return convert(message, topic, record_ns)
 
-    return read, is_plain
+    return read, layout
 
 
 @lru_cache(maxsize=64)
@@ -126,11 +145,12 @@ def _make_ros_parser(text: str, kind: str, encoding: str) -> _Parser:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
         raise _refuse(kind, error) from error
-    is_plain = False
-    with suppress(LookupError):  # of a type that has no hash
-        is_plain = store.hash_rihs01(name) in _PLAIN_HASHES[encoding]
+    layout = None
+    with suppress(LookupError):  # of a type that has no hash, or one of its own
+        known = _LAYOUTS[encoding][store.hash_rihs01(name).removeprefix("RIHS01_")]
+        layout = Layout(encoding == "cdr", *known)
     deserialise = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-    return lambda data: deserialise(data, name), _DECODE_ERRORS, is_plain
+    return lambda data: deserialise(data, name), _DECODE_ERRORS, layout
 
 
 def _refuse(kind: str, why: Exception) -> LogError:
@@ -204,7 +224,7 @@ def _count_values(types: Typesdict, name: str, counts: dict[str, int]) -> int:
 
 
 def _make_json_parser(_channel: Channel) -> _Parser:
-    return lambda data: json.loads(bytes(data)), (ValueError, RecursionError, MemoryError), False
+    return lambda data: json.loads(bytes(data)), (ValueError, RecursionError, MemoryError), None
 
 
 def _make_protobuf_parser(channel: Channel) -> _Parser:
@@ -224,7 +244,7 @@ def _make_protobuf_parser(channel: Channel) -> _Parser:
         message_class = _load_message(channel)
     except (DecodeError, KeyError, TypeError, ValueError) as error:
         raise _refuse(channel.type, error) from error
-    return lambda data: message_class.FromString(bytes(data)), (DecodeError,), False
+    return lambda data: message_class.FromString(bytes(data)), (DecodeError,), None
 
 
 def _load_message(channel: Channel) -> Any:
@@ -266,7 +286,7 @@ _POSE = 56
 
 
 def read_scan_run(
-    messages: Sequence[Stacked], encoding: str, read: FromBytes[list[Scan]]
+    messages: Sequence[Stacked], layout: Layout, read: FromBytes[list[Scan]]
 ) -> tuple[list[ScanRun], Sequence[Stacked]]:
     """Read scans of one length that follow one another.
 
@@ -286,16 +306,16 @@ def read_scan_run(
     DamageError
         The first message is damaged.
     """
-    if len(messages) < SHORTEST_RUN or not _is_stackable(messages[0][0], encoding):
+    if len(messages) < SHORTEST_RUN or not _is_stackable(messages[0][0], layout):
         return [], messages
     # Decoded first: that it could be says that all its parts lie within the message.
     (first,) = read(memoryview(messages[0][0]), messages[0][1])
     raw = _stack(messages)
-    floats = _align(_FRAME + _count_at(messages[0][0], _FRAME - 4), 4, encoding)
+    floats = _align(_FRAME + _count_at(messages[0][0], _FRAME - 4), 4, layout)
     ranges = floats + _RANGES
     intensities = ranges + 4 * len(first.ranges)
     free = (
-        _span_stamp(_STAMP, encoding),
+        _span_stamp(_STAMP, layout),
         (floats + _ANGLE_MAX, floats + _ANGLE_MAX + 4),
         (floats + _TIME_INCREMENT, floats + _RANGE_MIN),
         (ranges, intensities),
@@ -313,10 +333,10 @@ def read_scan_run(
     return [run], []
 
 
-def read_transforms(
-    messages: Sequence[Stacked], encoding: str, read: FromBytes[list[PoseSample]]
+def read_pose_batches(
+    messages: Sequence[Stacked], layout: Layout, read: FromBytes[list[PoseSample]]
 ) -> tuple[list[PoseBatch], Sequence[Stacked]]:
-    """Read messages of transforms of one length.
+    """Read messages of poses of one length.
 
     Parameters
     ----------
@@ -326,7 +346,7 @@ def read_transforms(
     Returns
     -------
     batches, others
-        The samples of each transform, and the messages of groups beyond `MOST_GROUPS`, or all where
+        The samples of each pose, and the messages of groups beyond `MOST_GROUPS`, or all where
         the first is not little-endian.
 
     Raises
@@ -339,40 +359,43 @@ def read_transforms(
     batches: list[PoseBatch] = []
     left = np.arange(len(messages))
     for _ in range(MOST_GROUPS):
-        if not len(left) or not _is_stackable(first := messages[int(left[0])][0], encoding):
+        if not len(left) or not _is_stackable(first := messages[int(left[0])][0], layout):
             break
         # Decoded first: that it could be says that all its parts lie within the message.
         samples = read(memoryview(first), 0)
-        places = _locate(first, encoding)
-        stamps = [_span_stamp(stamp, encoding) for stamp, _ in places]
-        alike = _find_alike(raw[left], stamps + [(pose, pose + _POSE) for _, pose in places])
+        places = _locate(first, layout)
+        stamps = [_span_stamp(stamp, layout) for stamp, _ in places]
+        poses = [(pose, pose + _POSE if layout.is_list else raw.shape[1]) for _, pose in places]
+        alike = _find_alike(raw[left], stamps + poses)
         rows = left[alike]
         own, own_ns = raw[rows], record_ns[rows]  # once: a message may hold very many transforms
         for (stamp, pose), sample in zip(places, samples, strict=True):
-            times, poses = _read_stamps(own, stamp), _read_columns(own, pose, "<f8", 7)
+            times, numbers = _read_stamps(own, stamp), _read_columns(own, pose, "<f8", 7)
             frames = sample.parent, sample.child, sample.static, sample.topic
-            batches.append(PoseBatch(times, own_ns, poses, *frames))
+            batches.append(PoseBatch(times, own_ns, numbers, *frames))
         left = left[~alike]
     return batches, [messages[i] for i in left.tolist()]
 
 
-def _locate(message: bytes, encoding: str) -> list[tuple[int, int]]:
-    """Find where the stamp and the pose of each transform of a message lie."""
-    at = 4 if encoding == "cdr" else 0
-    count, at = _count_at(message, at), at + 4
-    places = []
+def _locate(message: bytes, layout: Layout) -> list[tuple[int, int]]:
+    """Find where the stamp and the pose of each transform of a message lie, or of its only pose."""
+    at, count, places = 4 if layout.is_cdr else 0, 1, []
+    if layout.is_list:
+        count, at = _count_at(message, at), at + 4
     for _ in range(count):
-        stamp = _align(at, 4, encoding) + (0 if encoding == "cdr" else 4)
-        child = _pass_name(message, stamp + 8, encoding)
-        pose = _align(_pass_name(message, child, encoding), 8, encoding)
+        stamp = _align(at, 4, layout) + (0 if layout.is_cdr else 4)
+        names = _pass_name(message, stamp + 8, layout)
+        if layout.names_child:
+            names = _pass_name(message, names, layout)
+        pose = _align(names, 8, layout)
         places.append((stamp, pose))
         at = pose + _POSE
     return places
 
 
-def _pass_name(message: bytes, at: int, encoding: str) -> int:
+def _pass_name(message: bytes, at: int, layout: Layout) -> int:
     """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
-    start = _align(at, 4, encoding)
+    start = _align(at, 4, layout)
     return start + 4 + _count_at(message, start)
 
 
@@ -381,19 +404,19 @@ def _count_at(message: bytes, at: int) -> int:
     return int.from_bytes(message[at : at + 4], "little")
 
 
-def _align(at: int, size: int, encoding: str) -> int:
+def _align(at: int, size: int, layout: Layout) -> int:
     """Round an offset up, as CDR does from behind its four encapsulation bytes; ROS 1 does not."""
-    return at + (4 - at) % size if encoding == "cdr" else at
+    return at + (4 - at) % size if layout.is_cdr else at
 
 
-def _span_stamp(at: int, encoding: str) -> tuple[int, int]:
+def _span_stamp(at: int, layout: Layout) -> tuple[int, int]:
     """Find the bytes of a stamp, and of the number that counts messages before it in ROS 1."""
-    return at if encoding == "cdr" else at - 4, at + 8
+    return at if layout.is_cdr else at - 4, at + 8
 
 
-def _is_stackable(message: bytes, encoding: str) -> bool:
+def _is_stackable(message: bytes, layout: Layout) -> bool:
     """Whether the numbers of a message lie as NumPy reads them here: little-endian."""
-    return encoding == "ros1" or message.startswith(_LITTLE_ENDIAN)
+    return not layout.is_cdr or message.startswith(_LITTLE_ENDIAN)
 
 
 def _stack(messages: Sequence[Stacked]) -> UInt8:

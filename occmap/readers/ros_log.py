@@ -5,8 +5,8 @@ The way of a message:
 1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes.
 2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
    (`message_types`).
-3. Scans of one laser, and transforms, are laid out alike. So most are not read one by one, but
-   gathered by channel and length (`_stack`) and read many at once.
+3. Scans of one laser, and poses of one source, are laid out alike. So most are not read one by
+   one, but gathered by channel and length (`_stack`) and read many at once.
 """
 
 from collections import Counter
@@ -22,7 +22,7 @@ from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.message_types import PACKETS, TYPES, MessageType, find_type
-from occmap.readers.messages import Parse, Stacked, make_reader, read_scan_run, read_transforms
+from occmap.readers.messages import Parse, Stacked, make_reader, read_pose_batches, read_scan_run
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
@@ -35,7 +35,7 @@ MESSAGE_BYTES = 100
 STACK_BYTES = 1 << 20
 """Messages of one channel and length are held until they take this much memory."""
 MOST_KINDS = 32
-"""Channels and lengths for which transforms are held at once; a log that has more is damaged."""
+"""Channels and lengths for which poses are held at once; a log that has more is damaged."""
 
 
 class RosReader:
@@ -91,8 +91,8 @@ class RosLog:
         return self._read(self._make_pose_readers())
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """Every sample, as `poses` gives them, but many messages of transforms at once."""
-        return self._read_stacked(self._make_pose_readers(), read_transforms, MOST_KINDS)
+        """Every sample, as from `poses`, but many at once where messages are laid out alike."""
+        return self._read_stacked(self._make_pose_readers(), read_pose_batches, MOST_KINDS)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -224,17 +224,16 @@ class _ChannelReader(Generic[T]):
     """
 
     def __init__(self, channel: Channel, convert: Convert[T], parse: Parse | None = None) -> None:
-        self.encoding = channel.encoding
         self.messages = self.failures = 0
         self.uses_standard = False
         self.first_fault = ""
         try:
-            self.decode, self.is_plain = make_reader(channel, convert, parse)
+            self.decode, self.layout = make_reader(channel, convert, parse)
         except LogError:
             if not channel.definition:
                 raise
             standard = replace(channel, definition="")
-            self.decode, self.is_plain = make_reader(standard, convert, parse)
+            self.decode, self.layout = make_reader(standard, convert, parse)
             self.uses_standard = True
 
     def read(self, data: Buffer, record_ns: int) -> Sequence[T]:
@@ -252,9 +251,9 @@ class _ChannelReader(Generic[T]):
         read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
     ) -> Iterator[T | Many]:
         """Read messages of one length; one by one those that are damaged or not alike."""
-        if self.is_plain:
+        if self.layout:
             with suppress(DamageError):  # of the first; one by one it is counted
-                together, stack = read_alike(stack, self.encoding, self.decode)
+                together, stack = read_alike(stack, self.layout, self.decode)
                 yield from together
         for data, record_ns in stack:
             yield from self.read(data, record_ns)

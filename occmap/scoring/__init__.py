@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from time import thread_time
-from typing import NamedTuple, Self
+from typing import Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import AddRays, Progress, Remarks, trace_logs
 from occmap.sensor.models import SensorModel, make_model, parse_model
-from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, ScanBatch, Update
 from occmap.workers import Workers
 
 NOISE = 2.0
@@ -190,6 +190,52 @@ def read_scans(
         remarks.note(log.path, log.notes, notes)
     refuse_unused(paths, tally)
     return tally, remarks
+
+
+Taken = TypeVar("Taken", Rays, ScanBatch)
+GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+class Sample(Generic[Taken]):
+    """Scans spread evenly over all that came, of which no more than so many are kept.
+
+    The fractions of the multiples of the golden ratio lie evenly between 0 and 1, and so do those
+    below a limit among all. Every n-th scan could be of one laser only, where lasers take turns.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.seen = 0
+        """How many scans came"""
+        self._most, self._limit = most, 1.0
+        self._kept: list[tuple[Float64, Taken]] = []
+        """The fractions of scans, and the scans"""
+
+    @property
+    def parts(self) -> list[Taken]:
+        """The scans that are kept."""
+        return [part for _, part in self._kept]
+
+    @property
+    def scans(self) -> int:
+        """How many are kept."""
+        return sum(len(fraction) for fraction, _ in self._kept)
+
+    def add(self, part: Taken) -> None:
+        """Take scans that come after all others; where there are too many, half of them go."""
+        numbers = self.seen + np.arange(len(part.stamp_ns), dtype=np.float64)
+        fraction = np.asarray(numbers * GOLDEN % 1, np.float64)
+        self.seen += len(numbers)
+        self._kept += self._take_low([(fraction, part)])
+        while self.scans > self._most:
+            self._limit /= 2
+            self._kept = self._take_low(self._kept)
+
+    def _take_low(self, parts: Sequence[tuple[Float64, Taken]]) -> list[tuple[Float64, Taken]]:
+        return [
+            (fraction[low], part.take(low))
+            for fraction, part in parts
+            if (low := fraction < self._limit).any()
+        ]
 
 
 DEFAULT_MODELS = ("simple", "quadratic")

@@ -18,13 +18,15 @@ from occmap.report import HIDDEN, Count, Finite, Printed, Share
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import AddRays, Progress, ignore_progress
-from occmap.scoring import Trial, read_scans, score_map
+from occmap.scoring import Sample, Trial, read_scans, score_map
 from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 
 WITHIN_M = 0.1
 """A wall that is drawn on the wrong side of a cell's edge is still right."""
+MOST_SCANS = 4000
+"""Of all logs together: more tell little more, and all that are asked are held in memory."""
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
 FIRST_GUESS = 0.9
@@ -206,6 +208,8 @@ def score_by_logs(
 ) -> tuple[LogScore, list[str]]:
     """Ask recordings how good a map is; return what they say, and notes on them.
 
+    At most 4,000 scans are asked, spread over all of them.
+
     Parameters
     ----------
     is_fitted
@@ -217,15 +221,20 @@ def score_by_logs(
         As a build, no beam measured a range, or the map says not where it lies.
     """
     place = find_place(written)
-    seen: list[Rays] = []
+    sample = Sample[Rays](MOST_SCANS)
 
     def begin() -> AddRays:
-        seen.clear()
-        return seen.append
+        nonlocal sample
+        sample = Sample(MOST_SCANS)
+        return sample.add
 
     options = replace(options, resolution=place.resolution)
     tally, remarks = read_scans(paths, options, begin, progress)
-    hits = list_hits(seen)
+    if sample.scans < sample.seen:
+        remarks.notes.append(
+            f"{sample.scans:,} of {sample.seen:,} scans are asked, spread over the logs"
+        )
+    hits = list_hits(sample.parts)
     if not len(hits):
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
@@ -234,7 +243,7 @@ def score_by_logs(
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
         remarks.notes.append(f"{doubt}: try again with a first `transform`")
-    seen = [move_rays(rays, moved) for rays in seen]
+    seen = [move_rays(rays, moved) for rays in sample.parts]
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
     if agreement < LEAST_AGREEMENT and not is_fitted:

@@ -97,6 +97,9 @@ class Tuning(Improvement, Scored):
     """What became of the scans"""
     correction: Correction
     """All that is recommended; zeros where nothing is"""
+    deskew: Finding
+    """Whether poses for single beams alone gain on the best time offset and mount for whole scans;
+    if so, those are searched again. Unseen where scans do not say when beams were measured"""
     time: Finding
     """What came of the search for a time offset"""
     mount: Finding
@@ -152,7 +155,10 @@ def tune(
     scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
     before = scorer.score(Correction())
     timed, place, unsearched = plan_search(scorer)
-    time, mounted, best = search.find_both(scorer, timed, place)
+    time, mounted, best = search.find_both(scorer, Correction(), timed, place)
+    deskew = search.find_deskew(scorer, best) if timed else Finding(Verdict.UNSEEN, best)
+    if deskew.verdict is Verdict.FOUND:
+        time, mounted, best = search.find_both(scorer, deskew.correction, timed, place)
     if place and mounted.verdict is Verdict.UNSEEN:
         unsearched.append("the mount is not searched: it would make up for times that change")
     # Both once more, since one may have hidden part of the other.
@@ -168,6 +174,7 @@ def tune(
         resolution=options.resolution,
         **improve(before, after),
         correction=best,
+        deskew=deskew,
         time=time,
         mount=mounted,
         together=together,

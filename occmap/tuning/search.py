@@ -15,8 +15,9 @@ from occmap.choices import to_rpy
 from occmap.errors import PoseError
 from occmap.evidence import render
 from occmap.options import BuildOptions
-from occmap.posing import PosingOptions
+from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
+from occmap.posing.chain import MAX_TURN_S
 from occmap.posing.tracks import to_quaternions
 from occmap.readers import Log
 from occmap.report import Finite
@@ -24,7 +25,7 @@ from occmap.scans import make_engine
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Remarks
-from occmap.scoring import SMALL, Gain, HoldOut, score_map
+from occmap.scoring import SMALL, Gain, HoldOut, Sample, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
 from occmap.types import IDENTITY, Float64, Pose, PosedScans, Rays, ScanBatch
@@ -56,6 +57,12 @@ class KeptLog:
         """Pose the scans with other options; those that then have no pose are left out."""
         poser = Poser(self.poser.sources, options, self.poser.fixed)
         return [posed for _, posed, _ in poser.attach(self.batches) if posed is not None]
+
+    def may_deskew(self, options: PosingOptions) -> bool:
+        """Whether all scans say believably when each beam was measured, and nobody looked at it."""
+        times = [np.abs(it.time_increment) * (it.ranges.shape[1] - 1) for it in self.batches]
+        is_timed = all(((it > 0) & (it <= MAX_TURN_S)).all() for it in times)
+        return options.deskew is Deskew.OFF and is_timed and not self.stated
 
     @property
     def scans(self) -> int:
@@ -98,33 +105,19 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     """Read a log, and keep at most so many of the scans that have a pose."""
     drive = open_drive(log, options)
     drive.foresee()
-    kept: list[ScanBatch] = []
-    seen, every = 0, 1
+    sample = Sample[ScanBatch](most)
     for _, posed, _ in drive.read(tally):
         if posed is not None:
-            kept += take_every([posed.batch], every, -seen % every)
-            seen += len(posed.batch.stamp_ns)
-        while sum(len(part.stamp_ns) for part in kept) > most:
-            kept, every = take_every(kept, 2), 2 * every
-    tally.scans_used += seen
+            sample.add(posed.batch)
+    tally.scans_used += sample.seen
     remarks.note(log.path, log.notes, drive.list_notes())
-    return KeptLog(str(log.path), drive.poser, tuple(kept))
-
-
-def take_every(batches: Sequence[ScanBatch], n: int, first: int = 0) -> list[ScanBatch]:
-    """Take every n-th of the scans of all batches, counted from the first on."""
-    taken = []
-    for batch in batches:
-        scans = len(batch.stamp_ns)
-        rows = np.arange(first, scans, n)
-        first = (first - scans) % n
-        if len(rows):
-            taken.append(batch.take(rows))
-    return taken
+    return KeptLog(str(log.path), drive.poser, tuple(sample.parts))
 
 
 def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
-    """Drop the scans without a pose at some time offset, so that all maps are of the same scans."""
+    """Drop the scans without a pose at some offset, so that all maps are of the same scans."""
+    if log.may_deskew(options):
+        options = replace(options, deskew=Deskew.ON)
     for offset in (-MOST_OFFSET_S, MOST_OFFSET_S):
         shifted = replace(options, time_offset_s=options.time_offset_s + offset)
         log = replace(log, batches=tuple(posed.batch for posed in log.pose(shifted)))
@@ -179,6 +172,8 @@ class Correction:
     """Added to its x on the body (m)"""
     y: float = 0.0
     """Added to its y on the body (m)"""
+    deskew: bool = False
+    """Each beam has a pose of its own"""
 
     @property
     def is_any(self) -> bool:
@@ -192,6 +187,8 @@ class Correction:
     def apply(self, options: PosingOptions, mount: Pose | None) -> PosingOptions:
         """Correct options, of which `mount` is the sensor's pose as it is now."""
         options = replace(options, time_offset_s=round(options.time_offset_s + self.time_s, 9))
+        if self.deskew:
+            options = replace(options, deskew=Deskew.ON)
         if mount is None or not any((self.yaw, self.x, self.y)):
             return options
         roll, pitch, yaw = to_rpy(mount)
@@ -357,20 +354,30 @@ class Finding:
 
 
 def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
-    """Search for a correction better than `start`, and judge it; no knobs: no search.
+    """Search for a correction better than `start`, and judge it; no knobs: no search."""
+    if not knobs:
+        return Finding(Verdict.UNSEEN, start)
+    scorer.score(start)
+    earlier = scorer.tried.keys() - {start}
+    best = find_best(scorer, start, knobs)
+    return judge(
+        scorer, start, best, [it for it in scorer.tried if it not in earlier or it == best]
+    )
+
+
+def judge(
+    scorer: Scorer, start: Correction, best: Correction, tried: Sequence[Correction]
+) -> Finding:
+    """Judge the best of the corrections that were tried to find one better than `start`.
 
     It must gain certainly by all held-out scans, and each half of them must show it. The halves
     disagree where what is best for one of them certainly loses in the other.
     """
-    if not knobs:
-        return Finding(Verdict.UNSEEN, start)
-    before, earlier = scorer.score(start).predicted, scorer.tried.keys() - {start}
-    best = find_best(scorer, start, knobs)
-    found = {each: scorer.tried[each].predicted for each in scorer.tried}
+    found = {each: scorer.score(each).predicted for each in tried}
+    before = found[start]
     gain = Gain.measure(before, found[best])
-    of_this = [each for each in found if each not in earlier or each == best]
     halves = [
-        {each: Gain.measure(before[half], found[each][half]) for each in of_this}
+        {each: Gain.measure(before[half], found[each][half]) for each in tried}
         for half in (slice(len(before) // 2), slice(len(before) // 2, None))
     ]
     alike = tuple(Half(best, *gains[best]) for gains in halves)
@@ -396,17 +403,25 @@ def contradicts(gains: Mapping[Correction, Gain], others: Mapping[Correction, Ga
     return gains[favourite].certain and (-others[favourite]).certain
 
 
+def find_deskew(scorer: Scorer, best: Correction) -> Finding:
+    """Judge whether poses for single beams alone gain on the best that was found without."""
+    if not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
+        return Finding(Verdict.UNSEEN, best)
+    tried = [best, Correction(deskew=True)]
+    return judge(scorer, best, max(tried, key=lambda each: scorer.score(each).share), tried)
+
+
 def find_both(
-    scorer: Scorer, timed: Sequence[Knob], place: Sequence[Knob]
+    scorer: Scorer, start: Correction, timed: Sequence[Knob], place: Sequence[Knob]
 ) -> tuple[Finding, Finding, Correction]:
     """Search for a time offset and for a mount; give what came of each, and both together.
 
     A laser that is late looks as if it sat further back, and the reverse, so each makes up for a
     part of the other. What gains more alone is right, and the other is searched on top of it.
     """
-    time = find_correction(scorer, Correction(), timed)
+    time = find_correction(scorer, start, timed)
     # Where halves want different times, a mount would only make up for that.
-    mount = find_correction(scorer, Correction(), [] if time.verdict is Verdict.DISAGREE else place)
+    mount = find_correction(scorer, start, [] if time.verdict is Verdict.DISAGREE else place)
     if time.verdict is not Verdict.FOUND:
         return time, mount, mount.correction
     if mount.verdict is Verdict.FOUND and mount.gain > time.gain:

@@ -21,6 +21,11 @@ ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
 ROS2: Typestore = get_typestore(Stores.ROS2_HUMBLE)
 SCAN = "sensor_msgs/msg/LaserScan"
 TF = "tf2_msgs/msg/TFMessage"
+POSED = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+)
 for _kind in (TF, "tf/msg/tfMessage"):
     ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _kind))
 
@@ -89,6 +94,21 @@ def pose(store: Typestore, x: float) -> Any:
     return types["geometry_msgs/msg/Pose"](
         point, types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0)
     )
+
+
+def posed(store: Typestore, kind: str, stamp_ns: int, edge: tuple[str, str, float]) -> Any:
+    """A message of one of the types `POSED`; its covariance and speed, if any, are `x`, too."""
+    parent, child, x = edge
+    types, head, row = store.types, header(store, stamp_ns, parent), np.full(36, x)
+    if kind == POSED[0]:
+        return types[kind](head, pose(store, x))
+    uncertain = types["geometry_msgs/msg/PoseWithCovariance"](pose(store, x), row)
+    if kind == POSED[1]:
+        return types[kind](head, uncertain)
+    speed = types["geometry_msgs/msg/Vector3"](x, x, x)
+    twist = types["geometry_msgs/msg/Twist"](speed, speed)
+    speed_of = types["geometry_msgs/msg/TwistWithCovariance"](twist, row)
+    return types[kind](head, child, uncertain, speed_of)
 
 
 def transforms(

@@ -9,7 +9,19 @@ from occmap.readers.containers import Channel, normalise_type
 from occmap.readers.message_types import TYPES, convert_laser_scan, find_type
 from occmap.readers.ros_log import RosLog
 from occmap.types import Pose, PoseSample
-from tests.readers.ros import RANGES, ROS1, ROS2, SCAN, Memory, header, pose, scan, transforms
+from tests.readers.ros import (
+    POSED,
+    RANGES,
+    ROS1,
+    ROS2,
+    SCAN,
+    Memory,
+    header,
+    pose,
+    posed,
+    scan,
+    transforms,
+)
 
 STAMP = 1_600_000_000_123_456_789
 HALF_TURN = Pose(1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0)
@@ -67,33 +79,13 @@ def test_transforms_on_a_static_topic_hold_at_all_times(topic: str, static: bool
     assert sample.static is static
 
 
-def test_odometry_names_both_frames(store: Typestore) -> None:
-    types = store.types
-    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    message = types["nav_msgs/msg/Odometry"](
-        header(store, STAMP, "/odom"),
-        "/base",
-        types["geometry_msgs/msg/PoseWithCovariance"](pose(store, 1.0), np.zeros(36)),
-        types["geometry_msgs/msg/TwistWithCovariance"](
-            types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)
-        ),
-    )
+@pytest.mark.parametrize(("kind", "child"), list(zip(POSED, ["", "", "base"], strict=True)))
+def test_only_odometry_names_what_moved(store: Typestore, kind: str, child: str) -> None:
+    message = posed(store, kind, STAMP, ("/odom", "/base", 1.0))
 
-    assert convert("nav_msgs/msg/Odometry", message) == [
-        PoseSample(STAMP, "odom", "base", HALF_TURN, False, "/topic", 42)
+    assert convert(kind, message) == [
+        PoseSample(STAMP, "odom", child, HALF_TURN, False, "/topic", 42)
     ]
-
-
-def test_stamped_poses_do_not_name_what_moved(store: Typestore) -> None:
-    types = store.types
-    covariance = types["geometry_msgs/msg/PoseWithCovariance"](pose(store, 1.0), np.zeros(36))
-    head = header(store, STAMP, "/map")
-    expected = [PoseSample(STAMP, "map", "", HALF_TURN, False, "/topic", 42)]
-
-    stamped = types["geometry_msgs/msg/PoseStamped"](head, pose(store, 1.0))
-    assert convert("geometry_msgs/msg/PoseStamped", stamped) == expected
-    uncertain = types["geometry_msgs/msg/PoseWithCovarianceStamped"](head, covariance)
-    assert convert("geometry_msgs/msg/PoseWithCovarianceStamped", uncertain) == expected
 
 
 def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) -> None:

@@ -22,7 +22,7 @@ from occmap.readers.ros_log import RosLog
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
-from tests.readers.ros import RANGES, ROS2, SCAN, TF, Memory, scan
+from tests.readers.ros import POSED, RANGES, ROS2, SCAN, TF, Memory, scan
 from tests.samples import SAMPLE_LOGS
 
 TEXT = ROS2.generate_msgdef(SCAN, ros_version=2)[0]
@@ -204,5 +204,5 @@ def test_a_log_that_defines_its_types_as_ros_does_needs_no_other_types(name: str
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_plain_types_are_those_of_ros(encoding: str) -> None:
     store = messages._load_standard(encoding)
-    hashes = {store.hash_rihs01(kind) for kind in (SCAN, TF, "tf/msg/tfMessage")}
-    assert messages._PLAIN_HASHES[encoding] <= hashes
+    hashes = {store.hash_rihs01(kind) for kind in (SCAN, TF, "tf/msg/tfMessage", *POSED)}
+    assert {f"RIHS01_{each}" for each in messages._LAYOUTS[encoding]} <= hashes

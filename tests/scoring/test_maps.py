@@ -138,6 +138,20 @@ def test_a_map_is_scored_by_the_log_that_it_was_made_of(tmp_path: Path) -> None:
     assert right.log_likelihood > fitted.log_likelihood > wrong.log_likelihood
 
 
+def test_of_a_long_log_a_sample_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    build([DRIVE], BuildOptions(), [tmp_path / "map.pgm"])
+    made = load_map(tmp_path / "map.yaml", WriteOptions())
+    every, notes = score_by_logs(made, [DRIVE], BuildOptions(), is_fitted=False)
+    assert not any("spread" in note for note in notes)
+
+    monkeypatch.setattr("occmap.scoring.maps.MOST_SCANS", 300)
+    some, notes = score_by_logs(made, [DRIVE], BuildOptions(), is_fitted=False)
+    assert "207 of 414 scans are asked, spread over the logs" in notes
+    assert some.beams == pytest.approx(every.beams / 2, rel=0.05)
+    assert abs(some.share - every.share) < 3 * some.share_error
+    assert some.scans == every.scans
+
+
 def test_one_beam_by_hand(tmp_path: Path) -> None:
     """From the middle of one cell of 0.1 m to a wall, 31.2 cells farther."""
     log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 2, [3.12])

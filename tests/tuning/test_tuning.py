@@ -11,12 +11,13 @@ import pytest
 from occmap import tuning as tuning_package
 from occmap.choices import to_rpy
 from occmap.errors import LogError, PoseError
+from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
-from occmap.posing import PosingOptions
+from occmap.posing import Deskew, PosingOptions
 from occmap.readers import open_log
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Remarks
-from occmap.scoring import Gain, Variant
+from occmap.scoring import GOLDEN, Gain, Sample, Variant
 from occmap.scoring.compare import compare
 from occmap.tuning import tune
 from occmap.tuning.search import (
@@ -28,7 +29,6 @@ from occmap.tuning.search import (
     X,
     find_mount,
     keep_logs,
-    take_every,
 )
 from occmap.types import Float64, Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
@@ -94,6 +94,55 @@ def test_a_wrong_mount_is_not_taken_for_a_wrong_clock() -> None:
     assert found == Correction(x=found.x)
     assert found.x == pytest.approx(0.25, abs=STEP_M + 1e-9)
     assert tuning.share > 0.95
+
+
+def write_spin(folder: Path, increment_s: float) -> tuple[Path, Path]:
+    """A laser in a room of 6 x 4 m that turns at 2 rad/s as it drives; and its poses."""
+
+    def place(seconds: Float64) -> Float64:
+        return np.stack([np.sin(seconds / 3) - 3.5, np.cos(seconds / 4) - 2.2, 2 * seconds])
+
+    beams = np.arange(90)
+    head = f"# angle_min: 0\n# angle_increment: {math.tau / 90!r}\n# range_max: 8\n"
+    lines = [f"{head}# time_increment: 0.0025\nstamp," + ",".join(f"r{it}" for it in beams)]
+    for second in np.arange(1.0, 39.0, 0.25):
+        x, y, yaw = place(second + beams * increment_s)
+        to_wall = yaw + beams * math.tau / 90
+        with np.errstate(divide="ignore"):
+            across = np.maximum(-x / np.cos(to_wall), (-6 - x) / np.cos(to_wall))
+            along = np.maximum(-y / np.sin(to_wall), (-4 - y) / np.sin(to_wall))
+        ranges = np.minimum(across, along).tolist()
+        lines.append(f"{second}," + ",".join(f"{it:.4f}" for it in ranges))
+    (folder / "spin.csv").write_text("\n".join(lines) + "\n")
+    moments = np.arange(0.0, 40.0, 0.02)
+    rows = [
+        f"{second!r},{x!r},{y!r},{yaw!r}"
+        for second, x, y, yaw in zip(moments.tolist(), *place(moments).tolist(), strict=True)
+    ]
+    (folder / "poses.csv").write_text("\n".join(["stamp,x,y,yaw", *rows]) + "\n")
+    return folder / "spin.csv", folder / "poses.csv"
+
+
+def test_scans_that_take_long_need_a_pose_for_each_beam(tmp_path: Path) -> None:
+    scans, poses = write_spin(tmp_path, 0.0025)
+    tuning = tune([scans], follow(poses))
+    assert tuning.deskew.verdict is Verdict.FOUND
+    assert tuning.correction == Correction(deskew=True)
+    assert tuning.share > 0.98 > tuning.share_before + 0.2
+    assert tuning.command[-4:-2] == ("--deskew", "on")
+    (warning,) = inspect([scans], replace(follow(poses), resolution=0.02)).warnings
+    assert "the poses do not fit the scans; try `occmap tune`, `deskew=on`, or" in warning
+
+
+def test_scans_that_only_say_that_they_take_long_are_left_as_they_are(tmp_path: Path) -> None:
+    scans, poses = write_spin(tmp_path, 0.0)
+    tuning = tune([scans], follow(poses))
+    assert tuning.deskew.verdict is Verdict.NOTHING
+    assert tuning.correction == Correction()
+    assert tuning.share > 0.95
+    asked = replace(follow(poses).posing, deskew=Deskew.AUTO)
+    decided = tune([scans], replace(follow(poses), posing=asked))
+    assert decided.deskew.verdict is Verdict.UNSEEN
 
 
 def test_a_time_offset_that_a_wrong_mount_hides_is_found(tmp_path: Path) -> None:
@@ -290,27 +339,31 @@ def test_nothing_to_score_by_is_refused(tmp_path: Path) -> None:
         tune([log], BuildOptions())
 
 
-@pytest.mark.parametrize("sizes", [[10], [1] * 10, [3, 4, 3], [7, 0, 3]])
-@pytest.mark.parametrize(("n", "first"), [(1, 0), (2, 0), (3, 2), (4, 1)])
-def test_every_nth_scan_is_taken_however_they_are_batched(
-    sizes: list[int], n: int, first: int
+@pytest.mark.parametrize("sizes", [[800], [1] * 800, [300, 0, 499, 1]])
+@pytest.mark.parametrize("lasers", [1, 2, 3, 4, 5, 8])
+def test_scans_are_sampled_evenly_however_they_are_batched_or_take_turns(
+    sizes: list[int], lasers: int
 ) -> None:
-    stamps = np.split(np.arange(10), np.cumsum(sizes)[:-1])
-    still = [np.zeros(size) for size in sizes]
-    batches = [
-        ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, np.ones((len(part), 2), np.float32), each)
-        for part, each in zip(stamps, still, strict=True)
-    ]
-    taken = [int(stamp) for part in take_every(batches, n, first) for stamp in part.stamp_ns]
-    assert taken == list(range(first, 10, n))
+    sample = Sample[ScanBatch](150)
+    for part in np.split(np.arange(800), np.cumsum(sizes)[:-1]):
+        ranges, still = np.ones((len(part), 2), np.float32), np.zeros(len(part))
+        sample.add(ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, ranges, still))
+    taken = np.concatenate([part.stamp_ns for part in sample.parts])
+    assert (sample.seen, sample.scans) == (800, len(taken))
+    assert 75 < len(taken) <= 150
+    assert set(np.diff(taken).tolist()) <= {5, 8, 13}  # the gaps of multiples of the golden ratio
+    of_laser = np.bincount(taken % lasers)
+    assert len(of_laser) == lasers
+    assert np.abs(of_laser / len(taken) - 1 / lasers).max() < 0.05
 
 
 def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("occmap.tuning.search.MOST_SCANS", 150)
     ((log,), notes) = keep(SAMPLE_LOGS / "drive.csv", BuildOptions())
     (batch,) = log.batches
-    assert batch.stamp_ns.tolist() == [scan.stamp_ns for scan in read_drive()[::4]]
-    assert "104 of 414 scans are tried, spread over the logs" in notes
+    every = [scan.stamp_ns for scan in read_drive()]
+    assert batch.stamp_ns.tolist() == [every[n] for n in range(414) if n * GOLDEN % 1 < 0.25]
+    assert f"{log.scans} of 414 scans are tried, spread over the logs" in notes
 
 
 def predict(predicted: list[int]) -> Float64:
