@@ -533,7 +533,7 @@ def find_level(ground: Ground, turned: Float64) -> tuple[float, float]:
     along, aside = measure_slope(ground)
     x, y, z = turned.T @ [-along, -aside, 1.0]
     roll, pitch = math.degrees(math.atan2(y, z)), -math.degrees(math.atan2(x, math.hypot(y, z)))
-    return round(roll, 2), round(pitch, 2)
+    return round(roll, 2) + 0.0, round(pitch, 2) + 0.0  # no negative zero
 
 
 def measure_spread(points: Float64) -> float:
