@@ -6,7 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import About, Evidence, Ground, Slices, sum_tiles
+from occmap.cells import About, Evidence, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
 from occmap.evidence.manifest import (
@@ -138,31 +138,27 @@ def open_past(
 def choose_keep(
     options: BuildOptions, outputs: Sequence[Path], past: Evidence | None
 ) -> tuple[BuildOptions, Keep]:
-    """Choose what is kept of a build beside its tiles; raises MapError as `open_ground`."""
-    options, ground = open_ground(options, past)
-    slices = options.min_passes is not None or want_evidence(outputs)
-    return options, Keep(slices, want_journey(outputs), ground)
+    """Choose what is kept of a build beside its tiles, and the ground that clouds are traced over.
 
-
-def open_ground(options: BuildOptions, past: Evidence | None) -> tuple[BuildOptions, Ground | None]:
-    """Read the ground that clouds are traced over, where the user names a file or adds to one.
-
+    That ground is the one that the user names, or that of the evidence which the build is added to.
     Where the user names no angles, the options level the map as that one is levelled.
 
     Raises
     ------
     MapError
-        The file cannot be read, or has no ground.
+        The file of the ground cannot be read, or has none.
     """
+    slices = options.min_passes is not None or want_evidence(outputs)
     path = options.clouds.file
-    whose = past if path is None else read_all(open_saved(path))
-    if whose is None or whose.ground is None:
-        if path is not None:
-            raise MapError("has no ground: its evidence is not of clouds", where=path)
-        return options, None
-    levels = (build["options"]["posing"].get("level") for build in whose.manifest.builds[-1:])
-    level = options.posing.level or next((tuple(level) for level in levels if level), None)
-    return replace(options, posing=replace(options.posing, level=level)), whose.ground
+    below = past if path is None else read_all(open_saved(path))
+    ground = below.ground if below else None
+    if path is not None and ground is None:
+        raise MapError("has no ground: its evidence is not of clouds", where=path)
+    if below and ground is not None and options.posing.level is None:
+        levels = (build["options"]["posing"].get("level") for build in below.manifest.builds[-1:])
+        level = next((tuple(level) for level in levels if level), None)
+        options = replace(options, posing=replace(options.posing, level=level))
+    return options, Keep(slices, want_journey(outputs), ground)
 
 
 def add_past(

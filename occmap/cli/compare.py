@@ -293,8 +293,3 @@ def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
         yield "evidence", f"{before}, of both{other}"
     elif before and after:
         yield from label_first("evidence", [before, after])
-    before, after = difference.digests
-    if before and after and before == after:
-        yield "digest", f"{before}, of both"
-    elif before and after:
-        yield from label_first("digests", [before, after])

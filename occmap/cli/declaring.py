@@ -21,6 +21,7 @@ from occmap.cli import COMMANDS, cli
 from occmap.cli.console import Console, Verbosity
 from occmap.errors import OccmapError, UsageError
 from occmap.plugins import guess, suggest
+from occmap.posing import PosingOptions
 from occmap.report import Printed
 from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
 
@@ -232,8 +233,9 @@ class ConfigOption(Option):
             stated = read_config(path, ctx.command.name or "", own)
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
             for name in BESIDE.intersection(taken):
-                if isinstance(taken[name], str) and (path.parent / taken[name]).is_file():
-                    taken[name] = str(path.parent / taken[name])
+                beside = str(path.parent / str(taken[name]))
+                if PosingOptions(poses=beside).files:  # a topic in it may follow, as of poses
+                    taken[name] = beside
             ctx.default_map = {
                 str(own[name].name): convert(f"{path}: {name}", own[name], value, ctx)
                 for name, value in taken.items()

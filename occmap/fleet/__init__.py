@@ -31,16 +31,10 @@ from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.report.results import MapFacts, Report, list_notes
+from occmap.scans import tracing
 from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import (
-    BuildGround,
-    Keep,
-    Observed,
-    Progress,
-    Remarks,
-    level_ground,
-)
+from occmap.scans.tracing import BuildGround, Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
@@ -183,14 +177,13 @@ class Fleet:
                 "map one kind at a time: choose with `topics`",
             )
             setting = replace(setting, options=settled[0], scans=total)
-            jobs = [replace(job, setting=setting) for job in jobs]
             if settled[0].update is Update.CLOUD and settled[0].clouds.file is None:
                 with tally.time("ground"):
-                    found = find_ground(cluster, jobs)
+                    found = find_ground(cluster, jobs, setting)
                 remarks.notes += found.notes
                 keep = keep._replace(ground=found.ground)
                 setting = replace(setting, keep=keep, options=found.options)
-                jobs = [replace(job, setting=setting) for job in jobs]
+            jobs = [replace(job, setting=setting) for job in jobs]
             traced = cluster.run(
                 "trace", tasks.trace_log, jobs, lambda one: progress(one.tally.scans_read, total)
             )
@@ -207,11 +200,9 @@ class Fleet:
             yield Work(cluster, setting, jobs, tally, remarks, reductions)
 
 
-def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> BuildGround:
+def find_ground(cluster: Cluster, jobs: Sequence[Job], setting: Setting) -> BuildGround:
     """Find the ground below the clouds of all logs."""
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
-
-    setting = jobs[0].setting
 
     def count(options: BuildOptions) -> GroundFinder:
         turned = replace(setting, options=options)
@@ -222,7 +213,7 @@ def find_ground(cluster: Cluster, jobs: Sequence[Job]) -> BuildGround:
             finder.join(counted)
         return finder
 
-    return level_ground(count, setting.options, setting.keep.ground)
+    return tracing.level_ground(count, setting.options, setting.keep.ground)
 
 
 @contextmanager

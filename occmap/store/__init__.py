@@ -44,7 +44,7 @@ class Store(Blocks):
     digest: str
     """SHA-256 of all that was observed"""
     name: str
-    """As `identify` gives it"""
+    """As `identify` gives it; "" where an occmap wrote the store that did not name evidence"""
 
 
 Saved: TypeAlias = Evidence | Blocks
@@ -119,7 +119,7 @@ def open_store(path: Path) -> Store:
 
 def identify(saved: Saved) -> str:
     """Name what was observed, by `Manifest.identify`; a sum of stores is read for that."""
-    if isinstance(saved, Store):
+    if isinstance(saved, Store) and saved.name:
         return saved.name
     parts = [saved] if isinstance(saved, Evidence) else map(saved.read_block, saved.blocks)
     total = sum(sum_tiles(each.tiles.tolist(), each.cells) for each in parts)

@@ -134,5 +134,8 @@ def test_the_other_recording_is_an_input_of_the_build(log: Path) -> None:
     assert build["options"]["posing"]["poses"] == "slam.mcap:/odom"
     made = explain("m.npz", 1, 1, logs=[day / "log.bag"], poses=[day / "slam.mcap"])
     assert made.scans_used == 6
+    (day / "occmap.toml").write_text('poses = "slam.mcap:/odom"')  # where it lies
+    assert occmap("build", day / "log.bag", "-o", "again.npz").code == 0
+    assert Path("again.npz").read_bytes() == Path("m.npz").read_bytes()
     with pytest.raises(PoseError, match="add `poses=slam"):
         explain("m.npz", 1, 1, logs=[day / "log.bag"])

@@ -137,6 +137,13 @@ def test_saved_evidence_is_laid_on_other_evidence(align: float, tmp_path: Path) 
     assert (one == other)[known].mean() > 0.95
 
 
+def test_what_lies_right_already_is_not_moved_by_half_a_cell(tmp_path: Path) -> None:
+    past = save_first_half(tmp_path / "first.npz")
+    same = lay_on(past, past)
+    assert same.manifest.builds[0]["moved"] == [0, 0, 0]
+    assert np.array_equal(same.cells, past.cells)
+
+
 def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
     past, second = save_first_half(tmp_path / "a.npz"), save_second_half(tmp_path / "b.npz")
     far = move_evidence(second, Transform(9.0, -4.0, 1.2))

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 from ruamel.yaml import YAML
 
 from occmap.cells import Manifest, make_factors, sum_tiles
-from occmap.store import open_store
+from occmap.store import identify, open_store
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
 from tests.samples import SAMPLE_LOGS
@@ -55,7 +56,9 @@ def test_all_formats_say_the_same(built: Path) -> None:
         assert said.items() <= image.tags().items()
     assert said.items() <= read_texts(built / "m.png").items()
     head = json.loads(bytes(np.load(built / "m.npz")["manifest"]))
-    assert head["evidence"] == open_store(built / "m.zarr").name == said["evidence"]
+    store = open_store(built / "m.zarr")
+    assert head["evidence"] == store.name == said["evidence"]
+    assert identify(replace(store, name="")) == store.name  # as of a store without a name
     page = (built / "m.html").read_text()
     assert said["evidence"] in page
     assert said["rendering"] in page
