@@ -10,14 +10,14 @@ from typing import Any, Self
 from occmap import difference, explanation, inspection, page, tuning
 from occmap.cells import Evidence, OccupancyMap
 from occmap.choices import describe_options, read_options, read_value
-from occmap.errors import UsageError, refuse_exhaustion
+from occmap.errors import UsageError, refuse_failures
 from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.options import OF_ONE_MAP, BuildOptions
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.report.results import Build, Report
-from occmap.scans.logs import find_inputs
+from occmap.scans.logs import Inputs, find_inputs
 from occmap.scoring import combine, maps
 from occmap.scoring import compare as scoring
 from occmap.scoring.fit import lay_on
@@ -72,7 +72,7 @@ class Map(OccupancyMap):
         _, misses = self._read_counts()
         return misses
 
-    @refuse_exhaustion()
+    @refuse_failures()
     def save(self, path: str | Path) -> tuple[Path, ...]:
         """Write the map; the suffix picks the format, such as .pgm (with its YAML).
 
@@ -132,7 +132,7 @@ OF_A_SCORED_MAP -= {"occupied_thresh", "free_thresh"}
 """Those that do not concern what is read of logs and of a written map"""
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **options: Any) -> Map:
     """Build one occupancy map from all usable scans of one or more logs.
 
@@ -169,7 +169,7 @@ if build_map.__doc__:  # Python leaves texts out where it is told to
     build_map.__doc__ = build_map.__doc__.replace("OPTIONS", _LINES)
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
     """Say what is in logs, and what will go wrong with them: `occmap check`.
 
@@ -189,10 +189,11 @@ def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
     UsageError
         No log is given, or an option is unknown or out of its range.
     """
-    return inspection.inspect(*read_request(logs, options, "check"))
+    (paths, notes), common = read_request(logs, options, "check")
+    return replace(inspection.inspect(paths, common), notes=tuple(notes))
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def compare(
     *logs: AnyPath,
     updates: Sequence[str] = (),
@@ -222,15 +223,16 @@ def compare(
     OccmapError
         As `build_map`, or no held-out beam measured a range.
     """
-    paths, common = read_request(logs, options, "compare")
+    (paths, notes), common = read_request(logs, options, "compare")
     variants = combine(
         read_value("updates", tuple[Update, ...], updates),
         read_value("models", tuple[SensorModel, ...], models, MODEL),
     )
-    return page.compare_logs(paths, variants, common, read_path("picture", picture))
+    found = page.compare_logs(paths, variants, common, read_path("picture", picture))
+    return replace(found, notes=[*notes, *found.notes])
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
     """Search for the time offset and the mount by which a map predicts held-out scans better.
 
@@ -249,10 +251,12 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
     OccmapError
         As `compare`.
     """
-    return tuning.tune(*read_request(logs, options, "tune"))
+    (paths, notes), common = read_request(logs, options, "tune")
+    found = tuning.tune(paths, common)
+    return replace(found, notes=[*notes, *found.notes])
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def merge(
     *paths: AnyPath, subtract: Iterable[AnyPath] = (), fit: bool = False, **options: Any
 ) -> Map:
@@ -279,7 +283,10 @@ def merge(
     """
     if not paths:
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
-    added, taken = list_paths(paths), read_value("subtract", tuple[Path, ...], subtract)
+    added, taken = (
+        list_paths(paths, "merge(*paths)"),
+        read_value("subtract", tuple[Path, ...], subtract),
+    )
     chosen = read_options(publishing.RenderOptions, options, "merge")
     lay = lay_on if read_value("fit", bool, fit) else None
     whole = read_all(merging.combine(added, taken, lay))
@@ -287,7 +294,7 @@ def merge(
     return Map.of(made, chosen.writing, [*added, *taken])
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def diff(
     before: AnyPath, after: AnyPath, picture: AnyPath | None = None, **thresholds: Any
 ) -> difference.MapDifference:
@@ -318,7 +325,7 @@ def diff(
     return page.compare_files(one, other, chosen, read_path("picture", picture))
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def score(  # noqa: PLR0913  what a caller gives, by name
     path: AnyPath,
     *,
@@ -361,17 +368,19 @@ def score(  # noqa: PLR0913  what a caller gives, by name
         range, an option is unknown or out of its range, or the picture cannot be written.
     """
     chosen = read_options(BuildOptions, options, "score", OF_A_SCORED_MAP)
+    recordings, notes = find_inputs(read_paths("logs", logs), chosen.reading)
     against = maps.Against(
-        logs=tuple(find_inputs(read_paths("logs", logs), chosen.reading).logs),
+        logs=tuple(recordings),
         truth=read_path("truth", truth),
         within_m=read_value("within_m", float, within_m),
         is_fitted=read_value("fit", bool, fit),
         picture=read_path("picture", picture),
     )
-    return maps.score(read_value("path", Path, path), against, chosen)
+    found = maps.score(read_value("path", Path, path), against, chosen)
+    return replace(found, notes=(*notes, *found.notes))
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def explain(
     path: AnyPath,
     x: float,
@@ -414,7 +423,7 @@ def explain(
     return explanation.explain(open_saved(read_value("path", Path, path)), question)
 
 
-@refuse_exhaustion()
+@refuse_failures()
 def read_log(path: AnyPath) -> Log:
     """Open a recording of any installed format; iterate over its `scans` and `poses`.
 
@@ -428,7 +437,7 @@ def read_log(path: AnyPath) -> Log:
 
 def read_request(
     logs: Sequence[AnyPath], options: Mapping[str, Any], call: str
-) -> tuple[list[Path], BuildOptions]:
+) -> tuple[Inputs, BuildOptions]:
     """Find the recordings that a caller means, and make the options that concern all maps of them.
 
     Raises
@@ -438,7 +447,7 @@ def read_request(
     """
     paths = list_logs(logs, call)
     common = read_options(BuildOptions, options, call, OF_A_BUILD)
-    return find_inputs(paths, common.reading).logs, common
+    return find_inputs(paths, common.reading), common
 
 
 def read_path(name: str, path: AnyPath | None) -> Path | None:
@@ -457,13 +466,19 @@ def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:
     """Make paths of the logs that a function was called with; raises UsageError if none is."""
     if not logs:
         raise UsageError("no log is given", fix=f'try {call}("drive.mcap")')
-    return list_paths(logs)
+    return list_paths(logs, f"{call}(*logs)")
 
 
-def list_paths(paths: Sequence[AnyPath]) -> list[Path]:
-    """Make paths of what a caller gave; raises UsageError where one of them is not a path."""
+def list_paths(paths: Sequence[AnyPath], call: str = "") -> list[Path]:
+    """Make paths of what a caller gave; raises UsageError where one of them is not a path.
+
+    Parameters
+    ----------
+    call
+        How the paths of a list are given, where they are given one by one.
+    """
     for path in paths:
         if not isinstance(path, AnyPath):
-            fix = "give text or a Path; the paths of a list are given with a star: build_map(*logs)"
-            raise UsageError(f"{path!r} is not a path", fix=fix)
+            starred = f"; the paths of a list are given with a star: {call}" if call else ""
+            raise UsageError(f"{path!r} is not a path", fix=f"give text or a Path{starred}")
     return [read_value("path", Path, path) for path in paths]

@@ -89,19 +89,24 @@ def name_log(path: object) -> Iterator[None]:
 
 
 @contextmanager
-def refuse_exhaustion() -> Iterator[None]:
-    """Say in one line what makes a task smaller for which the memory is too small.
+def refuse_failures() -> Iterator[None]:
+    """Say in one line what the system refuses: more memory, a path too long, a disk that fails.
 
     Raises
     ------
     OccmapError
-        In place of a MemoryError.
+        In place of a MemoryError or an OSError.
     """
     try:
         yield
     except MemoryError:
         fix = "try a coarser `resolution` or fewer `jobs`"
         raise OccmapError("out of memory", fix=fix) from None
+    except BrokenPipeError:  # who reads the output has seen enough
+        raise
+    except OSError as error:
+        found = error.strerror or type(error).__name__
+        raise OccmapError(found, where=error.filename or "") from error
 
 
 class OutputError(OccmapError):

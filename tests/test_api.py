@@ -220,9 +220,10 @@ def test_an_option_that_would_do_nothing_is_refused(call: Any, name: str) -> Non
 
 @pytest.mark.parametrize("call", [occmap.build_map, occmap.check, occmap.compare, occmap.merge])
 def test_paths_are_given_one_by_one(call: Any) -> None:
+    name = getattr(call, "__name__", "")
     with pytest.raises(UsageError, match=r"no (log|evidence) is given; try \w+\("):
         call()
-    with pytest.raises(UsageError, match=r"\['a.bag'\] is not a path; .* build_map\(\*logs\)"):
+    with pytest.raises(UsageError, match=rf"\['a.bag'\] is not a path; .* {name}\(\*\w+\)"):
         call(["a.bag"])
 
 
@@ -245,6 +246,38 @@ def test_paths_are_given_one_by_one(call: Any) -> None:
 def test_a_value_of_a_wrong_type_is_named(call: Any, name: str, value: Any) -> None:
     with pytest.raises(UsageError, match=rf"^{name} is .*; "):
         call(DRIVE, **{name: value})
+
+
+@pytest.mark.parametrize("name", ["build_map", "check", "compare", "tune", "score"])
+def test_what_a_folder_holds_is_noted(name: str, tmp_path: Path, halves: Path) -> None:
+    (tmp_path / "drive.csv").symlink_to(DRIVE)
+    (tmp_path / "broken.bag").write_text("no bag")
+    given = {"logs": tmp_path} if name == "score" else {}
+    path = halves / "whole.pgm" if given else tmp_path
+    found = getattr(occmap, name)(path, stride=4, **given)
+    first, second, *_ = getattr(found, "report", found).notes
+    assert first == f"{tmp_path}: 1 recording: drive.csv"
+    assert second.startswith(f"{tmp_path / 'broken.bag'}: passed over, though named like a rec")
+
+
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        *(partial(call, LONG) for call in (occmap.build_map, occmap.check, occmap.read_log)),
+        partial(occmap.build_map, DRIVE, poses=LONG),
+        partial(occmap.build_map, DRIVE, resume=f"{LONG}.npz"),
+        partial(occmap.merge, f"{LONG}.zarr"),
+        partial(occmap.diff, f"{LONG}.pgm", DRIVE),
+        partial(occmap.explain, f"{LONG}.npz", 1, 1),
+        partial(occmap.score, f"{LONG}.pgm", logs=DRIVE),
+    ],
+)
+def test_a_path_that_is_too_long_is_an_error_in_one_line(call: Any) -> None:
+    with pytest.raises(OccmapError, match=f"{LONG}.*: .*File name too long"):
+        call()
 
 
 @pytest.mark.parametrize("path", [3, b"a", "a\0", "\ud800"])

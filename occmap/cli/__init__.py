@@ -19,7 +19,7 @@ from typing import Any
 import click
 
 from occmap.cli.console import Console, discard
-from occmap.errors import OccmapError, UsageError
+from occmap.errors import OccmapError, UsageError, refuse_failures
 
 COMMANDS = {
     "build": "Build one map from one or more logs.",
@@ -102,7 +102,10 @@ def run(args: Sequence[str], signals: "Signals | None" = None) -> int:
     signals = signals or Signals()
     console = Console(as_json="--json" in args)  # so that any error is JSON as well
     try:
-        with cli.make_context("occmap", list(args) or ["--help"], obj=console) as context:
+        with (
+            refuse_failures(),
+            cli.make_context("occmap", list(args) or ["--help"], obj=console) as context,
+        ):
             cli.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code
@@ -122,10 +125,6 @@ def answer(error: BaseException, console: Console) -> int:
         return 0
     if isinstance(error, click.ClickException):
         return console.fail(describe_misuse(error), error.exit_code)
-    if isinstance(error, OSError):  # a path too long, a disk that fails
-        error = OccmapError(error.strerror or type(error).__name__, where=error.filename or "")
-    elif isinstance(error, MemoryError):
-        error = OccmapError("out of memory", fix="try a coarser --resolution or fewer --jobs")
     if isinstance(error, OccmapError):
         return console.fail(error, error.exit_code)
     return console.fail_unexpectedly(error)

@@ -224,11 +224,12 @@ def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
 
 
 def describe_visits(visits: Visits) -> str:
-    """Write on how many visits a cell was observed, and between which ends of slices."""
+    """Write on how many visits a cell was observed, and in which slices of time."""
     found = count(visits.seen_visits, "visit")
     if visits.hit_visits is not None:
         found = f"hit on {visits.hit_visits:,} of {found}"
-    return f"{found}, between {write_time(visits.since_ns)} and {write_time(visits.until_ns)}"
+    since, until = write_time(visits.since_ns), write_time(visits.until_ns)
+    return f"{found}, in slices of time from {since} to {until}"
 
 
 def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:

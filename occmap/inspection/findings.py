@@ -304,6 +304,8 @@ class Inspection(Printed):
     """The recommended command line, word by word; empty where nothing helps"""
     buildable: bool
     """Whether occmap build with the options given makes a map"""
+    notes: tuple[str, ...] = ()
+    """Which recordings folders and patterns were found to hold, and what was passed over"""
 
     @property
     def topics(self) -> list[ScanFindings]:

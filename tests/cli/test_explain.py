@@ -34,7 +34,7 @@ def test_a_cell_in_lines() -> None:
         "class    occupied: probability 0.784 by "
         "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "seen     2 hits and 1 miss",
-        "visits   a.csv: hit on 1 of 1 visit, between 0.000 s and 10.000 s",
+        "visits   a.csv: hit on 1 of 1 visit, in slices of time from 0.000 s to 10.000 s",
         "around   hits/misses of the cells beside it, y upwards",
         "           -    -    -",
         "         0/2  2/1  0/2",
@@ -85,12 +85,12 @@ def test_visits_come_by_build() -> None:
     assert occmap("build", *PLAIN_WORDS, "late.csv", *words).code == 0
     words = ["explain", "al.npz", "0.37", "0.05"]
     assert occmap(*words).out.splitlines()[3:6] == [
-        "visits   a.csv: hit on 1 of 1 visit, between 0.000 s and 10.000 s",
-        "         late.csv: hit on 1 of 2 visits, between 0.000 s and 40.000 s",
-        "         together: hit on 1 of 2 visits, between 0.000 s and 40.000 s",
+        "visits   a.csv: hit on 1 of 1 visit, in slices of time from 0.000 s to 10.000 s",
+        "         late.csv: hit on 1 of 2 visits, in slices of time from 0.000 s to 40.000 s",
+        "         together: hit on 1 of 2 visits, in slices of time from 0.000 s to 40.000 s",
     ]
     assert occmap(*words[:2], "5.05", "5.05").out.splitlines()[3] == (
-        "visits   late.csv: hit on 0 of 1 visit, between 0.000 s and 30.000 s"
+        "visits   late.csv: hit on 0 of 1 visit, in slices of time from 0.000 s to 30.000 s"
     )
     found = json.loads(occmap(*words, "--json", "--min-passes", "2").out)
     assert [build["until_ns"] for build in found["builds"]] == [10 * 10**9, 40 * 10**9]

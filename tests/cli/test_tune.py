@@ -51,7 +51,13 @@ def test_a_gain_can_fail_a_pipeline(late: tuple[Path, Path]) -> None:
     assert [each["name"] for each in printed["failed"]] == ["gain"]
     assert printed["time"]["verdict"] == "found"
     assert printed["share"] - printed["share_before"] == pytest.approx(printed["gain"])
-    assert printed["correction"] == {"time_s": -0.1, "yaw": 0.0, "x": 0.0, "y": 0.0}
+    assert printed["correction"] == {
+        "time_s": -0.1,
+        "yaw": 0.0,
+        "x": 0.0,
+        "y": 0.0,
+        "deskew": False,
+    }
     assert printed["tried"][0]["share"] == printed["share_before"]
 
 
