@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,9 +242,6 @@ def _are_apart(place: Transform, other: Transform) -> bool:
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
 
-GIVE_FIRST = "build with a first `transform`, or leave `fit` out"
-
-
 def find_transform(
     paths: Sequence[Path], options: BuildOptions, past: Evidence
 ) -> tuple[Pose, str]:
@@ -279,7 +276,8 @@ def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
 def refuse_doubt(found: Match, whose: str, where: str) -> None:
     """Refuse to lay something on the evidence `where`; raises PoseError unless it is sure how."""
     if doubt := found.doubt(whose, "it"):
-        raise PoseError(doubt, where=where, fix=GIVE_FIRST)
+        fix = "build with a first `transform`, or leave `fit` out"
+        raise PoseError(doubt, where=where, fix=fix)
 
 
 def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
@@ -342,15 +340,9 @@ def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
     return replace(evidence, manifest=manifest, tiles=tiles, cells=cells, slices=slices)
 
 
-class Origin(NamedTuple):
-    """Where the cells of a tile were before they moved."""
-
-    tiles: list[Key]
-    """In these tiles"""
-    which: Int64
-    """(4096,) in which of them each cell was"""
-    inside: Int64
-    """(4096,) its place in that tile"""
+Origin: TypeAlias = tuple[list[Key], Int64, Int64]
+"""Where the cells of a tile were before they moved: in these tiles, each cell (4096,) in which of
+them, and at which place in that"""
 
 
 def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
@@ -360,13 +352,13 @@ def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Or
     # No part of a tile reaches beyond the tiles beside that in which its centre lies.
     reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
     middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
-    origins = {}
+    origins: dict[Key, Origin] = {}
     for row, col in np.unique(reached.reshape(-1, 2), axis=0).tolist():
         before = by.move_back(middles + np.array([col, row]) * side)
         cells = np.floor(before[:, ::-1] / resolution).astype(np.int64)
         sources, which = np.unique(cells // TILE, axis=0, return_inverse=True)
         inside = cells % TILE @ np.array([TILE, 1])
-        origins[row, col] = Origin([(r, c) for r, c in sources.tolist()], which.ravel(), inside)
+        origins[row, col] = [(r, c) for r, c in sources.tolist()], which.ravel(), inside
     return origins
 
 
