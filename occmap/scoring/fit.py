@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,9 +242,6 @@ def _are_apart(place: Transform, other: Transform) -> bool:
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
 
-GIVE_FIRST = "build with a first `transform`, or leave `fit` out"
-
-
 def find_transform(
     paths: Sequence[Path], options: BuildOptions, past: Evidence
 ) -> tuple[Pose, str]:
@@ -279,7 +276,8 @@ def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
 def refuse_doubt(found: Match, whose: str, where: str) -> None:
     """Refuse to lay something on the evidence `where`; raises PoseError unless it is sure how."""
     if doubt := found.doubt(whose, "it"):
-        raise PoseError(doubt, where=where, fix=GIVE_FIRST)
+        fix = "build with a first `transform`, or leave `fit` out"
+        raise PoseError(doubt, where=where, fix=fix)
 
 
 def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
@@ -335,43 +333,59 @@ def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
     """
     manifest = evidence.manifest
     builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
-    cells = stack_tiles(_move_tiles(evidence.tiles, evidence.cells, by, manifest.resolution))
-    slices = tuple(_move_slices(each, by, manifest.resolution) for each in evidence.slices)
+    origins = list_origins(evidence.tiles, by, manifest.resolution)
+    tiles, cells = stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
+    slices = tuple(_move_slices(each, origins) for each in evidence.slices)
     manifest = replace(manifest, builds=builds)
-    return replace(evidence, manifest=manifest, tiles=cells[0], cells=cells[1], slices=slices)
+    return replace(evidence, manifest=manifest, tiles=tiles, cells=cells, slices=slices)
+
+
+Origin: TypeAlias = tuple[list[Key], Int64, Int64]
+"""Where the cells of a tile were before they moved: in these tiles, each cell (4096,) in which of
+them, and at which place in that"""
+
+
+def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
+    """Find all tiles that some (T, 2) may reach when they move, and where their cells were."""
+    side, beside = TILE * resolution, np.array(list(product((-1, 0, 1), repeat=2)))
+    centres = by.move(tiles[:, ::-1].astype(np.float64) * side + side / 2) / side
+    # No part of a tile reaches beyond the tiles beside that in which its centre lies.
+    reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
+    middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
+    origins: dict[Key, Origin] = {}
+    for row, col in np.unique(reached.reshape(-1, 2), axis=0).tolist():
+        before = by.move_back(middles + np.array([col, row]) * side)
+        cells = np.floor(before[:, ::-1] / resolution).astype(np.int64)
+        sources, which = np.unique(cells // TILE, axis=0, return_inverse=True)
+        inside = cells % TILE @ np.array([TILE, 1])
+        origins[row, col] = [(r, c) for r, c in sources.tolist()], which.ravel(), inside
+    return origins
 
 
 def _move_tiles(
-    tiles: Int64, cells: NDArray[Any], by: Transform, resolution: float
+    tiles: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
 ) -> dict[Key, NDArray[Any]]:
     """Move stacked tiles (T, 2) and what their cells (T, 2, 64, 64) hold; empty ones are gone."""
     held = {(row, col): at for at, (row, col) in enumerate(tiles.tolist())}
     numbers = np.concatenate([cells, np.zeros_like(cells[:1])]).reshape(len(cells) + 1, 2, -1)
-    middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
-    side = TILE * resolution
-    centres = by.move(tiles[:, ::-1].astype(np.float64) * side + side / 2) / side
-    # No part of a tile reaches beyond the tiles beside that in which its centre lies.
-    beside = np.array(list(product((-1, 0, 1), repeat=2)))
-    reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
     made = {}
-    for row, col in np.unique(reached.reshape(-1, 2), axis=0).tolist():
-        before = by.move_back(middles + np.array([col, row]) * side)
-        sources = np.floor(before[:, ::-1] / resolution).astype(np.int64)
-        found, which = np.unique(sources // TILE, axis=0, return_inverse=True)
-        at = np.array([held.get((row, col), -1) for row, col in found.tolist()])[which.ravel()]
-        tile = numbers[at, :, sources % TILE @ np.array([TILE, 1])].T
+    for key, (sources, which, inside) in origins.items():
+        if held.keys().isdisjoint(sources):
+            continue
+        at = np.array([held.get(each, -1) for each in sources])
+        tile = numbers[at[which], :, inside].T
         if tile.any():
-            made[row, col] = tile.reshape(2, TILE, TILE)
+            made[key] = tile.reshape(2, TILE, TILE)
     return made
 
 
-def _move_slices(slices: Slices, by: Transform, resolution: float) -> Slices:
+def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     """Move what slices say, one after the other."""
     parts = []
     for number in np.unique(slices.numbers).tolist():
         of_slice = take(slices, np.flatnonzero(slices.numbers == number))
         known = np.unpackbits(unpack(of_slice), axis=-1)
-        tiles, moved = stack_tiles(_move_tiles(of_slice.tiles, known, by, resolution))
+        tiles, moved = stack_tiles(_move_tiles(of_slice.tiles, known, origins))
         parts.append(pack(tiles, np.full(len(tiles), number), np.packbits(moved != 0, axis=-1)))
     return unite(parts)
 
