@@ -126,11 +126,11 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     see: the share of beams whose first occupied cell is within two cells of the measured range. A
     search from coarse to fine, some thirty maps, looks for the time offset by which that share is
     largest, and then for yaw, x and y of the laser on its body. Where scans say when each beam was
-    measured, --deskew is tried, too. If an offset is found, some sixty
-    more maps look for the mount first, as one may make up for the other, and if the mount is off,
-    for all four together. A gain counts if it is more than two standard errors and half a percent,
-    and if both halves of the held-out scans show it. What is found is added to the --time-offset
-    and --sensor-pose that you give.
+    measured, --deskew is tried, too. If an offset is found, some sixty more maps look for the mount
+    first, as one may make up for the other, and if the mount is off, for all four together. A gain
+    counts if it is more than two standard errors and half a percent, and if both halves of the
+    held-out scans show it. What is found is added to the --time-offset and --sensor-pose that you
+    give.
 
     Several logs are taken for recordings of one robot, whose mount is one: each has a map of its
     own, in whatever frame, and a table says what each gains by what suits all of them best.

@@ -59,7 +59,7 @@ class KeptLog:
         return [posed for _, posed, _ in poser.attach(self.batches) if posed is not None]
 
     def may_deskew(self, options: PosingOptions) -> bool:
-        """Whether all scans say believably when each beam was measured, and nobody looked at it."""
+        """Whether all scans say believably when each beam was measured, and no option uses it."""
         times = [np.abs(it.time_increment) * (it.ranges.shape[1] - 1) for it in self.batches]
         is_timed = all(((it > 0) & (it <= MAX_TURN_S)).all() for it in times)
         return options.deskew is Deskew.OFF and is_timed and not self.stated
