@@ -283,10 +283,8 @@ def merge(
     """
     if not paths:
         raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
-    added, taken = (
-        list_paths(paths, "merge(*paths)"),
-        read_value("subtract", tuple[Path, ...], subtract),
-    )
+    added = list_paths(paths, "merge(*paths)")
+    taken = read_value("subtract", tuple[Path, ...], subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
     lay = lay_on if read_value("fit", bool, fit) else None
     whole = read_all(merging.combine(added, taken, lay))

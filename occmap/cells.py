@@ -70,6 +70,11 @@ class About(NamedTuple):
     """Names of the logs"""
 
 
+def list_captions(about: About | None) -> dict[str, str]:
+    """List what a file says of its map, by name; nothing where that is not known."""
+    return about._asdict() if about else {}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyMap:
     """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""
@@ -88,6 +93,7 @@ class OccupancyMap:
     """Share of all hits that lie in cells called occupied: low where poses are wrong. None where
     the evidence keeps no hits"""
     about: About | None = None
+    """What it is of; None where nobody said"""
 
     @property
     def probability(self) -> Float32:

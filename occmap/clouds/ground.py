@@ -56,9 +56,8 @@ LEVEL_MM, LEVEL_SHARE, LEAST_LEVEL = 50, 0.95, 500
 level, which goes on where nobody saw it. A street has 0.4 there, a hall with a platform 0.8"""
 LEVEL_FILLED = 128
 """It goes on over so many columns"""
-UPRIGHT_CLOUDS, UPRIGHT_POINTS, UPRIGHT_CELL_M = 20, 20_000, 0.05
-"""About so many clouds, and points of each, show if walls stand upright, by the cells that they lie
-in"""
+UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
+"""About so many clouds, and points of each, show if walls stand upright"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -534,11 +533,3 @@ def find_level(ground: Ground, turned: Float64) -> tuple[float, float]:
     x, y, z = turned.T @ [-along, -aside, 1.0]
     roll, pitch = math.degrees(math.atan2(y, z)), -math.degrees(math.atan2(x, math.hypot(y, z)))
     return round(roll, 2) + 0.0, round(pitch, 2) + 0.0  # no negative zero
-
-
-def measure_spread(points: Float64) -> float:
-    """Measure over how many cells points (N, 3) spread (the entropy): upright walls fill few."""
-    column, row, _ = np.floor(points.T / UPRIGHT_CELL_M).astype(np.int64)
-    _, many = np.unique((row << 32) + column, return_counts=True)
-    share = many / many.sum()
-    return float(-(share * np.log(share)).sum())

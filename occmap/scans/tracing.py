@@ -20,11 +20,11 @@ from occmap.readers import Log, open_log
 from occmap.report import Note
 from occmap.scans import choose_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
-from occmap.scans.mounts import open_drive
+from occmap.scans.mounts import encode_cells, open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
 from occmap.sensor import ReturnCounts, ReturnOptions, interpret
-from occmap.types import PosedScans, Rays, Update
+from occmap.types import Float64, PosedScans, Rays, Update
 from occmap.workers import Workers
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
@@ -82,6 +82,8 @@ LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
 BEGIN_M = 100.0
 """SLAM that knows no gravity begins at the zero of its map"""
+UPRIGHT_CELL_M = 0.05
+"""Side of the cells that tell if walls stand upright"""
 LEVEL_ROUNDS = 3
 """A floor that leans much shows its angle roughly at first."""
 
@@ -128,7 +130,7 @@ def level_ground(
     count
         Reads all clouds, and counts what they show of the ground.
     """
-    from occmap.clouds import ground as clouds  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.ground import find_level  # noqa: PLC0415  late: it brings numba
 
     finder, level = count(options), (0.0, 0.0)
     found = BuildGround(*finder.find(options.clouds, known), options)
@@ -141,11 +143,11 @@ def level_ground(
         return found
     sample = (sample - start) @ turned  # in the logs' own map
     for _ in range(LEVEL_ROUNDS):
-        wanted = clouds.find_level(found.ground, turned @ tilt(level).rotation[0])
+        wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
             break
-        spreads = [clouds.measure_spread(sample @ tilt(it).rotation[0].T) for it in (level, wanted)]
-        if spreads[1] >= spreads[0]:
+        before, after = (measure_spread(sample @ tilt(it).rotation[0].T) for it in (level, wanted))
+        if after >= before:
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
@@ -157,6 +159,13 @@ def level_ground(
             "is".format(*level)
         )
     return found
+
+
+def measure_spread(points: Float64) -> float:
+    """Measure over how many cells points (N, 3) spread (the entropy): upright walls fill few."""
+    _, many = np.unique(encode_cells(points[:, :2], UPRIGHT_CELL_M), return_counts=True)
+    share = many / many.sum()
+    return float(-(share * np.log(share)).sum())
 
 
 def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:

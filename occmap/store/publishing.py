@@ -69,6 +69,7 @@ class BlockMap:
     writing: WriteOptions = field(default_factory=WriteOptions)
     """With the edits that are drawn over it"""
     about: About | None = None
+    """What it is of; None where nobody said"""
 
     @property
     def shape(self) -> tuple[int, int]:

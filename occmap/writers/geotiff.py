@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import OccupancyMap
+from occmap.cells import OccupancyMap, list_captions
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
@@ -44,7 +44,7 @@ class GeoTiffWriter(Writer):
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
         where = describe(grid.shape, grid.place, grid.resolution, options.georeference)
         layout = where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}
-        write_image(path, layout, parts, grid.about._asdict() if grid.about else {})
+        write_image(path, layout, parts, list_captions(grid.about))
         return (path,)
 
 

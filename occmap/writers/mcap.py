@@ -21,7 +21,7 @@ from rosbags import interfaces
 from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
-from occmap.cells import CellClass, OccupancyMap
+from occmap.cells import CellClass, OccupancyMap, list_captions
 from occmap.types import Float64
 from occmap.writers import MapMode, Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
@@ -80,8 +80,8 @@ class McapWriter(Writer):
                     channels[topic] = bag.register_channel(topic, "cdr", schema, offered)
                 at = stamp.sec * 10**9 + stamp.nanosec
                 bag.add_message(channels[topic], at, bytes(STORE.serialize_cdr(message, kind)), at)
-            if product.grid.about:
-                bag.add_metadata("occmap", product.grid.about._asdict())
+            if captions := list_captions(product.grid.about):
+                bag.add_metadata("occmap", captions)
             bag.finish()  # type: ignore[no-untyped-call]
         return (path,)
 

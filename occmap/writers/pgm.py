@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from occmap.cells import EVEN_ODDS, About, Decision, OccupancyMap
+from occmap.cells import EVEN_ODDS, About, Decision, OccupancyMap, list_captions
 from occmap.errors import UsageError
 from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, Writer, bands_from_top
@@ -155,7 +155,7 @@ def write_yaml(file: BinaryIO, fields: dict[str, object], about: About | None) -
     Importing a YAML library takes longer than writing the image.
     """
     lines = [f"{name}: {_to_yaml(value)}\n" for name, value in fields.items()]
-    lines += [f"# {name}: {text}\n" for name, text in (about._asdict() if about else {}).items()]
+    lines += [f"# {name}: {text}\n" for name, text in list_captions(about).items()]
     file.write("".join(lines).encode("utf-8", "surrogateescape"))  # the image's name as it is
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Decision, OccupancyMap
+from occmap.cells import Decision, OccupancyMap, list_captions
 from occmap.types import UInt8
 from occmap.writers import Shade, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import check_target, open_atomic
@@ -45,8 +45,12 @@ class PngWriter(Writer):
         free, occupied = options.decide(grid.decision)
         negate = int(options.shade is Shade.LIGHT_OCCUPIED)
         # Named as in a map's YAML, they say how the pixels are decided.
-        texts = {"occupied_thresh": occupied, "free_thresh": free, "negate": negate}
-        texts |= grid.about._asdict() if grid.about else {}
+        texts: dict[str, object] = {
+            "occupied_thresh": occupied,
+            "free_thresh": free,
+            "negate": negate,
+        }
+        texts |= list_captions(grid.about)
         # Not by pillow: it tries five filters on each row, which takes twice as long, and large
         # maps, which are runs of one grey, get smaller with none of them.
         packer = zlib.compressobj(ZLIB_LEVEL)
