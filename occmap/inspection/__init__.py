@@ -18,18 +18,17 @@ from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import Extent, Survey, TopicSurvey
+from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.logs import choose_topics
-from occmap.scans.mounts import estimate_agreement, warn_of_misfit
+from occmap.scans.logs import look_ahead
+from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tracing import find_ground
-from occmap.sensor.models import Spreading
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
@@ -252,13 +251,13 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     try:
         log = open_log(path, options.reading)
         known = replace(known, streams=tuple(log.streams), notes=tuple(log.notes))
-        posing = poses.prepare(log, choose_topics(log, options.selection.topics), options)
+        posing = prepare(log, look_ahead(log, options), options)
     except OccmapError as error:
         return replace(known, problem=str(error.placed(path)))
     return inspect_log(log, posing, options)
 
 
-def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFindings:
+def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
@@ -304,13 +303,9 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     survey, problem
         And why the log cannot be read to its end, "" where it can.
     """
-    topics = choose_topics(log, options.selection.topics)
-    drive, problem = Drive(log, topics, poser, options), ""
-    model, lattice = options.model, Lattice(options.resolution)
-    spreads = isinstance(model, Spreading) and model.spread > 0
-    aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
+    drive, problem = Drive(log, poser, options), ""
     for _ in range(2):
-        survey = Survey(drive, options, Extent(lattice, *aside))
+        survey = Survey(drive)
         try:
             survey.survey()
         except LogError as error:
@@ -321,7 +316,7 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
 
 
 def sum_up(
-    log: Log, stream: Stream, topic: TopicSurvey, posing: poses.Posing, options: BuildOptions
+    log: Log, stream: Stream, topic: TopicSurvey, posing: Posing, options: BuildOptions
 ) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()

@@ -8,7 +8,7 @@ whether beams without return lead through walls.
 import math
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,11 +16,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
-from occmap.options import BuildOptions
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.scans.logs import count_messages
-from occmap.scans.mounts import Sample, encode_cells, expect_scans
+from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import (
@@ -33,6 +31,7 @@ from occmap.sensor import (
     interpret,
     read_limits,
 )
+from occmap.sensor.models import Spreading
 from occmap.types import Bool, Cloud, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
 
@@ -345,8 +344,13 @@ class TopicSurvey:
     stated: bool = True
     """Every scan so far had its pose beside it"""
 
-    def see(self, some: Recorded) -> None:
-        """Take note of one scan or cloud, or of all scans of a run."""
+    def see(self, some: Recorded, reason: LeftOut | None) -> None:
+        """Take note of scans; those that nobody asked for are only counted."""
+        self.read += some.scans
+        if reason is not None:
+            self.left_out[reason] += 1
+        if reason in NOT_ASKED_FOR:
+            return
         self.stamps.add(some)
         first = some.first
         self.stated &= first.pose is not None
@@ -363,12 +367,15 @@ class TopicSurvey:
 class Survey(Selector):
     """Takes note of all scans of a log while it says which of them a build would use."""
 
-    def __init__(self, drive: Drive, options: BuildOptions, extent: Extent) -> None:
+    def __init__(self, drive: Drive) -> None:
+        options = drive.options
         super().__init__(options.selection, options.posing.stamps)
         self.drive = drive
-        self.options = options
-        self.extent = extent
         self.topics: dict[str, TopicSurvey] = {}
+        spreads = isinstance(options.model, Spreading) and options.model.spread > 0
+        behind = options.hit_offset * options.resolution
+        around = options.resolution if spreads else 0.0
+        self.extent = Extent(Lattice(options.resolution), behind, around)
 
     def survey(self) -> None:
         """Read all scans once, holding no more than a batch of each topic."""
@@ -380,26 +387,17 @@ class Survey(Selector):
                 survey.posed += len(posed.batch.stamp_ns)
                 if survey.is_sampled:
                     survey.sample.take(posed)
-                rays, _ = interpret(posed, self.options.returns)
+                rays, _ = interpret(posed, self.drive.options.returns)
                 self.extent.add(rays)
 
-    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
-        """As any selector; scans that nobody asked for are only counted."""
-        for some, reason in super().judge(scans):
-            survey = self._find(some.first.topic)
-            survey.read += some.scans
-            if reason not in NOT_ASKED_FOR:
-                survey.see(some)
-            if reason is not None:
-                survey.left_out[reason] += 1
-            yield some, reason
-
-    def _find(self, topic: str) -> TopicSurvey:
+    def see(self, some: Recorded, reason: LeftOut | None) -> None:
+        """Count scans, and take note of what their topic has."""
+        super().see(some, reason)
+        topic = some.first.topic
         if topic not in self.topics:
-            expected = count_messages(self.drive.log, self.drive.topics)
-            sample = Sample(expect_scans(expected, self.options.selection))
-            self.topics[topic] = TopicSurvey(topic, sample, len(self.topics) < SAMPLED_TOPICS)
-        return self.topics[topic]
+            is_sampled = len(self.topics) < SAMPLED_TOPICS
+            self.topics[topic] = TopicSurvey(topic, Sample(self.drive), is_sampled)
+        self.topics[topic].see(some, reason)
 
     def list_notes(self) -> Iterator[str]:
         """Say where there are so many topics that only some are sampled."""

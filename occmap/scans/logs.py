@@ -110,34 +110,8 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
     LogError
         As `choose_topics`.
     """
-    return count_messages(log, choose_topics(log, wanted))
-
-
-def count_messages(log: Log, topics: Sequence[str]) -> int:
-    """Count the messages on some topics, by what the reader says of its streams."""
+    topics = choose_topics(log, wanted)
     return sum(stream.count for stream in log.streams if stream.topic in topics)
-
-
-def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
-    """Read the poses of a log, unless it states them beside its scans.
-
-    Raises
-    ------
-    PoseError
-        No scan frame has a chain of transforms to a map frame.
-    UsageError
-        As `refuse_shared_mount`.
-    """
-    first = take_first(log, topics)
-    refuse_shared_mount(log, first, options)
-    stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([], options) if stated else read_poser(log, options)
-    if not stated:
-        failures = poser.find_chains({scan.frame for scan in first})
-        if failures and poser.fixed is None:
-            refuse_part(log.path)
-            raise next(iter(failures.values())).placed(log.path)
-    return poser
 
 
 def refuse_part(path: Path) -> None:
@@ -181,19 +155,22 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
             yield replace(each, topic=topic)
 
 
-def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:
-    """Refuse to put lasers that have frames of their own at one place.
+def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:
+    """Read the first scan or cloud of each topic that is used.
 
     Raises
     ------
+    LogError
+        As `choose_topics`.
     UsageError
-        The mount is given, and the first scans of each topic are in different frames.
+        The mount is given, and would put lasers that have frames of their own at one place.
     """
+    first = take_first(log, choose_topics(log, options.selection.topics))
     lasers = {scan.frame.strip("/"): scan.topic for scan in first}
-    if options.sensor_pose is None or len(lasers) == 1:
-        return
+    if options.posing.sensor_pose is None or len(lasers) == 1:
+        return first
     frame, topic = next(iter(lasers.items()))
-    own = f"`static_transforms={options.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
+    own = f"`static_transforms={options.posing.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
     found = f"`sensor_pose` would put {len(lasers)} lasers at one place: {', '.join(lasers)}"
     fix = f"choose one: `topics={topic}`, or give each a mount of its own: {own}"
     raise UsageError(found, where=log.path, fix=fix)

@@ -12,6 +12,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, read_recorded
+from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import RangeLimits, drop_own_points, read_limits
 from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun
@@ -44,23 +45,27 @@ class Selector:
 
     def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass on the scans that are used, and count the others."""
-        for some, reason in self.judge(scans):
-            self.read += some.scans
+        for some in self._split(scans):
+            reason = self._judge(some.first)
+            self.see(some, reason)
             if reason is None:
                 yield some
-            else:
-                self.left_out[reason] += 1
 
-    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
-        """Give each scan and why it is not used, or None; a run stays whole if all is used."""
+    def see(self, some: Recorded, reason: LeftOut | None) -> None:
+        """Count scans that are used, or a scan that is left out for a reason."""
+        self.read += some.scans
+        if reason is not None:
+            self.left_out[reason] += 1
+
+    def _split(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
+        """Split runs, but for those of which the user wants every scan, and that can be used."""
         for some in scans:
-            # A run is taken whole where the user wants every scan, and these can be used.
             if isinstance(some, ScanRun) and (find_flaw(some.first) or not self._wants_all):
-                yield from ((scan, self._judge_next(scan)) for scan in some.split())
+                yield from some.split()
             else:
-                yield some, self._judge_next(some.first)
+                yield some
 
-    def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
+    def _judge(self, scan: Scan | Cloud) -> LeftOut | None:
         stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
@@ -179,22 +184,14 @@ def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterat
 
 
 class Drive:
-    """The scans of one log that are used, as a stream of batches: selected, limited and posed.
+    """The scans of one log that are used, as a stream of batches: selected, limited and posed."""
 
-    Parameters
-    ----------
-    topics
-        The topics whose scans are used.
-    """
-
-    def __init__(
-        self, log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
-    ) -> None:
-        self.log, self.topics, self.poser = log, topics, poser
+    def __init__(self, log: Log, poser: Poser, options: BuildOptions) -> None:
+        self.log, self.poser, self.options = log, poser, options
+        self.topics = choose_topics(log, options.selection.topics)
         self.limits = RangeLimits(options.returns)
         self.is_settled = False
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
-        self._options = options
         self._first_ns = 0
         self._odd: dict[str, None] = {}
 
@@ -208,7 +205,7 @@ class Drive:
 
     def foresee(self) -> bool:
         """Read all scans for limits and leaps alone, and settle them."""
-        self.limits = RangeLimits(self._options.returns)
+        self.limits = RangeLimits(self.options.returns)
         for _ in self.read(Tally()):
             pass
         return self.settle()
@@ -230,8 +227,8 @@ class Drive:
             Says which scans are used; None: a new one, by the options.
         """
         self.poser.start_over()
-        stamps = self._options.posing.stamps
-        selector = selector or Selector(self._options.selection, stamps)
+        stamps = self.options.posing.stamps
+        selector = selector or Selector(self.options.selection, stamps)
         chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         if wants is not None:
             chosen = (
@@ -249,7 +246,7 @@ class Drive:
             tally.drop(attached.dropped)
             posed = attached.posed
             if posed is not None and batch.clouds is not None:
-                posed = drop_own_points(posed, self._options.returns)
+                posed = drop_own_points(posed, self.options.returns)
             yield attached._replace(posed=posed)
             tally.advance(len(batch.stamp_ns))
         tally.frames[str(self.log.path)] = self.poser.fixed
@@ -260,8 +257,8 @@ class Drive:
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
-        concerns = self.poser.list_concerns(self._first_ns, self._options.returns.max_range)
+        concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
-        idle = list_idle(self.log, self.topics, self._options.reading)
+        idle = list_idle(self.log, self.topics, self.options.reading)
         return [*idle, *self.poser.notes, *self._odd, *told, *self.limits.list_notes()]
