@@ -7,23 +7,16 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, DropReason, PosingOptions
-from occmap.posing.chain import (
-    Chain,
-    Status,
-    Transforms,
-    choose_deskewed,
-    list_moments,
-    place_beams,
-)
+from occmap.posing import Concern, Deskew, DropReason, PosingOptions, chain
+from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
-from occmap.posing.sources import Sources, gather, resolve
+from occmap.posing.sources import Sources, resolve
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
 from occmap.types import (
@@ -31,10 +24,7 @@ from occmap.types import (
     Attached,
     Float64,
     Int64,
-    Moments,
     Pose,
-    PoseBatch,
-    PoseSample,
     ScanBatch,
 )
 
@@ -71,7 +61,7 @@ class Poser:
     options: PosingOptions
     fixed: str | None = None
     """The frame of the map; known when the first frame is resolved."""
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(init=False)
     """What a user should know of decisions and of what was left out; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where no chain leads to it."""
@@ -81,33 +71,10 @@ class Poser:
     """Stamps, by the clock of the poses, of the scans that leap away."""
 
     def __post_init__(self) -> None:
+        self.notes = list(self.sources.notes)
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
         self._is_settled = False
         self._above = place_logs(self.options).then(tilt(self.options.level or (0.0, 0.0)))
-
-    @classmethod
-    def build(
-        cls,
-        samples: Iterable[PoseSample | PoseBatch],
-        options: PosingOptions,
-        moments: Moments | None = None,
-    ) -> Self:
-        """Read all samples of a log once, in any order.
-
-        Parameters
-        ----------
-        moments
-            The times of the scans of a log that holds nothing else, for a trajectory without times.
-
-        Raises
-        ------
-        PoseError
-            The chosen trajectory is neither a file nor a topic with poses.
-        LogError
-            The trajectory file cannot be read.
-        """
-        sources = gather(samples, options, moments)
-        return cls(sources, options, notes=list(sources.notes))
 
     def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
         """Find the chains to these scan frames, all from the same fixed frame.
@@ -138,10 +105,10 @@ class Poser:
             except PoseError as error:
                 failures[frame] = error
                 continue
-            self.fixed, chain, notes = found
-            self.chains[frame] = chain
+            self.fixed, way, notes = found
+            self.chains[frame] = way
             self._note(*notes)
-            if not chain.interval_s and self.sources.tree.moves and frame != self.fixed:
+            if not way.interval_s and self.sources.tree.moves and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
 
@@ -209,11 +176,11 @@ class Poser:
             return
         # A cloud takes long, and its points say when they were measured.
         deskew = Deskew.AUTO if batch.clouds else self.options.deskew
-        deskewed, notes = choose_deskewed(batch, deskew, way)
+        deskewed, notes = chain.choose_deskewed(batch, deskew, way)
         self._note(*notes)
         if deskewed.any():
             part = batch.take(deskewed)
-            moment_ns = stamp_ns[deskewed, None] + list_moments(part)
+            moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
             yield self._keep(part, way.at(moment_ns.ravel()), way)
         if not deskewed.all():
             yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way)
@@ -267,7 +234,7 @@ class Poser:
         }
         if not kept.any():
             return Attached(batch, None, dropped)
-        posed = place_beams(batch, kept, self._above.then(found))
+        posed = chain.place_beams(batch, kept, self._above.then(found))
         if seen_from is not None:
             posed = replace(posed, origin=self._above.then(seen_from).position[kept])
         self.courses.setdefault(laser, Course(way)).see(posed, stamp_ns[kept])

@@ -23,7 +23,7 @@ from occmap.posing.tracks import (
     measure_turn,
     rotate_by,
 )
-from occmap.types import Float64, Int64, PoseBatch, PosedScans
+from occmap.types import Float64, Int64, PosedScans
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
@@ -244,9 +244,7 @@ class Course:
         Of de-skewed scans, those of their first beams count.
         """
         self.is_of_clouds = posed.batch.clouds is not None
-        pose = list_poses(posed)
-        seen = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
-        self._poses.add(seen, Stamps.HEADER)
+        self._poses.add(stamp_ns, stamp_ns, list_poses(posed))
 
     def build(self) -> Track | None:
         """Put all that was seen in the order of time; None where no scan had a pose."""

@@ -15,17 +15,9 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import MountError, PoseError
-from occmap.posing import RECORDING, PosingOptions, Stamps
+from occmap.posing import RECORDING, PosingOptions, Stamps, frames
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import (
-    BASE_NAMES,
-    FIXED_NAMES,
-    Edge,
-    FrameTree,
-    Source,
-    find_moving,
-    last_part,
-)
+from occmap.posing.frames import Edge, FrameTree, Source, find_moving, last_part
 from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
 from occmap.report import count, join_names
@@ -76,7 +68,7 @@ def gather(
         The trajectory file cannot be read.
     """
     every, unusable, changes = _build_edges(samples, options.stamps)
-    recording, topic = options.recording or (None, "")
+    recording, _ = options.recording or (None, "")
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
     edges = [edge for edge in every if edge not in others]
     given = [
@@ -86,15 +78,16 @@ def gather(
     if not any(edge.child for edge in [*given, *edges]):
         edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
-    stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
-    poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
+    poses = _rank(edges)
     of_file: list[str] = []
-    trajectory: Edge | None = None
-    if recording is not None:
-        chosen = _choose_beside(others, f"{recording}:{topic}", tree)
-        trajectory = replace(chosen, parent=options.map_frame or chosen.parent)
-    elif options.poses:
-        trajectory = _find_trajectory(options, poses, of_file, moments)
+    trajectory = None
+    if options.poses:
+        named = _rank(others) if recording else poses
+        trajectory = _find_trajectory(options, named, of_file, moments)
+    if trajectory and recording:
+        frame = options.map_frame or trajectory.parent
+        body = trajectory.child if trajectory.child in tree else ""  # it may have another name
+        trajectory = replace(trajectory, parent=frame, child=body)
     notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
@@ -109,7 +102,9 @@ def _build_edges(
     """
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
-        builders[item.topic, item.parent, item.child, item.static].add(item, stamps)
+        builder = builders[item.topic, item.parent, item.child, item.static]
+        stamp_ns = stamps.choose(item.stamp_ns, item.record_ns)
+        builder.add(stamp_ns, item.record_ns, item.pose)
     edges: list[Edge] = []
     unusable: list[str] = []
     changed: dict[str, list[str]] = defaultdict(list)
@@ -135,10 +130,18 @@ def _build_edges(
     return edges, unusable, changes
 
 
+def _rank(edges: Iterable[Edge]) -> list[Edge]:
+    """List the topics of poses, the one with the most of them first."""
+    stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
+    return sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
+
+
 def _name_body(edge: Edge) -> Edge:
     """Name the body of odometry that names none, in a log without other frames, as REP 105 does."""
-    is_odometry = last_part(edge.parent) == FIXED_NAMES[1] and not _is_intention(edge.topic)
-    return replace(edge, child=BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
+    is_odometry = last_part(edge.parent) == frames.FIXED_NAMES[1] and not _is_intention(edge.topic)
+    return (
+        replace(edge, child=frames.BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
+    )
 
 
 def _is_intention(topic: str) -> bool:
@@ -160,9 +163,10 @@ def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTre
 def _find_trajectory(
     options: PosingOptions, poses: Sequence[Edge], notes: list[str], moments: Moments | None
 ) -> Edge:
-    """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
+    """Take the chosen trajectory: from a file, or by topic; the best where that is not named."""
     name = options.poses or ""
-    if Path(name).is_file():
+    recording, topic = options.recording or (None, name)
+    if recording is None and Path(name).is_file():
         samples = read_trajectory(Path(name), notes, moments)
         edges, unusable, _ = _build_edges(samples, Stamps.HEADER)
         notes.extend(unusable)
@@ -170,37 +174,18 @@ def _find_trajectory(
             raise PoseError("holds no usable pose: none is finite", where=name)
         frame = options.map_frame or TRAJECTORY_FRAME
         return replace(edges[0], parent=frame, topic=name)
+    wanted = f"{recording}:{topic}" if recording else name
     for edge in poses:
-        if edge.topic.strip("/") == name.strip("/"):
+        if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
     if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
-    if Path(name).suffix or RECORDING.fullmatch(name):  # no topic has such a name
+    if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no such topic
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
-    topics = ", ".join(sorted({edge.topic for edge in poses}))
-    found = "neither a file nor a topic with poses"
-    fix = f"topics with poses: {topics}" if topics else "the log has no topic with poses"
-    raise PoseError(found, where=name, fix=fix)
-
-
-def _choose_beside(others: Sequence[Edge], name: str, tree: FrameTree) -> Edge:
-    """Choose a topic of poses of another recording: the one of a name, or that has the most.
-
-    Parameters
-    ----------
-    name
-        The recording and the topic, as in "slam.bag:/path"; "slam.bag:" names no topic.
-    """
-    usable = [edge for edge in others if len(edge.track) > 1]
-    if not name.endswith(":"):
-        usable = [edge for edge in usable if edge.topic == name]
-    if not usable:
-        fix = f"topics with poses: {join_names(sorted({edge.topic for edge in others}))}"
-        raise PoseError("holds no such topic of poses", where=name.rstrip(":"), fix=fix)
-    chosen = max(usable, key=lambda edge: len(edge.track))
-    # Its name for the body may be another.
-    return chosen if chosen.child in tree else replace(chosen, child="")
+    found = "holds no such topic of poses" if recording else "neither a file nor a topic with poses"
+    topics = join_names(sorted({edge.topic for edge in poses}))
+    raise PoseError(found, where=name, fix=f"topics with poses: {topics}")
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
@@ -221,7 +206,10 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
     several = [f"{child} ({', '.join(up)})" for child, up in parents.items() if len(up) > 1]
     if several:
         yield f"frames that have several parents: {join_names(several)}; the shortest way counts"
-    yield from _list_loops(parents)
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        yield f"the transforms {' -> '.join(error.args[1])} form a loop: the shortest way counts"
 
 
 def _disagree(same: Sequence[Edge]) -> bool:
@@ -230,14 +218,6 @@ def _disagree(same: Sequence[Edge]) -> bool:
         return False
     positions = np.concatenate([edge.track.position for edge in same])
     return differ(positions, np.concatenate([edge.track.quaternion for edge in same]))
-
-
-def _list_loops(parents: dict[str, list[str]]) -> Iterator[str]:
-    """Name a loop, if there is one."""
-    try:
-        TopologicalSorter(parents).prepare()
-    except CycleError as error:
-        yield f"the transforms {' -> '.join(error.args[1])} form a loop: the shortest way counts"
 
 
 GIVE_POSES = "give a trajectory: `poses=FILE`"
@@ -326,7 +306,7 @@ class _Search:
         if not find_moving(self._find_path(usual, anchor)):
             if self.sources.unnamed_body:
                 return self.go_by_poses(self.sources.unnamed_body)
-            if not (self.options.map_frame or fixed or last_part(usual) in FIXED_NAMES):
+            if not (self.options.map_frame or fixed or last_part(usual) in frames.FIXED_NAMES):
                 raise self._miss_motion(usual)
         name = self.options.map_frame or fixed or usual
         steps = self._find_path(name, anchor)

@@ -17,7 +17,7 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
-from occmap.posing.sources import TF_TOPICS
+from occmap.posing.sources import TF_TOPICS, gather
 from occmap.readers import (
     Counting,
     HoldingClouds,
@@ -131,9 +131,9 @@ def refuse_part(path: Path) -> None:
 
 
 def read_poser(log: Log, options: PosingOptions) -> Poser:
-    """Read every pose source of a log; raises as `Poser.build`."""
+    """Read every pose source of a log; raises as `gather`."""
     moments = log.moments if isinstance(log, Counting) else None
-    return Poser.build(gather_poses(log, options), options, moments)
+    return Poser(gather(gather_poses(log, options), options, moments), options)
 
 
 def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:

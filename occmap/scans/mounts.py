@@ -25,6 +25,7 @@ from occmap.posing import Concern
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
+from occmap.posing.sources import gather
 from occmap.readers import Log, open_log
 from occmap.scans import make_engine
 from occmap.scans.logs import count_scans, look_ahead, read_poser, refuse_part
@@ -166,7 +167,7 @@ def open_drive(log: Log, options: BuildOptions) -> Drive:
     """
     first = look_ahead(log, options)
     if options.posing.poses is None and all(scan.pose is not None for scan in first):
-        return Drive(log, Poser.build([], options.posing), options)
+        return Drive(log, Poser(gather([], options.posing), options.posing), options)
     posing = prepare(log, first, options)
     if posing.faults and posing.poser.fixed is None:
         raise next(iter(posing.faults.values())).placed(log.path)
@@ -198,8 +199,7 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
         faults = {frame: fault.named(format_mount(guess.mount), guess.why)}
     mount = guess.mount if guess else IDENTITY
     posing = replace(options.posing, sensor_pose=mount)
-    poser = Poser(at_body.sources, posing, notes=list(at_body.sources.notes))
-    return Posing(poser, faults, mount, is_guess=guess is None)
+    return Posing(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
 
 
 class Guess(NamedTuple):
