@@ -19,14 +19,7 @@ from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Sources, resolve
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
-from occmap.types import (
-    IDENTITY,
-    Attached,
-    Float64,
-    Int64,
-    Pose,
-    ScanBatch,
-)
+from occmap.types import IDENTITY, Attached, Float64, Int64, Pose, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "

@@ -12,17 +12,10 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing import Concern, Stamps
+from occmap.posing import Concern, Stamps, tracks
 from occmap.posing.chain import Chain, Moving, Status, make_chain
 from occmap.posing.frames import Edge, Source
-from occmap.posing.tracks import (
-    Track,
-    TrackBuilder,
-    differ,
-    list_poses,
-    measure_turn,
-    rotate_by,
-)
+from occmap.posing.tracks import Track, TrackBuilder
 from occmap.types import Float64, Int64, PosedScans
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
@@ -73,13 +66,13 @@ class Jump(NamedTuple):
     @property
     def radians(self) -> float:
         """How far it turned."""
-        return float(measure_turn(np.eye(3), self.rotation))
+        return float(tracks.measure_turn(np.eye(3), self.rotation))
 
     def is_undone_by(self, later: Self) -> bool:
         """Whether a later jump leads back to where this one came from."""
         back = later.after + later.rotation @ (self.after - later.before)
         apart = float(np.linalg.norm(back - self.before))
-        askew = float(measure_turn(later.rotation.T, self.rotation))
+        askew = float(tracks.measure_turn(later.rotation.T, self.rotation))
         return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
 
 
@@ -244,7 +237,7 @@ class Course:
         Of de-skewed scans, those of their first beams count.
         """
         self.is_of_clouds = posed.batch.clouds is not None
-        self._poses.add(stamp_ns, stamp_ns, list_poses(posed))
+        self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
 
     def build(self) -> Track | None:
         """Put all that was seen in the order of time; None where no scan had a pose."""
@@ -273,7 +266,7 @@ class Course:
 
 def stands(track: Track) -> bool:
     """Whether a sensor never moved, though there were scans enough to see it move."""
-    moves = differ(track.position, track.quaternion, STILL_M, STILL_RAD)
+    moves = tracks.differ(track.position, track.quaternion, STILL_M, STILL_RAD)
     return len(track) >= STILL_SCANS and not moves
 
 
@@ -291,7 +284,7 @@ class Stance(NamedTuple):
     @classmethod
     def measure(cls, track: Track) -> Self:
         """Measure how a sensor sat."""
-        ahead, _, up = rotate_by(track.quaternion)[:, 2].T
+        ahead, _, up = tracks.rotate_by(track.quaternion)[:, 2].T
         return cls(
             upside_down=bool(np.median(up) < 0),
             tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),

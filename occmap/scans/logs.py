@@ -12,23 +12,14 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
+from occmap import readers
 from occmap.errors import LogError, OccmapError, PoseError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
 from occmap.posing.sources import TF_TOPICS, gather
-from occmap.readers import (
-    Counting,
-    HoldingClouds,
-    Log,
-    ReaderOptions,
-    Role,
-    find_reader,
-    open_log,
-    probe_path,
-    read_poses,
-)
+from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, count, join_names
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
@@ -132,7 +123,7 @@ def refuse_part(path: Path) -> None:
 
 def read_poser(log: Log, options: PosingOptions) -> Poser:
     """Read every pose source of a log; raises as `gather`."""
-    moments = log.moments if isinstance(log, Counting) else None
+    moments = log.moments if isinstance(log, readers.Counting) else None
     return Poser(gather(gather_poses(log, options), options, moments), options)
 
 
@@ -141,11 +132,11 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
 
     The topics of the other one begin with its path; its transforms are passed over.
     """
-    yield from read_poses(log)
+    yield from readers.read_poses(log)
     if posing.recording is None:
         return
     path, _ = posing.recording
-    for each in read_poses(open_log(path)):
+    for each in readers.read_poses(open_log(path)):
         topic = f"{path}:{each.topic}"
         if last_part(each.topic) in TF_TOPICS:
             continue
@@ -180,7 +171,7 @@ def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
     """Read the first scan or cloud of each topic, and stop reading when all are found."""
     first: dict[str, Scan | Cloud] = {}
     scans: Iterator[Scan | Cloud] = log.scans(set(topics))
-    if isinstance(log, HoldingClouds):
+    if isinstance(log, readers.HoldingClouds):
         scans = chain(scans, log.clouds(set(topics)))
     for scan in scans:
         first.setdefault(scan.topic, scan)
@@ -259,7 +250,7 @@ def is_bag(path: Path, recordings: Collection[Path]) -> bool:
 def is_recording(path: Path) -> bool:
     """Whether any reader recognises a path."""
     with suppress(LogError):
-        return find_reader(probe_path(path)) is not None
+        return readers.find_reader(readers.probe_path(path)) is not None
     return False
 
 
