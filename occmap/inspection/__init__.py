@@ -22,7 +22,7 @@ from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Log, Role, Stream, open_log
+from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import look_ahead
@@ -261,9 +261,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
-    streams = {stream.topic: stream for stream in reversed(log.streams)}
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
-    scans = tuple(sum_up(log, streams[it.topic], it, posing, options) for it in seen if it.shapes)
+    scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
@@ -315,18 +314,16 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     return survey, problem
 
 
-def sum_up(
-    log: Log, stream: Stream, topic: TopicSurvey, posing: Posing, options: BuildOptions
-) -> ScanFindings:
+def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     return ScanFindings(
-        topic=topic.topic,
-        type=stream.type,
+        topic=topic.stream.topic,
+        type=topic.stream.type,
         frames=tuple(topic.frames),
-        is_of_clouds=stream.role is Role.CLOUD,
+        is_of_clouds=topic.stream.role is Role.CLOUD,
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),

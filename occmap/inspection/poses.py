@@ -91,7 +91,7 @@ def describe_mount(
     topic: TopicSurvey, posing: Posing, options: BuildOptions
 ) -> MountFindings | None:
     """Say how the sensor of a topic sits; None where no scan has a pose."""
-    stance = posing.poser.find_stance(topic.topic)
+    stance = posing.poser.find_stance(topic.stream.topic)
     if stance is None:
         return None
     better = mounts.find_better(posing.poser, topic.sample.parts, options.returns)

@@ -19,6 +19,7 @@ from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
+from occmap.readers import Stream
 from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
@@ -306,23 +307,19 @@ class Extent:
         end = rays._replace(distance=rays.distance + hit * np.float32(self.behind)).end
         one_viewpoint = rays.origin.shape[1] == 1
         begun = used.any(axis=1, keepdims=True) if one_viewpoint else used
-        self._take(rays.origin[begun])
-        self._take(end[used])
-        self._take(end[hit], self.around)
         self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self.behind)
-
-    def _take(self, places: Float64, around: float = 0.0) -> None:
-        """Take in places (N, 2)."""
-        if len(places):
-            box = self.lattice.enclose(places, around)
-            self.box = box.join(self.box) if self.box else box
+        places = (rays.origin[begun], 0.0), (end[used], 0.0), (end[hit], self.around)
+        for some, around in places:
+            if len(some):
+                box = self.lattice.enclose(some, around)
+                self.box = box.join(self.box) if self.box else box
 
 
 @dataclass
 class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
-    topic: str
+    stream: Stream
     sample: Sample
     is_sampled: bool = True
     stamps: StampLog = field(default_factory=StampLog)
@@ -387,8 +384,9 @@ class Survey(Selector):
         super().see(some, reason)
         topic = some.first.topic
         if topic not in self.topics:
+            stream = next(each for each in self.drive.log.streams if each.topic == topic)
             is_sampled = len(self.topics) < SAMPLED_TOPICS
-            self.topics[topic] = TopicSurvey(topic, Sample(self.drive), is_sampled)
+            self.topics[topic] = TopicSurvey(stream, Sample(self.drive), is_sampled)
         self.topics[topic].see(some, reason)
 
     def list_notes(self) -> Iterator[str]:

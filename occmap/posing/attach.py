@@ -16,7 +16,7 @@ from occmap.posing import Concern, Deskew, DropReason, PosingOptions, chain
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
-from occmap.posing.sources import Sources, resolve
+from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
 from occmap.types import IDENTITY, Attached, Float64, Int64, Pose, ScanBatch
@@ -93,14 +93,14 @@ class Poser:
     def _try_frames(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
         failures = {}
         for frame in frames:
+            search = Search(self.sources, self.options, frame.strip("/"), alone)
             try:
-                found = resolve(self.sources, self.options, frame, self.fixed, alone)
+                self.fixed, way = search.resolve(self.fixed)
             except PoseError as error:
                 failures[frame] = error
                 continue
-            self.fixed, way, notes = found
             self.chains[frame] = way
-            self._note(*notes)
+            self._note(*search.notes)
             if not way.interval_s and self.sources.tree.moves and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
@@ -155,7 +155,7 @@ class Poser:
     def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
         """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
         if batch.pose is not None and self.sources.trajectory is None:
-            yield self._keep(batch, self._read_stated(batch.pose))
+            yield self._keep(batch, self._read_stated(batch.pose), None, None)
             return
         if batch.frame not in self.chains:
             self.find_chains([batch.frame])
@@ -174,9 +174,9 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield self._keep(part, way.at(moment_ns.ravel()), way)
+            yield self._keep(part, way.at(moment_ns.ravel()), way, None)
         if not deskewed.all():
-            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way)
+            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way, None)
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -198,11 +198,7 @@ class Poser:
         return None
 
     def _keep(
-        self,
-        batch: ScanBatch,
-        found: Transforms,
-        way: Chain | None = None,
-        seen_from: Transforms | None = None,
+        self, batch: ScanBatch, found: Transforms, way: Chain | None, seen_from: Transforms | None
     ) -> Attached:
         """Keep the scans (S) that have a pose at all of their K moments; count the others.
 

@@ -225,53 +225,12 @@ Way: TypeAlias = tuple[str, list[Edge]]
 """A fixed frame, and the steps from it to the sensor."""
 
 
-def resolve(
-    sources: Sources,
-    options: PosingOptions,
-    frame: str,
-    fixed: str | None = None,
-    alone: bool = True,
-) -> tuple[str, Chain, list[str]]:
-    """Find the way to a scan's frame.
+@dataclass(slots=True)
+class Search:
+    """The search for the way to a scan's frame; gathers notes as it decides.
 
     Where the user names a trajectory, it carries the scans. Else the tree of tf does, which
     odometry fills where tf says nothing; else, where nothing in the tree moves, a topic of poses.
-
-    Parameters
-    ----------
-    sources, options
-        What the log knows and what the user chose.
-    frame
-        The scan's.
-    fixed
-        The frame that other scans are mapped in already.
-    alone
-        No other laser of the log is mapped.
-
-    Returns
-    -------
-    fixed, chain, notes
-        The frame that its scans are mapped in, the way from there, and what a user should know of
-        how it was chosen.
-
-    Raises
-    ------
-    PoseError
-        There is no way; says what is missing, and which option mends it.
-    """
-    search = _Search(sources, options, frame.strip("/"), alone)
-    poses = sources.trajectory or (None if sources.tree.frames else sources.unnamed_body)
-    name, steps = search.go_by_poses(poses) if poses else search.go_by_tree(fixed)
-    if fixed is not None and name != fixed:
-        found = f"{frame!r} maps in {name!r} while other scans map in {fixed!r}"
-        fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
-        raise PoseError(found, fix=fix)
-    return name, make_chain(steps, options.max_pose_gap_s), search.notes
-
-
-@dataclass(slots=True)
-class _Search:
-    """The search for one frame's way; gathers notes as it decides.
 
     A way leads down to the anchor. That is the scan's frame or, where the user gives the sensor's
     pose, the body that the sensor is on; one more step then leads from there to the sensor.
@@ -283,6 +242,27 @@ class _Search:
     alone: bool
     """No other laser of the log is mapped."""
     notes: list[str] = field(default_factory=list)
+
+    def resolve(self, fixed: str | None) -> tuple[str, Chain]:
+        """Find the frame that the scans are mapped in, and the way from there.
+
+        Parameters
+        ----------
+        fixed
+            The frame that other scans are mapped in already.
+
+        Raises
+        ------
+        PoseError
+            There is no way; says what is missing, and which option mends it.
+        """
+        poses = self.sources.trajectory or (None if self.tree.frames else self.sources.unnamed_body)
+        name, steps = self.go_by_poses(poses) if poses else self.go_by_tree(fixed)
+        if fixed is not None and name != fixed:
+            found = f"{self.frame!r} maps in {name!r} while other scans map in {fixed!r}"
+            fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
+            raise PoseError(found, fix=fix)
+        return name, make_chain(steps, self.options.max_pose_gap_s)
 
     @property
     def tree(self) -> FrameTree:
