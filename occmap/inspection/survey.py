@@ -25,7 +25,7 @@ from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import NoReturn, ReturnOptions, interpret
 from occmap.sensor.models import Spreading
-from occmap.types import Bool, Cloud, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
+from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
 
 REPEATED_SHARE = 0.01
@@ -34,17 +34,6 @@ NEIGHBOURHOOD_M = 0.1
 other value within this distance (`sensor.DOMINANCE`). Ranges to a wall spread by their noise, even
 if nothing moves."""
 
-MEANINGS = {
-    "+inf": "did not come back (REP 117)",
-    "= range_max": "the driver's way to say that nothing came back",
-    "> range_max": "the driver's way to say that nothing came back",
-    "-inf": "too close to measure (REP 117)",
-    "nan": "not measured (REP 117)",
-    "zero": "no return or too close: drivers differ",
-    "negative": "an error code",
-    "< range_min": "too close to trust",
-}
-"""The kinds of ranges that are not plain measurements, and what drivers mean by them"""
 NO_RETURNS = ("+inf", "= range_max", "> range_max")
 """The kinds that `no_return` decides about; all others are skipped."""
 
@@ -73,11 +62,28 @@ SIDES = np.arange(8) * math.pi / 4
 """Directions in which the sides of the octagon around all hits face (rad)"""
 
 
+def tell_kinds(it: Float32, low: Float32, high: Float32) -> Iterator[tuple[str, str, Bool]]:
+    """Tell which ranges are no plain measurements, kind by kind, and what drivers mean by them.
+
+    The nearest and the farthest range are those that the scans state.
+    """
+    nothing = "the driver's way to say that nothing came back"
+    yield "+inf", "did not come back (REP 117)", it == np.inf
+    yield "= range_max", nothing, (it == high) & (it < np.inf)
+    yield "> range_max", nothing, (it > high) & (it < np.inf)
+    yield "-inf", "too close to measure (REP 117)", it == -np.inf
+    yield "nan", "not measured (REP 117)", np.isnan(it)
+    yield "zero", "no return or too close: drivers differ", it == 0
+    yield "negative", "an error code", (it < 0) & (it > -np.inf)
+    yield "< range_min", "too close to trust", (it > 0) & (it < low)
+
+
 class RangeCensus:
     """Counts the range values of one topic by kind, batch by batch."""
 
     def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[tuple[str, str]] = Counter()
+        """How many ranges are of each kind, and what drivers mean by it"""
         self.total = 0
         self.limit = 0.0
         """The largest range_max that the scans state (m)"""
@@ -87,23 +93,12 @@ class RangeCensus:
     def add(self, batch: ScanBatch) -> None:
         """Count the values of a batch."""
         ranges = batch.ranges
-        low, high = np.float32(batch.range_min), np.float32(batch.range_max)
-        finite = np.isfinite(ranges)
-        positive = finite & (ranges > 0)
-        masks = {
-            "+inf": ranges == np.inf,
-            "-inf": ranges == -np.inf,
-            "nan": np.isnan(ranges),
-            "zero": ranges == 0,
-            "negative": finite & (ranges < 0),
-            "< range_min": positive & (ranges < low),
-            "= range_max": finite & (ranges == high),
-            "> range_max": finite & (ranges > high),
-        }
-        self.counts.update({name: int(np.count_nonzero(mask)) for name, mask in masks.items()})
+        low, high = as_float32(batch.range_min), as_float32(batch.range_max)
+        for name, meaning, mask in tell_kinds(ranges, low, high):
+            self.counts[name, meaning] += int(np.count_nonzero(mask))
         self.total += ranges.size
         self.limit = max(self.limit, batch.range_max)
-        measured = ranges[positive & (ranges >= low) & (ranges < high)]
+        measured = ranges[(ranges > 0) & (ranges >= low) & (ranges < high)]
         self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
 
@@ -128,8 +123,8 @@ class RangeCensus:
             largest=self.largest if measured else math.nan,
             specials=tuple(
                 Special(name, n, n / self.total, meaning, suggested if name in NO_RETURNS else "")
-                for name, meaning in MEANINGS.items()
-                if (n := self.counts[name])
+                for (name, meaning), n in self.counts.items()
+                if n
             ),
             repeated=repeated,
             crossed=crossed,

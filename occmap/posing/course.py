@@ -119,8 +119,7 @@ def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]
     scans = [first]
     for jump, following in zip(found, others, strict=True):
         if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
-            jumps.pop()
-            scans.pop()
+            del jumps[-1], scans[-1]
             scans[-1] += following
         else:
             jumps.append(jump)

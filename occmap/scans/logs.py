@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeAlias
 
 from occmap import readers
 from occmap.errors import LogError, OccmapError, PoseError, UsageError, require
@@ -185,12 +185,8 @@ RECORDED = (".mcap", ".bag", ".db3")
 """Suffixes that only recordings have; others are taken for such where a recording has them."""
 
 
-class Inputs(NamedTuple):
-    """The recordings that paths stand for."""
-
-    logs: list[Path]
-    notes: list[str]
-    """Which recordings a folder or a pattern was found to hold"""
+Inputs: TypeAlias = tuple[list[Path], list[str]]
+"""The recordings that paths stand for, and notes on what folders and patterns were found to hold"""
 
 
 def find_inputs(
@@ -220,8 +216,13 @@ def find_inputs(
         suffixes = {*RECORDED, *(each.suffix for each in kept)}
         lost = [each for each in maybe if each.suffix in suffixes and each not in kept]
         notes.append(describe_found(path, kept, len(entries) - len(kept) - len(lost)))
-        notes += (note for each in lost for note in describe_lost(each, options))
-    return Inputs(logs, notes)
+        for each in lost:
+            try:
+                open_log(each, options)
+            except LogError as error:
+                told = f"passed over, though named like a recording: {error.found}"
+                notes.append(f"{each}: {told}")
+    return logs, notes
 
 
 def list_entries(path: Path) -> list[Path]:
@@ -270,14 +271,6 @@ def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
     passed = f"; {count(others, 'other file')} passed over" if others else ""
     order = ", in the order of their time" if len(logs) > 1 else ""
     return f"{path}: {count(len(logs), 'recording')}{order}: {names}{passed}"
-
-
-def describe_lost(path: Path, options: ReaderOptions) -> Iterator[str]:
-    """Say why a file that is named like a recording cannot be one."""
-    try:
-        open_log(path, options)
-    except LogError as error:
-        yield f"{path}: passed over, though named like a recording: {error.found}"
 
 
 @contextmanager

@@ -127,10 +127,6 @@ _WITHIN = local()
 """How long the stages within the running one took so far, thread by thread (s)"""
 
 
-def ignore_advance(_scans: int) -> None:
-    """Show no progress."""
-
-
 @dataclass(frozen=True)
 class ScanCounts:
     """What became of the scans."""
@@ -160,7 +156,9 @@ class Tally:
     """
 
     def __init__(
-        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
+        self,
+        tell: Callable[[int], None] = lambda _scans: None,
+        recorder: JourneyRecorder | None = None,
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""
