@@ -282,12 +282,7 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     """Say whose poses stand beside the scans, and which options change nothing about them."""
     if options.sensor_pose is not None:
         yield POSES_OF_BODY
-    given = {
-        "`map_frame`": options.map_frame is not None,
-        "`base_frame`": options.base_frame is not None,
-        "`time_offset_s`": options.time_offset_s != 0,
-        "`deskew=on`": options.deskew is Deskew.ON,
-    }
-    for option, is_given in given.items():
-        if is_given:
-            yield f"{option} does nothing: the poses stand beside the scans"
+    usual = PosingOptions()
+    for name in ("map_frame", "base_frame", "time_offset_s", "deskew"):
+        if getattr(options, name) != getattr(usual, name):
+            yield f"`{name}` does nothing: the poses stand beside the scans"
