@@ -15,7 +15,8 @@ from occmap.readers import Echo, Log, ReaderOptions, read_recorded
 from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import RangeLimits, drop_own_points, read_limits
-from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun
+from occmap.sensor.models import RadialModel
+from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun, Update
 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
@@ -241,7 +242,8 @@ class Drive:
         limited = tally.time_each("read", map(self.limits.apply, batches))
         for attached in tally.time_each("pose", self.poser.attach(limited)):
             batch = attached.batch
-            if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
+            beams = batch.ranges.shape[1]
+            if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
                 self._odd[f"{batch.topic}: {oddity}"] = None
             tally.drop(attached.dropped)
             posed = attached.posed
@@ -254,6 +256,13 @@ class Drive:
         tally.scans_read += selector.read
         tally.drop(dict(selector.left_out))
         self._first_ns = selector.first_ns or 0
+
+    def _find_lack(self, beams: int) -> str:
+        """Say if scans of so many beams free no cell with the update; "" if they do."""
+        fills = self.options.update is Update.POLYGON
+        if not fills or beams > 1 or isinstance(self.options.model, RadialModel):
+            return ""
+        return "scans of one beam have no inside, so the polygon update frees no cell: name another"
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""

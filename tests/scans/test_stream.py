@@ -16,7 +16,7 @@ from occmap.posing import Stamps
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
 from occmap.sensor import RangeLimits, ReturnOptions
-from occmap.types import Scan, ScanBatch, ScanRun
+from occmap.types import Scan, ScanBatch, ScanRun, Update
 from tests.samples import write_csv
 
 SECOND = 10**9
@@ -138,3 +138,16 @@ def test_a_limit_that_the_user_gives_needs_no_note() -> None:
 def test_a_laser_that_stands_still_is_noted(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "still.csv", [(1.0, 2.0, 0.5)] * 20, [1.0, 2.0])
     assert "never moves" in " ".join(build([log], BuildOptions()).report.notes)
+
+
+@pytest.mark.parametrize(
+    ("update", "beams", "told"),
+    [(Update.POLYGON, 1, True), (Update.POLYGON, 2, False), (Update.BEAM, 1, False)],
+)
+def test_a_scan_of_one_beam_has_no_inside(
+    tmp_path: Path, update: Update, beams: int, told: bool
+) -> None:
+    log = write_csv(tmp_path / "one.csv", [(0.0, 0.0, 0.0)] * 3, [1.0] * beams, 0.1)
+    made = build([log], BuildOptions(update=update))
+    assert any("frees no cell" in note for note in made.report.notes) == told
+    assert bool(made.map.free.any()) != told
