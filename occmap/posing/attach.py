@@ -66,7 +66,6 @@ class Poser:
     def __post_init__(self) -> None:
         self.notes = list(self.sources.notes)
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
-        self._is_settled = False
         self._above = place_logs(self.options).then(tilt(self.options.level or (0.0, 0.0)))
 
     def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
@@ -123,21 +122,18 @@ class Poser:
 
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
-        tracks = (course.build() for course in self.courses.values())
-        return any(has_leap(track, self.options.max_speed) for track in tracks if track)
+        max_speed = self.options.max_speed
+        return any(has_leap(course.build(), max_speed) for course in self.courses.values())
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
 
-        From then on those that leap away are left out, and no others are looked for.
+        From then on those that leap away are left out.
         """
-        if self._is_settled:
-            return True
-        self._is_settled = True
         max_speed = self.options.max_speed
         for laser, course in sorted(self.courses.items()):
             track = course.build()
-            if track is None or not (outliers := find_outliers(track, max_speed)).any():
+            if not (outliers := find_outliers(track, max_speed)).any():
                 continue
             outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
             if max_speed < math.inf:
@@ -150,7 +146,8 @@ class Poser:
 
     def _convert(self, stamp_ns: Int64) -> Int64:
         """Convert stamps of scans (S,) to the clock of the poses."""
-        return np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        moved = np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        return np.clip(moved, -MAX_STAMP_NS, MAX_STAMP_NS)
 
     def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
         """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
@@ -231,8 +228,8 @@ class Poser:
 
     def find_stance(self, topic: str) -> Stance | None:
         """Find how the sensor of a topic sat; None where no scan had a pose."""
-        tracks = [each.build() for (name, _), each in self.courses.items() if name == topic]
-        return next((Stance.measure(track) for track in tracks if track), None)
+        courses = (each for (name, _), each in self.courses.items() if name == topic)
+        return next((Stance.measure(each.build()) for each in courses), None)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.
@@ -249,8 +246,7 @@ class Poser:
         jumped = None
         yield from self._list_twins()
         for (topic, _), course in sorted(self.courses.items()):
-            if (track := course.build()) is None:
-                continue
+            track = course.build()
             if stands(track):
                 self._note(f"{topic}: {STANDS}")
             if not course.is_of_clouds:
@@ -267,12 +263,12 @@ class Poser:
         """Say which topics hold the scans of another one, such as those that were filtered."""
         known: dict[str, tuple[str, Int64]] = {}
         for (topic, frame), course in sorted(self.courses.items()):
-            if track := course.build():
-                other, stamp_ns = known.setdefault(frame, (topic, track.stamp_ns))
-                if topic != other and np.isin(track.stamp_ns, stamp_ns).mean() > TWIN_SHARE:
-                    found = f"has the frame and the stamps of {other}, and both count"
-                    why = "if one is filtered from the other, choose with `topics`"
-                    yield topic, Concern(f"{found}: {why}")
+            mine = course.build().stamp_ns
+            other, stamp_ns = known.setdefault(frame, (topic, mine))
+            if topic != other and np.isin(mine, stamp_ns).mean() > TWIN_SHARE:
+                found = f"has the frame and the stamps of {other}, and both count"
+                why = "if one is filtered from the other, choose with `topics`"
+                yield topic, Concern(f"{found}: {why}")
 
     def _note(self, *sentences: str) -> None:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]

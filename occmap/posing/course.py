@@ -238,9 +238,11 @@ class Course:
         self.is_of_clouds = posed.batch.clouds is not None
         self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
 
-    def build(self) -> Track | None:
-        """Put all that was seen in the order of time; None where no scan had a pose."""
-        return self._poses.build()
+    def build(self) -> Track:
+        """Put all that was seen, at least one scan, in the order of time."""
+        track = self._poses.build()
+        assert track is not None
+        return track
 
     def warn_of_mixed(self) -> Concern | None:
         """Say if a track holds poses of two times, or of two nodes, among each other."""

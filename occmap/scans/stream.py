@@ -201,6 +201,8 @@ class Drive:
 
         Else they are from now on, and the scans are to be read once more.
         """
+        if self.is_settled:
+            return True
         self.is_settled = True
         return all([self.limits.settle(), self.poser.settle()])
 

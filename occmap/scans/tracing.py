@@ -75,7 +75,7 @@ def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) 
         if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
             raise
         return False
-    return drive.is_settled or drive.settle()
+    return drive.settle()
 
 
 LEAST_LEAN_DEG = 1.0
