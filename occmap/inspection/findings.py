@@ -370,23 +370,22 @@ def describe_times(times: TimeFindings) -> str:
 
     CSV has none. Those of CARMEN count from the start of the recording, and stamps are dates.
     """
-    parts = ["simulated time"] if times.simulated else []
-    is_comparable = (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start
-    if is_comparable and not times.simulated:
-        side = "after" if times.offset_s > 0 else "before"
-        offset = f"{report.write_duration(abs(times.offset_s))} {side} the record times"
-        parts.append(f"{offset}, drift {times.drift_s:.2g} s")
-    parts.append(f"largest gap {report.write_duration(times.largest_gap_s)}")
-    if times.time_increment_s:
-        parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")
-    if times.jumps_back:
-        jumps = count(times.jumps_back, "jump")
-        parts.append(f"{jumps} back, up to {times.largest_jump_back_s:.3g} s")
-    if times.duplicates:
-        parts.append(f"{count(times.duplicates, 'scan')} with the stamp of the one before")
-    if times.all_equal:
-        parts.append("all zero" if times.all_zero else "all equal")
-    return ", ".join(parts)
+    has_both = (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start
+    apart = report.write_duration(abs(times.offset_s))
+    side = "after" if times.offset_s > 0 else "before"
+    jumps = f"{count(times.jumps_back, 'jump')} back, up to {times.largest_jump_back_s:.3g} s"
+    parts = {
+        "simulated time": times.simulated,
+        f"{apart} {side} the record times, drift {times.drift_s:.2g} s": (
+            has_both and not times.simulated
+        ),
+        f"largest gap {report.write_duration(times.largest_gap_s)}": True,
+        f"{1e3 * times.time_increment_s:.3g} ms between beams": times.time_increment_s,
+        jumps: times.jumps_back,
+        f"{count(times.duplicates, 'scan')} with the stamp of the one before": times.duplicates,
+        "all zero" if times.all_zero else "all equal": times.all_equal,
+    }
+    return ", ".join(part for part, holds in parts.items() if holds)
 
 
 def describe_poses(topic: ScanFindings) -> str:

@@ -142,6 +142,11 @@ class FrameTree:
                 return [each for each in namesakes if each.rpartition("/")[0] == space] or namesakes
         return self.bodies
 
+    def find_base(self, frame: str) -> str:
+        """Find the frame that a sensor is mounted on; "" where that is not clear."""
+        bases = self.list_bases(frame)
+        return bases[0] if len(bases) == 1 else ""
+
     def find_body(self, frame: str) -> str:
         """Find the body that carries a frame: the lowest above it that moves, or the root.
 

@@ -325,8 +325,7 @@ class Search:
             return self.tree.find_body(self.frame)
         if not self.options.sensor_pose:
             return self.frame
-        bases = self.tree.list_bases(self.frame)
-        return bases[0] if len(bases) == 1 else "base_link"
+        return self.tree.find_base(self.frame) or frames.BASE_NAMES[0]
 
     def _find_base(self) -> str:
         """Find the frame that the given sensor pose is measured from."""
@@ -334,11 +333,11 @@ class Search:
         if wanted and wanted not in self.tree:
             fix = f"`base_frame` takes {join_names(self.tree.frames)}"
             raise PoseError(f"no frame {wanted!r} in the log", fix=fix)
-        bases = [wanted] if wanted else self.tree.list_bases(self.frame)
-        if len(bases) == 1:
-            return bases[0]
+        if base := wanted or self.tree.find_base(self.frame):
+            return base
+        example = next(iter(self.tree.list_bases(self.frame)), "FRAME")
         found = f"which frame the laser is mounted on is not clear ({self.known})"
-        raise PoseError(found, fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`")
+        raise PoseError(found, fix=f"name it: `base_frame={example}`")
 
     def _mount_on(self, anchor: str) -> list[Edge]:
         """Make the step from the body to a sensor whose pose the user gave."""
@@ -367,15 +366,12 @@ class Search:
     def _miss_mount(self) -> PoseError:
         """Say that nothing tells where the laser sits, and how to give that."""
         found = f"no transform to the laser's frame {self.frame!r} ({self.known})"
-        bases = self.tree.list_bases(self.frame)
-        base = bases[0] if len(bases) == 1 else ""
-        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
-        if not self.alone:  # a sensor pose would be that of every laser
-            given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
-            return PoseError(found, fix=f"give its mount: `static_transforms={given}`")
-        if not base:
-            return PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
-        return MountError(found, fix=f"give its mount on {base}: {mount}")
+        base = self.tree.find_base(self.frame)
+        if base and self.alone:  # else a sensor pose would be that of every laser
+            mount = f"`sensor_pose=({MountError.UNKNOWN})`"
+            return MountError(found, fix=f"give its mount on {base}: {mount}")
+        given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
+        return PoseError(found, fix=f"give its mount: `static_transforms={given}`")
 
     def _miss_motion(self, root: str) -> PoseError:
         """Say that nothing moves on the way from a root to the laser, and how to mend that."""

@@ -258,7 +258,7 @@ def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
     """List where frames are mounted on the body of a sensor, if no other frame is below them."""
     tree = poser.sources.tree
-    base = poser.options.base_frame or next(iter(tree.list_bases(frame)), "")
+    base = poser.options.base_frame or tree.find_base(frame)
     uppers = {base, *(edge.parent for edge in tree.edges)}
     ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
     places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
@@ -338,15 +338,13 @@ def find_mount(poser: Poser, frame: str, *, in_3d: bool = False) -> Mount | None
     given, chain = poser.options.sensor_pose, poser.chains.get(frame)
     if given or chain is None:  # None: the poses stand beside the scans
         return Mount(given or IDENTITY, "sensor_pose")
-    tree, base = poser.sources.tree, poser.options.base_frame
-    bases = [base] if base else tree.list_bases(frame)
-    is_alone = len(poser.chains) == 1
+    tree, is_alone = poser.sources.tree, len(poser.chains) == 1
+    base = poser.options.base_frame or tree.find_base(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
-        body = bases[0] if len(bases) == 1 else BASE_NAMES[0]
         if is_alone:
             return Mount(IDENTITY, "sensor_pose")
-        return Mount(IDENTITY, "static_transforms", (body, frame))
-    steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
+        return Mount(IDENTITY, "static_transforms", (base or BASE_NAMES[0], frame))
+    steps = tree.find_path(base, frame)
     if steps and is_alone and not in_3d and (mount := place_on(steps)):
         return Mount(mount, "sensor_pose")
     if not chain.steps or (mount := place_on(chain.steps[-1:])) is None:
