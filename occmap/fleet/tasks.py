@@ -162,7 +162,7 @@ def trace_log(job: Job) -> Traced:
     setting, options = job.setting, replace(job.setting.options, jobs=1)
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
-    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs, options.returns))
+    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs))
     runs = RunWriter(job)
     ((_, notes),) = trace_logs([log], options, runs.begin, tally)
     with name_log(log.path):

@@ -23,7 +23,7 @@ from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import encode_cells, open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
-from occmap.sensor import ReturnCounts, ReturnOptions, interpret
+from occmap.sensor import ReturnCounts, interpret
 from occmap.types import Float64, PosedScans, Rays, Update
 from occmap.workers import Workers
 
@@ -204,6 +204,8 @@ def trace_stream(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: 
                     rays, beams = interpret(posed, options.returns)
                 tally.use(len(rays.kind), beams)
                 reach.stretch(rays)
+                if tally.recorder:
+                    tally.recorder.sample(rays)
                 (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
 
 
@@ -225,12 +227,9 @@ class Keep(NamedTuple):
     ground: Ground | None = None
     """What clouds are traced over, if it is known, or what it grows from"""
 
-    def make_recorder(
-        self, scans: int, logs: int, returns: ReturnOptions
-    ) -> JourneyRecorder | None:
+    def make_recorder(self, scans: int, logs: int) -> JourneyRecorder | None:
         """Make a recorder for a log of `scans` scans, one of `logs`; None where none is wanted."""
-        every = max(scans * logs // SHOWN_SCANS, 1)
-        return JourneyRecorder(every, returns) if self.journey else None
+        return JourneyRecorder(max(scans * logs // SHOWN_SCANS, 1)) if self.journey else None
 
 
 @dataclass
@@ -293,7 +292,7 @@ def observe(
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
     # It records nothing itself; it gathers the recorders of the logs.
-    tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
+    tally = Tally(recorder=keep.make_recorder(0, 1))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     options = settle_update(logs, options)
@@ -308,7 +307,7 @@ def observe(
     tiles = make_grid(options)
     slices: list[Slices] = []
     for log, scans in zip(logs, counts, strict=True):
-        of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
+        of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs)))
         engine, notes = observe_log(log, options, keep._replace(ground=ground), of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)
