@@ -218,9 +218,9 @@ def gather_logs(
     """
     given = click.get_current_context().with_resource(keep_stdin(paths))
     others = [*outputs, *options.posing.files]
-    found = find_inputs(given, options.reading, others)
-    console.announce(*found.notes)
-    return found.logs
+    recordings, notes = find_inputs(given, options.reading, others)
+    console.announce(*notes)
+    return recordings
 
 
 def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:

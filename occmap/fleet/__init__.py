@@ -150,7 +150,7 @@ class Fleet:
         OccmapError
             As `observe`.
         """
-        tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
+        tally = Tally(recorder=keep.make_recorder(0, 1))
         remarks = Remarks([str(path) for path in paths])
         with (
             open_cluster(self.address, options.jobs, self.describe) as cluster,

@@ -24,10 +24,10 @@ from occmap.grid.tiles import TileGrid, stack_tiles, unite, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
-from occmap.scans import choose_engine, make_grid
+from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import AddRays, Keep, count_ground, trace_logs
+from occmap.scans.tracing import AddRays, Keep, choose_engine, count_ground, trace_logs
 from occmap.store.layout import Block, BlockContent, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
@@ -162,7 +162,7 @@ def trace_log(job: Job) -> Traced:
     setting, options = job.setting, replace(job.setting.options, jobs=1)
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
-    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs, options.returns))
+    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs))
     runs = RunWriter(job)
     ((_, notes),) = trace_logs([log], options, runs.begin, tally)
     with name_log(log.path):
@@ -193,10 +193,7 @@ class RunWriter:
 
     def _renew(self) -> None:
         setting = self._job.setting
-        keep = setting.keep
-        self._engine = choose_engine(
-            setting.options, keep.slices, keep.ground, setting.window_cells
-        )
+        self._engine = choose_engine(setting.options, setting.keep, setting.window_cells)
 
     def add(self, seen: Any) -> None:
         """Observe rays, or posed clouds."""

@@ -178,7 +178,7 @@ def test_an_output_that_cannot_be(output: str, found: str) -> None:
         ("log.csv -o m.pgm --model simple:p_hit", "write NAME:KEY=NUMBER,KEY=NUMBER"),
         ("log.csv -o m.pgm --model simple --p-hit 0.3", "p_miss 0.4 is not below p_hit 0.3"),
         ("log.csv -o m.pgm --epsilon 1", "the model counting has no parameter 'epsilon'"),
-        ("log.csv -o m.pgm --model quadratic --epsilon 1e9", "epsilon 1000000000.0 m is not poss"),
+        ("log.csv -o m.pgm --model quadratic --epsilon 1e9", "--epsilon 1000000000.0 is not"),
         (
             "log.csv -o m.pgm --occupied-thresh 0.2 --free-thresh 0.6",
             "they must satisfy 0 < free < occupied < 1",
