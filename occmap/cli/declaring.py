@@ -237,7 +237,7 @@ class ConfigOption(Option):
                 if PosingOptions(poses=beside).files:  # a topic in it may follow, as of poses
                     taken[name] = beside
             ctx.default_map = {
-                str(own[name].name): convert(f"{path}: {name}", own[name], value, ctx)
+                str(own[name].name): convert(path, own[name], value, ctx)
                 for name, value in taken.items()
             }
             told = [f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items()]
@@ -314,25 +314,27 @@ def list_options(command: click.Command | None) -> dict[str, click.Option]:
     return {name[2:]: each for each in options for name in each.opts if name.startswith("--")}
 
 
-def convert(where: str, option: click.Option, value: Any, ctx: click.Context) -> Any:
+def convert(path: Path, option: click.Option, value: Any, ctx: click.Context) -> Any:
     """Turn a value of a file of options into what is typed; raises UsageError if it cannot be."""
+    place = f"{path}: {option.opts[-1]}"
     if option.is_flag:
         if not isinstance(value, bool):
-            raise UsageError(f"is {value!r}", where=where, fix="write true or false")
+            raise UsageError(f"is {value!r}", where=place, fix="write true or false")
         return value
     several = as_list(value)
-    if not option.multiple or (several and all(isinstance(each, int | float) for each in several)):
+    if not option.multiple or (several and isinstance(several[0], int | float)):
         several = [several]  # one sector, not many
     words = [",".join(map(str, as_list(each))) for each in several]
     if any("\0" in word for word in words):  # as on a command line, which nothing behind it expects
-        raise UsageError("holds a null character", where=where, fix="take it out")
+        raise UsageError("holds a null character", where=place, fix="take it out")
     typed = words if option.multiple else words[0]
     try:
         option.type_cast_value(ctx, typed)
     except UsageError as error:
+        where = f"{path}: {error.where}".removesuffix(": ")
         raise UsageError(error.found, where=where, fix=error.fix) from None
     except click.UsageError as error:
-        raise UsageError(error.message.rstrip("."), where=where) from None
+        raise UsageError(error.message.rstrip("."), where=place) from None
     return typed
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 
-from occmap.choices import list_options, parse_number
+from occmap.choices import list_options
 from occmap.cli.console import Console, spell
 from occmap.cli.declaring import PATH, RUN, Option
 from occmap.clouds import CloudOptions
@@ -45,8 +45,6 @@ BY_THEMSELVES = ("align", "shade")
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
-TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
-"""How click reads the values of a type; those of any other are several numbers, or an enum's"""
 MAP, MODEL = "Map", "Sensor model"
 SCANS, POSES, FILES = "Which scans", "Where the scans were taken", "Files"
 
@@ -57,24 +55,23 @@ def field(section: str, name: str, *short: str, **more: Any) -> Option:
     It may have a `short` flag as well, and `more` settings, which replace these.
     """
     known = OPTIONS[name]
-    kind, default, is_many = known.kind, known.default, known.default == ()
+    kind, default = known.kind, known.default
     settings: dict[str, Any] = {
+        "type": known.read_one,
         "metavar": known.metavar or None,
-        "multiple": is_many,
-        "help": spell(known.help) + " May repeat." * is_many,
+        "multiple": known.is_many,
+        "help": spell(known.help) + " May repeat." * known.is_many,
     }
     if isinstance(kind, EnumType):
         settings["type"] = click.Choice(list(map(str, kind)))
         settings["callback"] = lambda _ctx, _param, value: kind(value)
         settings |= {"default": default.value, "show_default": True}
     elif kind is bool:
-        settings["is_flag"] = True
-    elif known.form:
-        settings["type"] = known.parse
-    else:
-        settings["type"] = TYPES[kind]
-        if isinstance(default, int | float):
-            settings |= {"default": default, "show_default": math.isfinite(default)}
+        settings |= {"is_flag": True, "type": None}
+    elif kind is Path:
+        settings["type"] = PATH
+    elif isinstance(default, int | float):
+        settings |= {"default": default, "show_default": math.isfinite(default)}
     return Option(section, *short, known.flag, name, **settings | more)
 
 
@@ -110,25 +107,12 @@ def one_output(name: str, metavar: str, text: str) -> Option:
     return Option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
-def parse_align(text: str) -> float | None:
-    """Read an angle in degrees, or the word that leaves it to the scans; raises UsageError."""
-    word = OPTIONS["align"].none[0]
-    form = f"write degrees such as 12.5, or {word}"
-    return None if text == word else parse_number(text, f"--align {text}", form)
-
-
 LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
 RESOLUTION = field(MAP, "resolution", "-r")
 MAX_CELLS = field(MAP, "max_cells", type=click.IntRange(min=1))
 MIN_PASSES = field(MAP, "min_passes")
 ALIGN = field(
-    MAP,
-    "align",
-    bare=OPTIONS["align"].none[0],
-    type=parse_align,
-    default="0",
-    metavar="[DEG]",
-    show_default="not turned",
+    MAP, "align", bare=OPTIONS["align"].none[0], metavar="[DEG]", show_default="not turned"
 )
 LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
 FRAMING = group(MAP, Framing)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from occmap.choices import parse_number, take
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, show_progress, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
@@ -37,8 +37,7 @@ AGAINST = "What it is held against"
         AGAINST,
         "--within",
         "within_m",
-        type=lambda text: parse_number(text, f"--within {text}", "write metres such as 0.1"),
-        default=str(WITHIN_M),
+        default=WITHIN_M,
         show_default=True,
         metavar="M",
         help="A wall is found, and not invented, if it is off by at most so much.",
@@ -46,7 +45,6 @@ AGAINST = "What it is held against"
     flag(
         AGAINST,
         "--fit",
-        "is_fitted",
         text="First move the recordings onto the map, or the map onto the truth, by the shift of "
         "up to 2 m and the turn of up to 20 degrees by which they fit best.",
     ),
