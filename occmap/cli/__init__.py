@@ -11,10 +11,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from io import TextIOWrapper
-from threading import Timer
 from time import monotonic
 from types import FrameType
-from typing import Any
 
 import click
 
@@ -39,6 +37,7 @@ COMMANDS = {
 }
 """The texts are those of --help."""
 HOMES = {
+    "demo": "build",
     **dict.fromkeys(("explain", "merge", "render"), "evidence"),
     **dict.fromkeys(("models", "readers", "schema", "writers"), "lists"),
     **dict.fromkeys(("diff", "tune"), "compare"),
@@ -185,10 +184,9 @@ class Interrupted(KeyboardInterrupt):
 class Signals:
     """Listens to signals, and remembers the first that came."""
 
-    def __init__(self) -> None:
-        self.number: int | None = None
-        """The first signal that came"""
-        self._raised_at = 0.0
+    number: int | None = None
+    """The first signal that came"""
+    _raised_at = 0.0
 
     @property
     def exit_code(self) -> int:
@@ -200,7 +198,6 @@ class Signals:
         for number in ENDING:
             if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
                 signal.signal(number, self.receive)
-        sys.unraisablehook = self.raise_later
 
     def ignore(self) -> None:
         """Let no signal disturb the end of a process whose work is done."""
@@ -213,19 +210,3 @@ class Signals:
             self.number = self.number or number
             self._raised_at = monotonic()
             raise Interrupted
-
-    def raise_later(self, dropped: Any) -> None:
-        """Send a signal again that came in a destructor, where Python drops every exception."""
-        if self.number is None:
-            sys.__unraisablehook__(dropped)
-        elif issubclass(dropped.exc_type, KeyboardInterrupt):
-            self._raised_at = 0.0  # the timer below must not run out before this has returned
-            Timer(0.2, send_to_itself, [self.number]).start()
-
-
-def send_to_itself(number: int) -> None:
-    """Send this process a signal, such that its main thread wakes up if it waits."""
-    if sys.platform == "win32":  # there, os.kill ends a process at once
-        signal.raise_signal(number)
-    else:
-        os.kill(os.getpid(), number)

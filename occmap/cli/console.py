@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
-from threading import Event, Thread
 from typing import Any
 
 import click
@@ -203,10 +202,6 @@ def discard(stream: Any) -> None:
     os.close(nothing)
 
 
-REDRAW_S = 0.5
-"""The clock of the bar runs on while a long step reports nothing."""
-
-
 class Bar:
     """Shows how far the work is, where there is a terminal to show it on."""
 
@@ -234,17 +229,4 @@ def show_progress(console: Console) -> Iterator[Bar]:
     from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
 
     with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
-        done = Event()
-        clock = Thread(target=redraw, args=(bar, done), daemon=True)
-        clock.start()
-        try:
-            yield Bar(bar)
-        finally:
-            done.set()
-            clock.join()
-
-
-def redraw(bar: Any, done: Event) -> None:
-    """Draw a bar anew, with what time it is, until all is done."""
-    while not done.wait(REDRAW_S):
-        bar.refresh()
+        yield Bar(bar)

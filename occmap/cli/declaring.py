@@ -52,8 +52,8 @@ class Option(click.Option):
 class Command(click.Command):
     """A command whose --help lists its options by section, in the order of their declaration."""
 
-    printed: type[Printed]
-    """What it prints with --json"""
+    printed: Sequence[type[Printed]]
+    """What it prints with --json: the fields of these types, one after the other"""
     usual: frozenset[str] = frozenset()
     """The options that --help lists, where it leaves the others to --help-all; none: all"""
 
@@ -194,7 +194,9 @@ def command(
         text = describe(function) or COMMANDS[name]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
         made = cls(name, params=own, callback=run, help=text)
-        made.printed, made.usual = printed, frozenset([*usual, "help_all"] if usual else ())
+        has_limits = any(param.name == "limits" for param in params)
+        made.printed = [printed, Limited] if has_limits else [printed]
+        made.usual = frozenset([*usual, "help_all"] if usual else ())
         return made
 
     return decorate
