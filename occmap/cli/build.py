@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Bar, Console, show_progress, write_rows
+from occmap.cli.console import Console, write_rows
 from occmap.cli.declaring import CONFIG, PATH, RUN, Answer, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, Values
 from occmap.errors import LogError, OccmapError, UsageError
@@ -86,8 +86,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     logs = options.gather_logs(console, given, chosen, values["outputs"])
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
-    with show_progress(console) as progress:
-        report = options.hide_sent(run_build(logs, chosen, values, progress))
+    report = options.hide_sent(run_build(console, logs, chosen, values))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -151,16 +150,17 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
 
 
 def run_build(
-    logs: list[Path], chosen: BuildOptions, values: dict[str, Any], progress: Bar
+    console: Console, logs: list[Path], chosen: BuildOptions, values: dict[str, Any]
 ) -> Report:
     """Build in this process, or by the workers that --dask names."""
     outputs = values["outputs"]
     if values["dask"] is None:
-        return build(logs, chosen, outputs, progress).report
+        return build(logs, chosen, outputs, console.advance).report
     from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
 
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
-    return Fleet(values["dask"], scratch, progress.describe).build(logs, chosen, outputs, progress)
+    fleet = Fleet(values["dask"], scratch, console.describe)
+    return fleet.build(logs, chosen, outputs, console.advance)
 
 
 SAMPLES = "drive.mcap", "floor_plan.pgm", "floor_plan.yaml"
@@ -183,8 +183,7 @@ def demo_command(console: Console, /, folder: Path) -> Answer:
         for name in SAMPLES:
             shutil.copyfile(find_sample(name), folder / name)
     log, made = folder / SAMPLES[0], [folder / f"map.{suffix}" for suffix in ("pgm", "png", "npz")]
-    with show_progress(console) as progress:
-        report = build([log], BuildOptions(), made, progress).report
+    report = build([log], BuildOptions(), made, console.advance).report
     commands = (
         f"occmap check {log}",
         f"occmap build beam {log} -o {folder / 'beam.png'}",

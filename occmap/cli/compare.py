@@ -12,7 +12,7 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, show_progress, write_command, write_rows
+from occmap.cli.console import Console, align, write_command, write_rows
 from occmap.cli.declaring import CONFIG, LIMITS, PATH, Answer, Option, command, fail_if
 from occmap.difference import MapDifference
 from occmap.options import OPTIONS, BuildOptions
@@ -80,8 +80,7 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
     chosen = combine([Update(text) for text in values["updates"]], values.pop("model"))
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
-    with show_progress(console) as progress:
-        comparison = compare_logs(found, chosen, common, values["picture"], progress)
+    comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
     return Answer(comparison, format_comparison(comparison))
 
 
@@ -142,8 +141,7 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     """
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
-    with show_progress(console) as progress:
-        tuning = tune(found, common, progress)
+    tuning = tune(found, common, console.advance)
     return Answer(tuning, format_tuning(tuning))
 
 

@@ -5,7 +5,7 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -67,6 +67,7 @@ class Console:
     """A map goes there: all else goes to stderr"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
+    _bar: Any = None
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
@@ -107,8 +108,34 @@ class Console:
         self.announced += notes
         self.note(*notes)
 
+    def advance(self, scans: int, total: int) -> None:
+        """Show on a terminal that so many more scans were read, of `total` in all."""
+        if (bar := self._show_bar()) is not None:
+            bar.total = max(total, bar.n + scans)  # an index may count too few
+            bar.update(scans)
+
+    def describe(self, phase: str) -> None:
+        """Show on a terminal which phase of the work goes on."""
+        if (bar := self._show_bar()) is not None:
+            bar.set_postfix_str(phase)
+
+    def _show_bar(self) -> Any:
+        """Show how far the work is; None where nobody would see it."""
+        is_seen = self.verbosity > Verbosity.QUIET and sys.stderr and sys.stderr.isatty()
+        if self._bar is None and is_seen:
+            from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
+
+            self._bar = tqdm(unit=" scans", leave=False, dynamic_ncols=True)
+        return self._bar
+
+    def clear(self) -> None:
+        """Take the bar away, before anything is printed where it stands."""
+        if self._bar is not None:
+            self._bar.close()
+
     def fail(self, error: OccmapError, code: int) -> int:
         """Print an error, as JSON as well where a program waits for it; return the exit code."""
+        self.clear()
         self.tell(f"error: {error}")
         if self.as_json and not self.answered:
             parts = ErrorParts(code, error.where, " ".join(error.found.split()), error.fix)
@@ -200,33 +227,3 @@ def discard(stream: Any) -> None:
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, stream.fileno())
     os.close(nothing)
-
-
-class Bar:
-    """Shows how far the work is, where there is a terminal to show it on."""
-
-    def __init__(self, tqdm: Any = None) -> None:
-        self._tqdm = tqdm
-
-    def __call__(self, scans: int, total: int) -> None:
-        """Show that `scans` more scans were read, of `total` in all."""
-        if self._tqdm is not None:
-            self._tqdm.total = max(total, self._tqdm.n + scans)  # an index may count too few
-            self._tqdm.update(scans)
-
-    def describe(self, text: str) -> None:
-        """Show which phase of the work goes on."""
-        if self._tqdm is not None:
-            self._tqdm.set_postfix_str(text)
-
-
-@contextmanager
-def show_progress(console: Console) -> Iterator[Bar]:
-    """Show a bar while the block runs, unless nobody would see it."""
-    if console.verbosity is Verbosity.QUIET or sys.stderr is None or not sys.stderr.isatty():
-        yield Bar()
-        return
-    from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
-
-    with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
-        yield Bar(bar)

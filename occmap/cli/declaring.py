@@ -177,6 +177,7 @@ def command(
             console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
+            console.clear()
             failed = judge([*answer.limits, *(limits or ())], answer.result)
             console.note(*getattr(answer.result, "notes", ()))
             if as_json:

@@ -9,7 +9,7 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, show_progress, write_rows
+from occmap.cli.console import Console, align, write_rows
 from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
@@ -164,8 +164,7 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
     values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))
     question = take(Question, values | view)
-    with show_progress(console) as progress:
-        explanation = explain(evidence, question, progress)
+    explanation = explain(evidence, question, console.advance)
     rows = [*list_cell(explanation)]
     if explanation.digest:
         rows.append(("digest", explanation.digest))

@@ -25,13 +25,7 @@ from occmap.clouds import CloudOptions
 from occmap.errors import OutputError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
-from occmap.options import (
-    FLAGS,
-    OPTIONS,
-    BuildOptions,
-    Selection,
-    name_map,
-)
+from occmap.options import FLAGS, OPTIONS, BuildOptions, Selection, name_map
 from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
 from occmap.report.results import Report
@@ -117,10 +111,7 @@ ALIGN = field(
 LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
 FRAMING = group(MAP, Framing)
 RANGES_READ = group("What a range means", ReturnOptions)
-SCANS_READ = [
-    *group(SCANS, Selection, ReaderOptions, CloudOptions),
-    *group(POSES, PosingOptions),
-]
+SCANS_READ = [*group(SCANS, Selection, ReaderOptions, CloudOptions), *group(POSES, PosingOptions)]
 READING = [*RANGES_READ, *SCANS_READ]
 THRESHOLDS = fields(FILES, "occupied_thresh", "free_thresh")
 WRITING = [

@@ -10,7 +10,7 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, show_progress, write_rows
+from occmap.cli.console import Console, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
 from occmap.options import BuildOptions
 from occmap.report import count
@@ -74,8 +74,7 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
     if against.logs:
         found = options.gather_logs(console, against.logs, common)
         against = replace(against, logs=tuple(found))
-    with show_progress(console) as progress:
-        made = score(path, against, common, progress)
+    made = score(path, against, common, console.advance)
     return Answer(made, write_rows(list_score(made)))
 
 
