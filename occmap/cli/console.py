@@ -77,7 +77,7 @@ class Console:
             for line in lines:
                 self.tell(line)
         else:
-            put_line("\n".join(clean(spell(line)) for line in lines))
+            put_on_stdout("\n".join(clean(spell(line)) for line in lines))
 
     def tell(self, text: str) -> None:
         """Print a line to stderr; where that is closed there is nobody to tell."""
@@ -95,7 +95,9 @@ class Console:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
         text = spell(json.dumps(named, indent=2, allow_nan=False))
-        put_line(text.replace("##", r"\u0023#"))  # the same JSON, but no command to a CI runner
+        put_on_stdout(
+            text.replace("##", r"\u0023#")
+        )  # the same JSON, but no command to a CI runner
 
     def note(self, *texts: str) -> None:
         """Print what is worth knowing, unless the user wants quiet."""
@@ -174,7 +176,7 @@ def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
         yield "  ".join(f"{text:{side}{width}}" for text, side, width in cells)
 
 
-def put_line(text: str) -> None:
+def put_on_stdout(text: str | bytes, nl: bool = True) -> None:
     """Print to stdout; where its reader is gone, the work goes on and its exit code counts.
 
     Raises
@@ -183,7 +185,7 @@ def put_line(text: str) -> None:
         Stdout cannot be written for any other reason.
     """
     try:
-        click.echo(text)
+        click.echo(text, nl=nl)
     except BrokenPipeError:
         discard(sys.stdout)
     except OSError as error:

@@ -323,7 +323,7 @@ def convert(path: Path, option: click.Option, value: Any, ctx: click.Context) ->
     if option.is_flag:
         if not isinstance(value, bool):
             raise UsageError(f"is {value!r}", where=place, fix="write true or false")
-        return value
+        return option.flag_value if value else option.get_default(ctx)
     several = as_list(value)
     if not option.multiple or (several and isinstance(several[0], int | float)):
         several = [several]  # one sector, not many

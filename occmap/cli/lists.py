@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import click
 
 from occmap.cli import COMMANDS, cli
-from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_line, spell
+from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_on_stdout, spell
 from occmap.cli.declaring import QUIET, VERBOSE, Answer, Command, command, describe
 from occmap.plugins import Broken, Group, load_plugins
 from occmap.report import Printed, list_printed, printed_as, read_texts
@@ -100,7 +100,7 @@ def print_schema(name: str) -> None:
     """
     made: Any = cli.get_command(click.get_current_context(), name)
     kinds = made.printed if made else [PrintedError]
-    put_line(spell(json.dumps(make_schema(name, *kinds), indent=2)))
+    put_on_stdout(spell(json.dumps(make_schema(name, *kinds), indent=2)))
 
 
 NAME = click.Argument(["name"], type=click.Choice(NAMES), metavar="COMMAND")
