@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 
 import click
 
-from occmap.cli import COMMANDS, cli
+from occmap.cli import COMMANDS
 from occmap.cli.console import Console, Verbosity
 from occmap.errors import OccmapError, UsageError
+from occmap.options import FLAGS
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
@@ -211,8 +212,6 @@ def describe(function: Callable[..., Any]) -> str:
 NAME = "occmap.toml"
 BESIDE = frozenset({"edits", "ground", "poses"})
 """Options that may name a file beside the file of options: it is looked for there first"""
-OTHER_COMMANDS = ("build", "compare")
-"""Between them they have the options that a file beside logs may hold."""
 
 
 class ConfigOption(Option):
@@ -232,7 +231,9 @@ class ConfigOption(Option):
         """
         path = None if ctx.resilient_parsing else find_config(opts)
         if path is not None:
-            own = list_options(ctx.command)
+            options = [each for each in ctx.command.params if isinstance(each, click.Option)]
+            flags = {flag: each for each in options for flag in each.opts}
+            own = {flag[2:]: each for flag, each in flags.items() if flag.startswith("--")}
             stated = read_config(path, ctx.command.name or "", own)
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
             for name in BESIDE.intersection(taken):
@@ -301,20 +302,13 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
         fix = suggest(name, list(COMMANDS), "occmap --help")
         raise UsageError(f"no command is called {name!r}", where=f"{path}: [{name}]", fix=fix)
     common = {name: value for name, value in values.items() if name not in tables}
-    others = (cli.get_command(click.Context(cli), name) for name in OTHER_COMMANDS)
-    known = {*own, *(name for each in others for name in list_options(each))} - {"config"}
+    known = {*own, *(flag[2:] for flag in FLAGS.values())} - {"config"}
     for name in chain(common, *tables.values()):
         if name not in known:
             fix = guess(name.replace("_", "-"), known) or "see `occmap build --help`"
             raise UsageError(f"no option is called {name!r}", where=path, fix=fix)
     stated = common | tables.get(command, {})
     return {name: value for name, value in stated.items() if name in own}
-
-
-def list_options(command: click.Command | None) -> dict[str, click.Option]:
-    """List the options of a command by their long names, without the dashes."""
-    options = [each for each in command.params if isinstance(each, click.Option)] if command else []
-    return {name[2:]: each for each in options for name in each.opts if name.startswith("--")}
 
 
 def convert(path: Path, option: click.Option, value: Any, ctx: click.Context) -> Any:

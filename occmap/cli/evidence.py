@@ -1,6 +1,5 @@
 """`occmap merge`, `render` and `explain`: saved evidence added up, made a map, and asked about."""
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import click
 from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
-from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if, flag
+from occmap.cli.declaring import NUMBER, PATH, Answer, Command, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
@@ -121,10 +120,6 @@ MOST_SCANS = 12
 """More are cut out of the middle of the list"""
 MOST_BUILDS = 6
 
-NUMBER = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
-NEGATIVE = re.compile(f"-{NUMBER}")
-POINT = re.compile(f"-?{NUMBER},-?{NUMBER}")
-
 
 class PointCommand(Command):
     """A command whose arguments may be negative numbers, which look like options."""
@@ -133,8 +128,10 @@ class PointCommand(Command):
         """Part X,Y, and put a space before negative numbers: no option begins with one."""
         words: list[str] = []
         for word in args:
-            words += word.split(",") if POINT.fullmatch(word) else [word]
-        return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
+            parts = word.split(",")
+            is_point = len(parts) <= 2 and all(map(NUMBER.fullmatch, parts))
+            words += [f" {x}" if x[0] == "-" else x for x in parts] if is_point else [word]
+        return super().parse_args(ctx, words)
 
 
 @command(
