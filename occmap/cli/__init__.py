@@ -38,6 +38,7 @@ COMMANDS = {
 """The texts are those of --help."""
 HOMES = {
     "demo": "build",
+    "score": "check",
     **dict.fromkeys(("explain", "merge", "render"), "evidence"),
     **dict.fromkeys(("models", "readers", "schema", "writers"), "lists"),
     **dict.fromkeys(("diff", "tune"), "compare"),
