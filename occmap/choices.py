@@ -263,8 +263,6 @@ class Option:
             It is not of the option's type: there are too many or too few numbers, an angle is in
             degrees, and so on.
         """
-        if self.none[0] and str(value) == self.none[0]:
-            return None
         form = self.form or find_form(self.kind)
         try:
             return form.read(value)
@@ -272,6 +270,8 @@ class Option:
             fix = error.fix or self._tell(form, value)
             raise UsageError(error.found, where=f"`{self.name}={value}`", fix=fix) from None
         except (TypeError, ValueError, OverflowError):
+            if self.none[0] and str(value) == self.none[0]:
+                return None
             fix = self._tell(form, value)
             raise UsageError(f"`{self.name}` is {value!r}", fix=fix) from None
 

@@ -167,8 +167,9 @@ def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]
         yield f"{label:<{width}}{text}".rstrip()
 
 
-def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
+def align(rows: Iterable[Sequence[str]], labels: int = 0) -> Iterator[str]:
     """Write rows with their columns under each other; the first `labels` are flush left."""
+    table = list(rows)
     sides = "<" * labels + ">" * len(table[0])
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for row in table:

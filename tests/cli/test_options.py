@@ -81,7 +81,7 @@ def test_a_refused_value_names_its_option(name: str, text: str, found: str) -> N
         ("stride", "3", 3),
         ("align", "auto", None),
         ("align", "-90", -90.0),
-        ("max_pose_gap_s", "inf", None),
+        ("max_pose_gap_s", "inf", math.inf),
         ("topics", "/scan", ("/scan",)),
         ("extent", "0, 0,5,4", (0.0, 0.0, 5.0, 4.0)),
         ("extent", ["0", 0, 5, 4.0], (0.0, 0.0, 5.0, 4.0)),
