@@ -114,20 +114,14 @@ def run(args: Sequence[str], signals: "Signals | None" = None) -> int:
         if signals.number or isinstance(error, KeyboardInterrupt | click.Abort):
             interrupted = OccmapError("interrupted: nothing more is written")
             return console.fail(interrupted, signals.exit_code)
-        return answer(error, console)
+        if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
+            discard(sys.stdout)
+            return 0
+        known = describe_misuse(error) if isinstance(error, click.ClickException) else error
+        if isinstance(known, OccmapError):
+            return console.fail(known, known.exit_code)
+        return console.fail_unexpectedly(error)
     return 0
-
-
-def answer(error: BaseException, console: Console) -> int:
-    """Say in one line what went wrong; return the exit code."""
-    if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
-        discard(sys.stdout)
-        return 0
-    if isinstance(error, click.ClickException):
-        return console.fail(describe_misuse(error), error.exit_code)
-    if isinstance(error, OccmapError):
-        return console.fail(error, error.exit_code)
-    return console.fail_unexpectedly(error)
 
 
 def describe_misuse(error: click.ClickException) -> UsageError:

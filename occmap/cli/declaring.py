@@ -24,7 +24,7 @@ from occmap.options import FLAGS
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
-from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
+from occmap.report.limits import Failed, Limit, Measures, judge, parse_bound, parse_limit
 
 SHORT_EQUALS = re.compile("-[a-z]=")
 LIMIT_BROKEN = 3
@@ -123,8 +123,6 @@ class Answer(NamedTuple):
     """The same for people"""
     failure: Exception | None = None
     """What ends the command with an exit code of its own, once all is printed"""
-    limits: Sequence[Limit] = ()
-    """Those that are set beside --fail-if"""
 
 
 @dataclass(frozen=True)
@@ -135,14 +133,27 @@ class Limited(Printed):
     """The limits of `limits` that the result does not keep to; any of them makes the exit code 3"""
 
 
-def fail_if(measures: Measures, example: str) -> Option:
-    """Declare the option that sets limits on what a command measures."""
+def fail_if(measures: Measures, example: str, *others: str) -> Option:
+    """Declare the option that sets limits on what a command measures.
+
+    Parameters
+    ----------
+    others
+        Flags that are followed by the number alone, above which the first measure fails.
+    """
+
+    def read(text: str) -> Limit:
+        if others and not re.search("[<>=]", text):
+            bound = parse_bound(text.strip(), measures[0], f"{others[0]} {text}")
+            return Limit(measures[0], ">", bound, text.endswith("%"), others[0])
+        return parse_limit(text, measures)
+
     text = f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. May repeat.'
+    text += "".join(f" {each} SHARE is short for {measures[0].name} > SHARE." for each in others)
     return Option(
         LIMITS,
-        "--fail-if",
-        "limits",
-        type=lambda text: parse_limit(text, measures),
+        *("--fail-if", *others, "limits"),
+        type=read,
         multiple=True,
         metavar='"NAME > NUMBER"',
         help=f"{text} Names: {', '.join(measure.name for measure in measures)}.",
@@ -179,7 +190,7 @@ def command(
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
             console.clear()
-            failed = judge([*answer.limits, *(limits or ())], answer.result)
+            failed = judge(limits or (), answer.result)
             console.note(*getattr(answer.result, "notes", ()))
             if as_json:
                 added = {} if limits is None else Limited(failed).to_json()
