@@ -10,7 +10,7 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, Verbosity, write_command, write_rows
+from occmap.cli.console import Console, write_command, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
 from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection, LogFindings
@@ -54,7 +54,7 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
         from occmap.page.document import write_inspection  # noqa: PLC0415  late: few want it
 
         write_inspection(values["output"], inspection)
-    if console.verbosity is Verbosity.QUIET:
+    if console.quiet:
         for problem in inspection.problems:
             console.tell(f"error: {problem}")
     failure = None if inspection.buildable else click.exceptions.Exit(1)

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import IntEnum
 from typing import Any
 
 import click
@@ -19,16 +18,6 @@ ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
 RESULT_VERSION = 1
 """The version of what --json prints: it grows when a field changes its meaning or goes"""
-
-
-class Verbosity(IntEnum):
-    """How much a command tells."""
-
-    QUIET = 0
-    """Errors, and results that were asked for as JSON."""
-    NORMAL = 1
-    VERBOSE = 2
-    """Also what helps to find a fault in occmap itself."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +47,10 @@ class PrintedError(Printed):
 class Console:
     """The two streams, and how much goes to them."""
 
-    verbosity: Verbosity = Verbosity.NORMAL
+    quiet: bool = False
+    """Only errors are told, and results that were asked for as JSON"""
+    verbose: bool = False
+    """So is what helps to find a fault in occmap itself"""
     as_json: bool = False
     """A program reads stdout: it gets one JSON object, whatever happens"""
     answered: bool = False
@@ -71,7 +63,7 @@ class Console:
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
-        if self.verbosity is Verbosity.QUIET:
+        if self.quiet:
             return
         if self.stdout_is_taken:
             for line in lines:
@@ -101,7 +93,7 @@ class Console:
 
     def note(self, *texts: str) -> None:
         """Print what is worth knowing, unless the user wants quiet."""
-        if self.verbosity > Verbosity.QUIET:
+        if not self.quiet:
             for text in texts:
                 self.tell(f"note: {text}")
 
@@ -123,7 +115,7 @@ class Console:
 
     def _show_bar(self) -> Any:
         """Show how far the work is; None where nobody would see it."""
-        is_seen = self.verbosity > Verbosity.QUIET and sys.stderr and sys.stderr.isatty()
+        is_seen = not self.quiet and sys.stderr and sys.stderr.isatty()
         if self._bar is None and is_seen:
             from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
 
@@ -149,7 +141,7 @@ class Console:
         """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
         import traceback  # noqa: PLC0415  late: rarely needed
 
-        if self.verbosity is Verbosity.VERBOSE:
+        if self.verbose:
             for text in "".join(traceback.format_exception(error)).splitlines():
                 self.tell(text)
         home, place = os.path.dirname(os.path.dirname(__file__)), "?"  # noqa: PTH120  as in cli

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import click
 
 from occmap.cli import COMMANDS
-from occmap.cli.console import Console, Verbosity
+from occmap.cli.console import Console
 from occmap.errors import OccmapError, UsageError
 from occmap.options import FLAGS
 from occmap.plugins import guess, suggest
@@ -95,10 +95,9 @@ def show_all(ctx: click.Context, _param: click.Parameter, is_wanted: bool) -> No
         ctx.exit()
 
 
-def choose_verbosity(ctx: click.Context, param: click.Parameter, is_wanted: bool) -> None:
-    """Choose the verbosity that an option is called after."""
-    if is_wanted:
-        ctx.ensure_object(Console).verbosity = Verbosity[str(param.name).upper()]
+def tell_console(ctx: click.Context, param: click.Parameter, is_wanted: bool) -> None:
+    """Let the console know how it is to talk."""
+    setattr(ctx.ensure_object(Console), str(param.name), is_wanted)
 
 
 def flag(section: str, *names: str, text: str, **settings: Any) -> Option:
@@ -106,10 +105,10 @@ def flag(section: str, *names: str, text: str, **settings: Any) -> Option:
     return Option(section, *names, is_flag=True, help=text, **settings)
 
 
-LOUDNESS: dict[str, Any] = {"expose_value": False, "callback": choose_verbosity}
-QUIET = flag(RUN, "-q", "--quiet", text="Print errors only, and what --json asks for.", **LOUDNESS)
-VERBOSE = flag(RUN, "-v", "--verbose", text="Print the traceback of a fault in occmap.", **LOUDNESS)
-JSON = flag(RUN, "--json", "as_json", text="Print the result as JSON.")
+TOLD: dict[str, Any] = {"expose_value": False, "callback": tell_console}
+QUIET = flag(RUN, "-q", "--quiet", text="Print errors only, and what --json asks for.", **TOLD)
+VERBOSE = flag(RUN, "-v", "--verbose", text="Print the traceback of a fault in occmap.", **TOLD)
+JSON = flag(RUN, "--json", "as_json", text="Print the result as JSON.", **TOLD)
 WHOLE: dict[str, Any] = {"expose_value": False, "callback": show_all, "is_eager": True}
 HELP_ALL = flag(RUN, "--help-all", text="Show all options and exit.", **WHOLE)
 
@@ -185,14 +184,14 @@ def command(
 
     def decorate(function: Callable[..., Answer]) -> Command:
         @click.pass_obj
-        def run(console: Console, /, as_json: bool, **values: Any) -> None:
+        def run(console: Console, /, **values: Any) -> None:
             console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
             console.clear()
             failed = judge(limits or (), answer.result)
             console.note(*getattr(answer.result, "notes", ()))
-            if as_json:
+            if console.as_json:
                 added = {} if limits is None else Limited(failed).to_json()
                 console.put_json(name, answer.result.to_json() | added)
             else:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from occmap.cli.build import build_command, read_request
-from occmap.cli.console import Console, Verbosity
+from occmap.cli.console import Console
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
@@ -258,7 +258,7 @@ def test_a_bar_never_passes_its_total(
 
     monkeypatch.setattr("tqdm.tqdm", Bar)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    Console(Verbosity.QUIET).advance(5, 10)
+    Console(quiet=True).advance(5, 10)
     assert not numbers
     console = Console()
     for scans in (5, 5, -10, 5, 7):
