@@ -87,9 +87,7 @@ class Console:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
         text = spell(json.dumps(named, indent=2, allow_nan=False))
-        put_on_stdout(
-            text.replace("##", r"\u0023#")
-        )  # the same JSON, but no command to a CI runner
+        put_on_stdout(text.replace("##", r"\u0023#"))  # equal JSON, but no command to a CI runner
 
     def note(self, *texts: str) -> None:
         """Print what is worth knowing, unless the user wants quiet."""
