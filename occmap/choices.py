@@ -9,7 +9,6 @@ typed; they are written as they are typed.
 import math
 import operator
 import os
-import re
 import textwrap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -29,8 +28,6 @@ LARGEST_ANGLE = 7.0
 """A little more than a full turn (rad), since people round."""
 LEVEL_RAD = 5e-6
 """A smaller angle is written as 0."""
-TUPLE = re.compile(r"\((.*?)\)")
-"""A tuple, as it is written in Python"""
 
 
 class Form(NamedTuple):
@@ -39,7 +36,7 @@ class Form(NamedTuple):
     read: Callable[[Any], Any]
     """Makes a value of what was given or typed; raises TypeError, ValueError or UsageError"""
     text: str
-    """What to give; a tuple is typed without its parentheses"""
+    """What to type; Python may have it as text, too, or as a tuple of what stands between commas"""
 
 
 def write_values(value: Any) -> list[str]:
@@ -85,15 +82,6 @@ def _join(numbers: Sequence[float]) -> str:
     return ",".join(f"{round(number, 5) + 0.0:.12g}" for number in numbers)
 
 
-def _refuse_degrees(angles: Iterable[float]) -> None:
-    """Refuse angles of more than a turn, which are degrees; raises UsageError with the radians."""
-    for angle in angles:
-        if abs(angle) > LARGEST_ANGLE:
-            found = f"an angle of {angle:g} rad is more than a turn"
-            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
-            raise UsageError(found, fix=fix)
-
-
 def _read_number(value: Any) -> float:
     if not isinstance(value, Real | str) or isinstance(value, bool):
         raise TypeError
@@ -111,13 +99,25 @@ def _read_finite(value: Any) -> float:
     raise UsageError(f"{value!r} is not a number")
 
 
-def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
-    """Make finite numbers of several; raises UsageError if there are not so many, or of others."""
+def _read_numbers(value: Iterable[Any], *sizes: int, angles: slice = slice(0)) -> tuple[float, ...]:
+    """Make finite numbers of several, some of which may be angles in radians.
+
+    Raises
+    ------
+    UsageError
+        There are not so many, one is not a number, or an angle is more than a turn: in degrees.
+    """
     parts = _part(value)
     if len(parts) not in sizes:
         belong = " or ".join(map(str, sizes))
         raise UsageError(f"{count(len(parts), 'value')} where {belong} belong")
-    return tuple(map(_read_finite, parts))
+    numbers = tuple(map(_read_finite, parts))
+    for angle in numbers[angles]:
+        if abs(angle) > LARGEST_ANGLE:
+            found = f"an angle of {angle:g} rad is more than a turn"
+            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
+            raise UsageError(found, fix=fix)
+    return numbers
 
 
 def _part(value: Iterable[Any]) -> tuple[Any, ...]:
@@ -139,8 +139,8 @@ def _read_pose(value: Any, *sizes: int) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
         return value
-    x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, *sizes), 0.0, 0.0)
-    _refuse_degrees((yaw, roll, pitch))
+    numbers = _read_numbers(value, *sizes, angles=slice(2, None))
+    x, y, yaw, roll, pitch, *_ = (*numbers, 0.0, 0.0)
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
@@ -149,20 +149,12 @@ def _read_transform(value: Any) -> PoseSample:
     if isinstance(value, PoseSample):
         return value
     parts = _part(value)
-    x, y, z, roll, pitch, yaw = _read_numbers(parts[2:], 6)
+    x, y, z, roll, pitch, yaw = _read_numbers(parts[2:], 6, angles=slice(3, None))
     parent, child = map(_read_text, parts[:2])
     if not (parent and child):
         raise UsageError("a frame has no name")
-    _refuse_degrees((roll, pitch, yaw))
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
     return PoseSample(0, parent, child, pose, static=True)
-
-
-def _read_sector(value: Any) -> tuple[float, ...]:
-    """Make a sector of two bearings in radians."""
-    sector = _read_numbers(value, 2)
-    _refuse_degrees(sector)
-    return sector
 
 
 def _read_switch(value: Any) -> bool:
@@ -181,26 +173,27 @@ FORMS: dict[Any, Form] = {
 """How values look by their type, where an option does not say it"""
 MOUNT = Form(
     lambda value: _read_pose(value, 3, 5),
-    "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians, such as (0.1, 0, 3.14159)",
+    "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
 )
 PLANAR = Form(
     lambda value: _read_pose(value, 3),
-    "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)",
+    "x,y,yaw in metres and radians, such as 12.5,-3,1.5708",
 )
 GLOBE = Form(
     lambda value: _read_numbers(value, 3),
-    "(latitude, longitude, yaw) in degrees, such as (52.5, 13.4, 30)",
+    "latitude,longitude,yaw in degrees, such as 52.5,13.4,30",
 )
-TRANSFORM = Form(
-    _read_transform, "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians"
+TRANSFORM = Form(_read_transform, "parent,child,x,y,z,roll,pitch,yaw in metres and radians")
+TILT = Form(lambda value: _read_numbers(value, 2), "roll,pitch in degrees, such as 2.5,-1")
+SECTOR = Form(
+    lambda value: _read_numbers(value, 2, angles=slice(None)),
+    "from,to in radians, counter-clockwise, such as 2.5,-2.5",
 )
-TILT = Form(lambda value: _read_numbers(value, 2), "(roll, pitch) in degrees, such as (2.5, -1)")
-SECTOR = Form(_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)")
 
 
 def make_box_form(example: str) -> Form:
     """Make the form of a box of four numbers."""
-    text = f"(x_min, y_min, x_max, y_max) in metres, such as {example}"
+    text = f"x_min,y_min,x_max,y_max in metres, such as {example}"
     return Form(lambda value: _read_numbers(value, 4), text)
 
 
@@ -276,13 +269,10 @@ class Option:
             raise UsageError(f"`{self.name}` is {value!r}", fix=fix) from None
 
     def _tell(self, form: Form, value: Any) -> str:
-        """Say what to give: where text was given, as it is typed, else as Python has it."""
-        word, effect = self.none
-        if isinstance(value, str):
-            text = TUPLE.sub(lambda found: found[1].replace(" ", ""), form.text)
-        else:
-            text, word = f"a list, each item {form.text}" if self.is_many else form.text, "None"
-        return f"give {text}, or {word}, {effect}" if effect else f"give {text}"
+        """Say what to give; what is typed is one of several values, and no list."""
+        is_list = self.is_many and not isinstance(value, str)
+        none = f", or {self.none[0]}, {self.none[1]}" if self.none[1] else ""
+        return f"give {'a list, each item ' * is_list}{form.text}{none}"
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""

@@ -176,7 +176,7 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"no_return": "cler"}, '`no_return` is \'cler\'; give "clear" or "ignore"'),
         ({"max_range": "six"}, "`max_range` is 'six'; give a number"),
         ({"max_range": True}, "`max_range` is True; give a number"),
-        ({"align": True}, "give a number, or None, so that walls run along the axes"),
+        ({"align": True}, "give a number, or auto, so that walls run along the axes"),
         ({"max_pose_gap_s": "two"}, "give a number, or inf, to interpolate across any gap"),
         ({"jobs": 2.5}, "`jobs` is 2.5; give a whole number"),
         ({"resume": 5}, "`resume` is 5; give a path"),
@@ -184,23 +184,23 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"model": SimpleModel}, "give text such as"),
         ({"model": 0.5}, "give text such as"),
         ({"topics": 5}, "`topics` is 5; give a list, each item text"),
-        ({"footprint": (0, 1)}, "give (x_min, y_min, x_max, y_max) in metres"),
-        ({"sensor_pose": (0, 0)}, "give (x, y, yaw) or (x, y, yaw, roll, pitch)"),
+        ({"footprint": (0, 1)}, "give x_min,y_min,x_max,y_max in metres"),
+        ({"sensor_pose": (0, 0)}, "give x,y,yaw or x,y,yaw,roll,pitch"),
         ({"sensor_pose": "0,0"}, "2 values where 3 or 5 belong; give x,y,yaw or x,y,yaw,roll,"),
         (
             {"transform": (0, 0, 0, 3, 0)},
-            "`transform=(0, 0, 0, 3, 0)`: 5 values where 3 belong; give (x, y, yaw) in metres",
+            "`transform=(0, 0, 0, 3, 0)`: 5 values where 3 belong; give x,y,yaw in metres",
         ),
         ({"sensor_pose": (0, 0, 90)}, "90 degrees are 1.5708"),
         ({"sensor_pose": (math.nan, 0, 0)}, "`sensor_pose=(nan, 0, 0)`: nan is not a number"),
         (
             {"ignore_sectors": (2.5, -2.5)},
-            "give a list, each item (from, to) in radians, counter-clockwise, such as (2.5",
+            "give a list, each item from,to in radians, counter-clockwise, such as 2.5",
         ),
         ({"ignore_sectors": [(0, 90)]}, "an angle of 90 rad is more than a turn"),
         (
             {"static_transforms": [("a", "b", 1, 2, 3)]},
-            "3 values where 6 belong; give a list, each item (parent, child, x",
+            "3 values where 6 belong; give a list, each item parent,child,x",
         ),
         ({"static_transforms": [("a", "b", 0, 0, 0, 0, 0, 90)]}, "90 degrees are 1.5708"),
     ],
@@ -306,7 +306,7 @@ def test_the_docstring_lists_every_option_with_its_default_and_unit() -> None:
     )
     assert shown["stamps"][0] == '"header"'
     assert shown["stamps"][1].startswith('"header" or "record"): ')
-    assert shown["footprint"][1].startswith("(x_min, y_min, x_max, y_max) in metres, such as")
+    assert shown["footprint"][1].startswith("x_min,y_min,x_max,y_max in metres, such as")
     assert all(unit.startswith("s): ") for name, (_, unit) in shown.items() if name[-2:] == "_s")
 
 
