@@ -244,8 +244,10 @@ class Option:
             return None
         if not self.is_many:
             return self.read_one(value)
-        is_one = isinstance(value, str | os.PathLike) or not isinstance(value, Iterable)
-        return tuple(map(self.read_one, [value] if is_one else value))
+        if not isinstance(value, str | os.PathLike):
+            with suppress(TypeError):  # it is not several values
+                return tuple(map(self.read_one, value))
+        return (self.read_one(value),)
 
     def read_one(self, value: Any) -> Any:
         """Make one value of what was given or typed.

@@ -236,6 +236,7 @@ def test_paths_are_given_one_by_one_or_as_a_list(call: Any) -> None:
         *((occmap.build_map, "outputs", value) for value in (3, None, ["a\0.pgm"])),
         *((occmap.build_map, name, np.zeros(3)) for name in ("update", "mode", "echo")),
         (occmap.build_map, "max_range", 10**400),
+        (occmap.build_map, "topics", np.array(1)),
         (occmap.build_map, "poses", "a\0"),
         (occmap.build_map, "map_frame", b"map"),
         (occmap.compare, "updates", "beem"),
