@@ -58,7 +58,7 @@ class Against:
     """The map that is true"""
     within_m: float = WITHIN_M
     """How far a wall may be off (m)"""
-    is_fitted: bool = False
+    fit: bool = False
     """Move the recordings onto the map, and the map onto the truth, as they fit best"""
     picture: Path | None = None
     """Where to draw how the map and the truth differ"""
@@ -168,9 +168,9 @@ def score(
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
     by_logs, by_truth, notes = None, None, list[str]()
     if against.logs:
-        by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
+        by_logs, notes = score_by_logs(written, against.logs, options, against.fit, progress)
     if true:
-        found = fit_walls(written, true) if against.is_fitted else AS_THEY_LIE
+        found = fit_walls(written, true) if against.fit else AS_THEY_LIE
         notes += filter(None, [found.doubt("the map", str(truth))])
         by_truth = score_by_truth(written, true, against.within_m, found.transform)
         if picture:

@@ -95,7 +95,7 @@ class ReturnOptions:
         "Leave out what is measured in this box around the sensor (m, as the sensor sees it): it "
         "is the robot.",
         metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
-        form=make_box_form("(-0.4, -0.3, 0.2, 0.3)"),
+        form=make_box_form("-0.4,-0.3,0.2,0.3"),
     )
 
     def __post_init__(self) -> None:
