@@ -101,15 +101,13 @@ class Cluster:
         failed: dict[int, BaseException] = {}
         for done, future in enumerate(as_completed(futures), start=1):
             place = places[future]
-            if future.status == "finished":
-                results[place] = future.result()
-                tell(results[place])
-            elif future.status == "cancelled" and not failed:
-                raise CancelledError
-            elif future.status == "error":
+            if future.status == "error":
                 failed[place] = future.exception()
                 # What comes later does not matter any more; what comes earlier may fail, too.
                 self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
+            elif future.status == "finished" or not failed:  # cancelled by nobody: it is gone
+                results[place] = future.result()
+                tell(results[place])
             future.release()
             self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
         if failed:

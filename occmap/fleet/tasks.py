@@ -86,17 +86,16 @@ class BlockJob(Job):
     """A block of the map to be added up, written or painted."""
 
     block: Block
-    pieces: tuple[Piece, ...] = ()
-    """All that was observed in it"""
-    paints: bool = True
-    """Whether its pictures are painted: not those of a block that lies beside others"""
+    pieces: tuple[Piece, ...]
+    """All that was observed in it; none of a block that only lies beside others"""
     store: Path = Path()
     """Where it is written"""
 
     @classmethod
-    def of(cls, setting: Setting, block: Block) -> Self:
-        """Make a job of a block of which nothing is known yet."""
-        return cls(setting, f"block{block.row}_{block.col}", f"block {tuple(block)}", block)
+    def of(cls, setting: Setting, block: Block, pieces: Iterable[Piece] = ()) -> Self:
+        """Make a job of a block."""
+        name, where = f"block{block.row}_{block.col}", f"block {tuple(block)}"
+        return cls(setting, name, where, block, tuple(pieces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,9 +289,8 @@ def reduce_block(job: BlockJob) -> Piece:
     return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
 
 
-@once
 def store_block(job: BlockJob) -> BlockRecord:
-    """Add up a block, and write it to the store.
+    """Add up a block, and write it to the store; if a worker died at that, it is done anew.
 
     Raises
     ------
@@ -314,7 +312,7 @@ def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]
         They cannot be written.
     """
     box = job.block.box
-    grid, made = paint_block(job.store, job.block, keep=job.paints)
+    grid, made = paint_block(job.store, job.block, keep=bool(job.pieces))
     reach = CellBox.around(made.observed, box.row, box.col)
     writing = job.setting.options.writing
     cells = count_cells(writing.edit(made), writing)
