@@ -91,8 +91,12 @@ def remove_place(path: Path) -> None:
         They cannot be removed.
     """
     world, frame = name_beside(path)
-    with refuse_unwritable(frame):
-        if frame.is_file() and re.search(rb"aeqd|Azimuthal_Equidistant", frame.read_bytes()):
+    try:
+        is_ours = re.search(rb"aeqd|Azimuthal_Equidistant", frame.read_bytes())
+    except OSError:  # it is not there, or its name would be too long
+        return
+    if is_ours:
+        with refuse_unwritable(frame):
             world.unlink(missing_ok=True)
             frame.unlink()
 
