@@ -105,16 +105,9 @@ def open_store(path: Path) -> Store:
             raise MapError(found, where=path, fix="build it again")
         return content
 
-    return Store(
-        manifest=manifest,
-        where=str(path),
-        blocks=dict(zip(blocks, reach, strict=True)),
-        read_block=read_block,
-        ground=ground,
-        root=root,
-        digest=head["digest"],
-        name=head.get("evidence", ""),
-    )
+    reaches, digest = dict(zip(blocks, reach, strict=True)), head["digest"]
+    name = head.get("evidence", "")
+    return Store(manifest, str(path), reaches, read_block, ground, root, digest, name)
 
 
 def identify(saved: Saved) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -94,10 +95,8 @@ def combine(
         model = read_model(held[0])
     if lay is None:
         return add_up(held, len(added), model)
-    total = held[0]
-    for other in held[1 : len(added)]:
-        total = merge([total, lay(other, total)], model)
-    return add_up([total, *held[len(added) :]], 1)
+    fitted = reduce(lambda past, other: merge([past, lay(other, past)], model), held[: len(added)])
+    return add_up([fitted, *held[len(added) :]], 1)
 
 
 def add_up(parts: Sequence[Evidence], added: int, model: SensorModel | None = None) -> Evidence:
