@@ -11,12 +11,12 @@ from bokeh.models import Range1d
 from bokeh.palettes import Category10_10
 from bokeh.plotting import figure
 
+from occmap import page
 from occmap.cells import Evidence
 from occmap.difference import COLOURS, NEITHER, MapDifference
 from occmap.evidence.manifest import describe_files, list_inputs
 from occmap.grid import CellBox
-from occmap.page import document, raster
-from occmap.page.document import Block, Page, Section, Stage
+from occmap.page import Block, Page, Section, Stage, raster
 from occmap.report import write_box
 from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.scoring import ScoredVariant
@@ -49,14 +49,14 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
         sections += [
             Section("The map", [Block("facts", [*made, *names])], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
-            document.tell_notes(report),
+            page.tell_notes(report),
         ]
     if product.inspect:
-        sections += document.tell_findings(product.inspect())
+        sections += page.tell_findings(product.inspect())
     inputs = (entry for build in builds for entry in build["inputs"])
-    sections.append(document.describe_maker(inputs))
+    sections.append(page.describe_maker(inputs))
     stage = stage_map(product, evidence, options)
-    return Page(f"Map of {document.name_logs(logs)}", subtitle, sections, stage)
+    return Page(f"Map of {page.name_logs(logs)}", subtitle, sections, stage)
 
 
 def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> Stage:
@@ -133,11 +133,11 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
         tell_verdict(comparison),
         Section("Scores", [tell_scores(comparison)]),
         Section("Do probabilities mean what they say?", [tell_reliability(results)]),
-        document.tell_notes(comparison),
-        document.describe_maker(entry for log in logs for entry in describe_files(log)),
+        page.tell_notes(comparison),
+        page.describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
-    title = f"Comparison of maps of {document.name_logs(log.name for log in logs)}"
-    document.write_page(path, Page(title, subtitle, sections, stage_variants(results)))
+    title = f"Comparison of maps of {page.name_logs(log.name for log in logs)}"
+    page.write_page(path, Page(title, subtitle, sections, stage_variants(results)))
 
 
 def tell_verdict(comparison: VariantComparison) -> Section:
@@ -230,9 +230,9 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
         facts.append(("largest", f"{blob.cells:,} connected cells, {write_box(blob.extent)}"))
     blocks = [Block("facts", facts), Block("table", rows, ("what changed", "#cells"))]
     inputs = [entry for each in maps for entry in describe_files(each)]
-    sections = [Section("Changes", blocks), document.describe_maker(inputs)]
+    sections = [Section("Changes", blocks), page.describe_maker(inputs)]
     title = f"From {before.name} to {after.name}"
-    document.write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
+    page.write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
 
 
 def stage_changes(difference: MapDifference) -> Stage:

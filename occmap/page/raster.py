@@ -24,7 +24,7 @@ from occmap.cells import Box, Evidence, Ground, OccupancyMap, Slices, keep_large
 from occmap.evidence import make_empty
 from occmap.grid import CellBox, tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
-from occmap.page.document import Stage
+from occmap.page import Stage
 from occmap.types import Bool, Int64, Trajectory
 from occmap.writers.images import encode_png
 
