@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import zstandard
 
-from occmap.cells import Slices
+from occmap.cells import Evidence, Slices
 from occmap.errors import MapError, name_log
-from occmap.evidence.manifest import describe_files
+from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid import CellBox
 from occmap.grid.rendering import count_agreeing
 from occmap.grid.tiles import TileGrid, stack_tiles, unite, view_tiles
@@ -28,7 +28,7 @@ from occmap.scans import choose_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import AddRays, Keep, count_ground, trace_logs
-from occmap.store.layout import Block, BlockContent, BlockRecord, split_blocks
+from occmap.store.layout import Block, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
 from occmap.writers.atomic import open_atomic
@@ -206,7 +206,8 @@ class RunWriter:
     def flush(self) -> None:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
         self.points.update(self._engine.points)
-        parts = split_blocks(self._engine.finish().tiles, self._engine.read_slices())
+        plan = plan_manifest(self._job.setting.options)
+        parts = split_blocks(plan, self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
         for block, piece in write_run(self._job.setting.folder, name, parts).items():
             self.pieces.setdefault(block, []).append(piece)
@@ -215,7 +216,7 @@ class RunWriter:
 
 
 def write_run(
-    folder: Path, name: str, parts: Iterable[tuple[Block, BlockContent]]
+    folder: Path, name: str, parts: Iterable[tuple[Block, Evidence]]
 ) -> dict[Block, Piece]:
     """Write a run file; say where each block lies in it.
 
@@ -234,7 +235,7 @@ def write_run(
     return pieces
 
 
-def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[BlockContent]:
+def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
     """Read parts of blocks, one after the other.
 
     Raises
@@ -270,10 +271,10 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[S
     return grid, (unite(layers),) if setting.keep.slices else ()
 
 
-def add_up_block(job: BlockJob) -> BlockContent:
+def add_up_block(job: BlockJob) -> Evidence:
     """Add up all that was observed in a block; raises MapError as `add_up`."""
     grid, slices = add_up(job.setting, job.pieces)
-    return BlockContent(*stack_tiles(grid.tiles), slices)
+    return Evidence(plan_manifest(job.setting.options), *stack_tiles(grid.tiles), slices)
 
 
 @once

@@ -15,8 +15,8 @@ from occmap.evidence.manifest import MEANING, leave_out_edits
 from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store import Blocks, Saved, as_blocks, open_saved, read_all
-from occmap.store.layout import Block, BlockContent, join_contents
+from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
+from occmap.store.layout import Block
 from occmap.types import Int64
 
 UNEVEN_MM = 50
@@ -115,16 +115,13 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
     MapError
         The parts do not go together.
     """
-    nothing = [
-        replace(join_contents((), each.manifest, each.where), ground=each.ground) for each in parts
-    ]
+    nothing = [join_blocks(each, ()) for each in parts]
     whole = add_up(nothing, added)  # what differs is refused at once
 
-    def read_block(block: Block) -> BlockContent:
-        contents = [[each.read_block(block)] if block in each.blocks else [] for each in parts]
-        found = zip(contents, parts, strict=True)
-        made = add_up([join_contents(has, of.manifest, of.where) for has, of in found], added)
-        return BlockContent(made.tiles, made.cells, made.slices)
+    def read_block(block: Block) -> Evidence:
+        pairs = zip(parts, nothing, strict=True)
+        found = [of.read_block(block) if block in of.blocks else none for of, none in pairs]
+        return add_up(found, added)
 
     blocks = sorted({block for part in parts for block in part.blocks})
     reach = {block: block.box for block in blocks}

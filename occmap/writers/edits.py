@@ -103,10 +103,9 @@ class Shape:
 def is_left_of(x: Float64, y: Float64, start: Float64, end: Float64) -> Bool:
     """(H, W) which points a ray to the right leads from across an edge, its upper end left out."""
     (x_start, y_start), (x_end, y_end) = start, end
-    if y_start == y_end:
-        return np.zeros(np.broadcast_shapes(x.shape, y.shape), np.bool_)
     crosses = (y_start <= y) != (y_end <= y)
-    inside: Bool = crosses & (x < x_start + (y - y_start) * (x_end - x_start) / (y_end - y_start))
+    rise = y_end - y_start or 1.0  # nothing crosses a level edge
+    inside: Bool = crosses & (x < x_start + (y - y_start) * (x_end - x_start) / rise)
     return inside
 
 

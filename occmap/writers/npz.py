@@ -190,14 +190,14 @@ def refuse_other_version(path: Path, head: dict[str, Any], name: str, version: i
     """
     if head["format"] != name:
         raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
-    said = head["version"]
-    if said > version:
-        found = f"{name} of version {said}, while this occmap reads {version}"
-        raise MapError(found, where=path, fix="use a newer occmap")
-    if said < version:
-        found = f"{name} of an older occmap (version {said}, now {version})"
-        fix = f"build it again from its logs, with `outputs={path.name}`"
-        raise MapError(found, where=path, fix=fix)
+    if head["version"] != version:
+        is_newer = head["version"] > version
+        again = f"build it again from its logs, with `outputs={path.name}`"
+        raise MapError(
+            f"is {name} of version {head['version']}, while this occmap reads {version}",
+            where=path,
+            fix="use a newer occmap" if is_newer else again,
+        )
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> Any:

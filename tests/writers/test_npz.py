@@ -222,7 +222,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
         ('{"format": "occmap evidence", "version": 6}', "version 6, while this occmap reads 5"),
         (
             '{"format": "occmap evidence", "version": 4}',
-            "occmap evidence of an older occmap (version 4, now 5); build it again from its logs, "
+            "of version 4, while this occmap reads 5; build it again from its logs, "
             "with `outputs=m.npz`",
         ),
         ('{"format": "else", "version": 1}', "holds 'else', not evidence of occmap"),
