@@ -165,7 +165,7 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     saved = open_saved(path)
     made = open_map(as_blocks(saved), read_model(saved))
     x, y, *_ = made.extent
-    classes = classify_blocks(made, thresholds, MAX_CELLS)
+    classes = classify_blocks(made, thresholds)
     digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)
     place, name = Place(made.resolution, x, y), identify(saved)
     return ClassMap(path, classes, place, digest=digest, evidence=name)

@@ -51,7 +51,7 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
     chosen = take(BuildOptions, values)
     inspection = inspect(options.gather_logs(console, logs, chosen), chosen)
     if values["output"]:
-        from occmap.page.document import write_inspection  # noqa: PLC0415  late: few want it
+        from occmap.page import write_inspection  # noqa: PLC0415  late: few want it
 
         write_inspection(values["output"], inspection)
     if console.quiet:
