@@ -18,8 +18,8 @@ from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.report.results import Build, Report
 from occmap.scans.logs import Inputs, find_inputs
-from occmap.scoring import combine, maps
 from occmap.scoring import compare as scoring
+from occmap.scoring import maps
 from occmap.scoring.fit import lay_on
 from occmap.sensor.models import MODEL, SensorModel
 from occmap.store import merging, open_saved, publishing, read_all
@@ -224,7 +224,7 @@ def compare(
         As `build_map`, or no held-out beam measured a range.
     """
     (paths, notes), common = read_request(logs, options, "compare")
-    variants = combine(
+    variants = scoring.combine(
         read_value("updates", tuple[Update, ...], updates),
         read_value("models", tuple[SensorModel, ...], models, MODEL),
     )

@@ -13,8 +13,7 @@ from occmap.options import BuildOptions
 from occmap.page.document import write_page
 from occmap.plugins import need_extra
 from occmap.scans.tracing import Progress, ignore_progress
-from occmap.scoring import Variant
-from occmap.scoring.compare import VariantComparison, compare
+from occmap.scoring.compare import Variant, VariantComparison, compare
 from occmap.writers import Product, WriteOptions, Writer, check_picture, refuse_input
 
 

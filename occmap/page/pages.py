@@ -44,8 +44,7 @@ from occmap.page.raster import (
 )
 from occmap.report import write_box
 from occmap.report.results import tell_beams, tell_map, tell_scans
-from occmap.scoring import ScoredVariant
-from occmap.scoring.compare import SCORES, VariantComparison, list_scores
+from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -276,13 +276,23 @@ def list_notes(
     for log, times in Counter(map(str, paths)).items():
         if times > 1:
             yield f"{log}: given {times} times, and counted as often"
-    yield from list_frames(tally)
+    if apart := name_frames(tally):
+        yield (
+            f"{apart}; where these do not lie on each other, choose one with `map_frame`, or "
+            "build each log alone with its own `transform` and merge them"
+        )
     # Evidence that the logs are added to may have walls; clouds have no beams.
     if not tally.beams.hit and options.update is not Update.CLOUD:
         lack = "of the logs hit" if facts.has_walls else "hit"
         end = "" if facts.has_walls else ", so the map has no walls"
         yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
-    points = tally.points
+    yield from list_odd_points(tally.points)
+    yield from list_disagreement(facts)
+    yield from list_misfits(paths, options, facts.agreement, tally)
+
+
+def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
+    """Say where hardly a point of clouds lies on the ground, or in the robot's band."""
     if points and points["obstacle"] < LEAST_OBSTACLES * sum(points.values()):
         yield (
             f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
@@ -293,23 +303,16 @@ def list_notes(
             f"hardly a point lies on the ground: {points['ground']:,} beside "
             f"{points['obstacle']:,} of obstacles; `occmap check` says if a mount is wrong"
         )
-    yield from list_disagreement(facts)
-    yield from list_misfits(paths, options, facts.agreement, tally)
 
 
-def list_frames(tally: Tally) -> Iterator[str]:
-    """Say that logs are mapped in frames of different names, which may lie anywhere."""
+def name_frames(tally: Tally) -> str:
+    """Say that logs are mapped in frames of different names, which may lie anywhere; else ""."""
     first: dict[str, str] = {}
     for log, frame in tally.frames.items():
         if frame:
             first.setdefault(frame, log)
-    if len(first) > 1:
-        named = ", ".join(f"{log} in {frame}" for frame, log in first.items())
-        yield (
-            f"the logs are mapped in different frames: {named}; where these do not lie on each "
-            "other, choose one with `map_frame`, or build each log alone with its own `transform` "
-            "and merge them"
-        )
+    named = ", ".join(f"{log} in {frame}" for frame, log in first.items())
+    return f"the logs are mapped in different frames: {named}" if len(first) > 1 else ""
 
 
 def list_disagreement(facts: MapFacts) -> Iterator[str]:

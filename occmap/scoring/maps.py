@@ -18,15 +18,13 @@ from occmap.report import HIDDEN, Count, Finite, Printed, Share
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import AddRays, Progress, ignore_progress
-from occmap.scoring import Sample, Trial, read_scans, score_map
+from occmap.scoring import MOST_SCANS, Sample, Trial, read_scans, score_map
 from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 
 WITHIN_M = 0.1
 """A wall that is drawn on the wrong side of a cell's edge is still right."""
-MOST_SCANS = 4000
-"""Of all logs together: more tell little more, and all that are asked are held in memory."""
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
 FIRST_GUESS = 0.9
@@ -230,10 +228,7 @@ def score_by_logs(
 
     options = replace(options, resolution=place.resolution)
     tally, remarks = read_scans(paths, options, begin, progress)
-    if sample.scans < sample.seen:
-        remarks.notes.append(
-            f"{sample.scans:,} of {sample.seen:,} scans are asked, spread over the logs"
-        )
+    remarks.notes += sample.list_notes()
     hits = list_hits(sample.parts)
     if not len(hits):
         where = ", ".join(remarks.logs)

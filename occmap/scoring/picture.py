@@ -8,7 +8,7 @@ import numpy as np
 
 from occmap.cells import OccupancyMap, keep_largest
 from occmap.grid import CellBox
-from occmap.scoring import ScoredVariant
+from occmap.scoring.compare import ScoredVariant
 from occmap.types import UInt8
 from occmap.writers.images import Panel, write_panels
 

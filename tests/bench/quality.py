@@ -29,8 +29,8 @@ from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import array_kernel
 from occmap.options import BuildOptions
 from occmap.scans.tracing import ignore_progress
-from occmap.scoring import HoldOut, Score, SharedEvidence, estimate_error, score_map
-from occmap.scoring.compare import refuse_unscored
+from occmap.scoring import HoldOut, Score, estimate_error, score_map
+from occmap.scoring.compare import SharedEvidence, refuse_unscored
 from occmap.types import Bool, Float64, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
@@ -86,8 +86,8 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
 
     posing = replace(recording.posing, deskew=options.posing.deskew)
     scoring.read_scans([recording.path], replace(options, posing=posing), begin, ignore_progress)
-    refuse_unscored([str(recording.path)], hold_out.scans, hold_out.hits)
-    return Scans(seen, hold_out.held)
+    refuse_unscored([str(recording.path)], hold_out.sample.scans, hold_out.hits)
+    return Scans(seen, hold_out.sample.parts)
 
 
 def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
@@ -100,8 +100,8 @@ def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
 
 def score(grid: OccupancyMap, scans: Scans, seconds: float = math.nan) -> Fare:
     """Ask a map by both measures."""
-    found, exact = score_map(grid, scans.held_out, DEFAULT.jobs)
-    return Fare(found, exact, walk(grid, scans.held_out), seconds)
+    found = score_map(grid, scans.held_out, DEFAULT.jobs)
+    return Fare(found.score, found.predicted, walk(grid, scans.held_out), seconds)
 
 
 def score_builds(scans: Scans, settings: Mapping[str, BuildOptions]) -> dict[str, Fare]:

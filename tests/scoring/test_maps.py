@@ -13,8 +13,7 @@ from occmap.errors import MapError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring import combine
-from occmap.scoring.compare import compare
+from occmap.scoring.compare import combine, compare
 from occmap.scoring.fit import STAY, Transform, Walls, fit
 from occmap.scoring.maps import score_by_logs, score_by_truth
 from occmap.tuning import tune
