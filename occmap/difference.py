@@ -23,8 +23,7 @@ from occmap.evidence import read_model
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import HIDDEN, Count, Printed, Share, printed_as
-from occmap.store import Store, as_blocks, identify, open_saved
-from occmap.store.layout import digest_evidence
+from occmap.store import as_blocks, identify, open_saved
 from occmap.store.publishing import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
@@ -81,8 +80,6 @@ class ClassMap:
     """None: a bare image, which says nothing of the world"""
     image: Path | None = None
     """What the cells were read from, where that is another file than `path`"""
-    digest: str | None = None
-    """SHA-256 of what was observed, however it is kept; None for an image"""
     evidence: str | None = None
     """Names what was observed, by `Manifest.identify`; None where an image does not say"""
 
@@ -166,9 +163,7 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     made = open_map(as_blocks(saved), read_model(saved))
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds, MAX_CELLS)
-    digest = saved.digest if isinstance(saved, Store) else digest_evidence(saved)
-    place, name = Place(made.resolution, x, y), identify(saved)
-    return ClassMap(path, classes, place, digest=digest, evidence=name)
+    return ClassMap(path, classes, Place(made.resolution, x, y), evidence=identify(saved))
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
@@ -422,9 +417,6 @@ class MapDifference(Printed):
     """Cells of both maps together from left to right (along x)"""
     rows: Count
     """Cells of both maps together from bottom to top (along y)"""
-    digests: tuple[str | None, str | None]
-    """SHA-256 of what was observed for each map, equal where it is, in whatever file; null for an
-    image"""
     evidence: tuple[str | None, str | None]
     """Name of what was observed for each map, equal where each cell was observed alike, in whatever
     file; null for an image that does not say"""
@@ -475,7 +467,6 @@ def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()
         largest=blob and ChangedBlob(blob[0], corner.measure(blob[1])),
         columns=both.cols,
         rows=both.rows,
-        digests=(before.digest, after.digest),
         evidence=(before.evidence, after.evidence),
         before=one,
         after=other,

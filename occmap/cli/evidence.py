@@ -167,8 +167,6 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     with show_progress(console) as progress:
         explanation = explain(evidence, question, progress)
     rows = [*list_cell(explanation)]
-    if explanation.digest:
-        rows.append(("digest", explanation.digest))
     if values["logs"]:
         rows += list_scans(explanation)
     return Answer(explanation, write_rows(rows))

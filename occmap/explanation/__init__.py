@@ -38,7 +38,7 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, find_unit, unite
 from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import MODEL, SensorModel, describe_model
-from occmap.store import Saved, Store, as_blocks, read_part
+from occmap.store import Saved, as_blocks, read_part
 from occmap.store.publishing import open_map
 from occmap.types import Update
 from occmap.writers import WriteOptions
@@ -84,8 +84,6 @@ class Explanation(Printed):
     """x and y that were asked for (m)"""
     cell: Cell
     """The cell that holds the point"""
-    digest: str | None
-    """SHA-256 of all that a store holds, however it is compressed; null for a file"""
     map_extent: Box | None
     """Lowest x and y, highest x and y of all observed cells (m); null where there are none"""
     verdict: Verdict = field(metadata=printed_as("class"))
@@ -150,7 +148,6 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     return Explanation(
         point=(question.x, question.y),
         cell=cell,
-        digest=saved.digest if isinstance(saved, Store) else None,
         map_extent=measure_extent(saved, model),
         verdict=name_class(made, question.writing),
         probability=float(made.probability[0, 0]),
