@@ -18,7 +18,7 @@ from occmap.choices import take
 from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.grid import CellBox, Lattice, tiles
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
 from occmap.report import HIDDEN, Count, join_names
@@ -293,16 +293,13 @@ class Cell:
             tiles.take(each, np.flatnonzero((each.tiles == tile).all(axis=1))) for each in layers
         ]
 
-    def read_around(self, evidence: Evidence) -> list[list[Seen]]:
+    def read_around(self, grid: TileGrid) -> list[list[Seen]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
 
         A cell that is in no tile has zeros.
         """
-        aside = (-1, 0, 1)
-        return [
-            [read_cell(evidence, self.row - down, self.column + right) for right in aside]
-            for down in aside
-        ]
+        rows = np.moveaxis(grid.gather(self.box.grow(1), np.int64), 0, -1)[::-1]
+        return [[Seen.read(numbers, grid.kind) for numbers in row] for row in rows.tolist()]
 
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
@@ -315,13 +312,6 @@ class Cell:
         hit, seen_visits = tiles.count_visits(slices)[:, row, col].tolist()
         hit_visits = hit if manifest.kind == EvidenceKind.COUNTS else None
         return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
-
-
-def read_cell(evidence: Evidence, row: int, col: int) -> Seen:
-    """Read what observed a cell; a cell that is in no tile has zeros."""
-    at = np.flatnonzero((evidence.tiles == (row // TILE, col // TILE)).all(axis=1))
-    numbers = evidence.cells[at, :, row % TILE, col % TILE].astype(np.int64).sum(axis=0).tolist()
-    return Seen.read(numbers, EvidenceKind(evidence.manifest.kind))
 
 
 @dataclass(frozen=True)

@@ -101,8 +101,6 @@ class Walls(NamedTuple):
     away: Float32
     """(H, W) m, up to a limit; along the border it is the limit"""
     place: Place
-    limit: float
-    """What is farther away counts as this far (m)"""
 
     @classmethod
     def of(cls, occupied: Bool, place: Place, limit: float) -> "Walls":
@@ -125,7 +123,7 @@ class Walls(NamedTuple):
             squares = np.ascontiguousarray(lowest.T)
         away = np.minimum(np.sqrt(squares) * np.float32(resolution), np.float32(limit))
         margin = side * resolution
-        return cls(away, Place(resolution, x - margin, y - margin), limit)
+        return cls(away, Place(resolution, x - margin, y - margin))
 
     @property
     def pivot(self) -> Float64:

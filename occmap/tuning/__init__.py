@@ -14,15 +14,7 @@ from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tuning import search
-from occmap.tuning.search import (
-    Correction,
-    Finding,
-    KeptLog,
-    Knob,
-    Scorer,
-    Verdict,
-    find_mount,
-)
+from occmap.tuning.search import Correction, Finding, KeptLog, Knob, Scorer, Verdict
 from occmap.types import Float64
 
 TRAVEL_M = 0.5
@@ -128,7 +120,7 @@ def tune(
     """
     logs, tally, remarks = search.keep_logs(paths, options, progress)
     kept = sum(log.scans for log in logs)
-    scorer = Scorer(logs, options, find_mount(logs), lambda: tally.advance(kept))
+    scorer = Scorer(logs, options, search.find_mount(logs), lambda: tally.advance(kept))
     before = scorer.score(Correction())
     timed, place, unsearched = plan_search(scorer)
     time, mounted, best = search.find_both(scorer, Correction(), timed, place)
@@ -198,7 +190,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
         return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
-    timed, place, notes = [search.TIME], list[Knob](), list[str]()
+    timed, notes = [search.TIME], list[str]()
     if all(log.stated for log in scorer.logs):
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")
@@ -207,17 +199,13 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
             "the mount is not searched: no single `sensor_pose` says where the lasers sit; name "
             "one laser by `topics`, or its body by `base_frame`"
         )
-        return timed, place, notes
-    if travels:
-        place.append(search.YAW)
-    else:
+        return timed, [], notes
+    if not travels:
         needed = f"more than {TRAVEL_M:g} m of travel"
         notes.append(f"the yaw of the mount is not searched: it takes {needed}")
-    if turns:
-        place += [search.X, search.Y]
-    else:
+    if not turns:
         notes.append(f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad")
-    return timed, place, notes
+    return timed, [search.YAW] * travels + [search.X, search.Y] * turns, notes
 
 
 def measure_motion(scorer: Scorer, log: KeptLog) -> tuple[float, float]:

@@ -21,7 +21,6 @@ from occmap.posing.chain import MAX_TURN_S
 from occmap.readers import Log
 from occmap.scans import make_engine, mounts
 from occmap.scans.logs import count_scans, open_scans
-from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Progress, Remarks
 from occmap.scoring import SMALL, Gain, HoldOut, Sample, Trial, score_map
@@ -107,7 +106,7 @@ def keep_logs(
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    drive = open_drive(log, options)
+    drive = mounts.open_drive(log, options)
     drive.foresee()
     sample = Sample[ScanBatch](most)
     for _, posed, _ in drive.read(tally):

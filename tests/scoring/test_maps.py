@@ -95,7 +95,6 @@ def test_distances_are_those_to_the_nearest_wall() -> None:
 
 def test_distances_in_a_map_of_millimetres_end_nearer_by() -> None:
     walls = Walls.of(np.ones((1, 1), np.bool_), Place(0.001, 0.0, 0.0), 2.0)
-    assert walls.limit == pytest.approx(0.2)
     assert walls.measure(np.array([[1.0, 0.0]]))[0] == pytest.approx(0.2)
 
 
