@@ -102,10 +102,9 @@ class Map(OccupancyMap):
 
     def _repr_html_(self) -> str:
         """Show the probability as a small picture, dark is occupied, and the notes under it."""
-        from occmap.scoring.picture import Frame, paint_map  # noqa: PLC0415  late: brings pillow
-        from occmap.writers.images import encode_png  # noqa: PLC0415  late: likewise
+        from occmap.writers.images import encode_png  # noqa: PLC0415  late: brings pillow
 
-        png = b64encode(encode_png(paint_map(self, Frame([self])))).decode()
+        png = b64encode(encode_png(page.paint_map(self, page.Frame([self])))).decode()
         lines = [repr(self).strip("<>"), *self.report.notes]
         return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
 

@@ -322,7 +322,7 @@ def list_disagreement(facts: MapFacts) -> Iterator[str]:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
-            "`time_offset_s` or another trajectory"
+            "`time_offset_s`, `deskew=on` or another trajectory"
         )
 
 

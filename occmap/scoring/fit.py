@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from occmap.cells import Evidence, Slices
 from occmap.choices import format_mount, to_rpy
-from occmap.difference import Place
+from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
 from occmap.evidence.manifest import write_value

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.cells import CellClass, Decision, OccupancyMap
-from occmap.difference import ClassMap, Place, load_map
+from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import CellClass
-from occmap.difference import ClassMap, Place, load_map
+from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build

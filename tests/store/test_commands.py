@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from occmap.difference import load_map
+from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
 from occmap.store import open_store
