@@ -38,7 +38,7 @@ from occmap.store.merging import refuse_different
 from occmap.types import IDENTITY, Bool, Float32, Float64, Int64, Kind, Pose, Rays, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
-"""No larger transform is looked for"""
+"""No larger transform is looked for, and what is farther from a wall counts as this far"""
 STEP_M, STEP_RAD = 0.2, math.radians(2)
 """Of the first look; then both are halved again and again"""
 HALVINGS, ROUGH = 6, 3
@@ -103,7 +103,7 @@ class Walls(NamedTuple):
     place: Place
 
     @classmethod
-    def of(cls, occupied: Bool, place: Place, limit: float) -> "Walls":
+    def of(cls, occupied: Bool, place: Place, limit: float = REACH_M) -> "Walls":
         """Measure it between the middles of cells, in a map (H, W) and within `limit` around it.
 
         Squares of distances are smallest over columns first and over rows then, which is exact
@@ -268,7 +268,7 @@ def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
         found = "`fit` takes scans of planar lasers, not clouds"
         raise PoseError(found, where=past.where, fix="leave `fit` out")
     grid = render(to_grid(past), model, max_cells)
-    return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
+    return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin))
 
 
 def refuse_doubt(found: Match, whose: str, where: str) -> None:

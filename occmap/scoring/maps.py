@@ -29,8 +29,6 @@ LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
 FIRST_GUESS = 0.9
 """The chance that a beam stops in an occupied cell, until beams tell"""
-FARTHEST_M = 2.0
-"""Distances from walls count up to here"""
 BESIDE = 1.5
 """In cells: all eight cells around one are nearer"""
 AS_THEY_LIE = Match(STAY, 1.0, 0.0)
@@ -168,7 +166,10 @@ def score(
     if against.logs:
         by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
     if true:
-        found = fit_walls(written, true) if against.is_fitted else AS_THEY_LIE
+        found = AS_THEY_LIE
+        if against.is_fitted:
+            walls = find_place(written).list_middles(written.classes == OCCUPIED)
+            found = fit(walls, Walls.of(true.classes == OCCUPIED, find_place(true)))
         notes += filter(None, [found.doubt("the map", str(truth))])
         by_truth = score_by_truth(written, true, against.within_m, found.transform)
         if picture:
@@ -233,7 +234,7 @@ def score_by_logs(
     if not len(hits):
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
-    walls = Walls.of(written.classes == OCCUPIED, place, FARTHEST_M)
+    walls = Walls.of(written.classes == OCCUPIED, place)
     found = fit(hits, walls) if is_fitted else AS_THEY_LIE
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
@@ -349,12 +350,6 @@ def score_by_truth(
     )
 
 
-def fit_walls(written: ClassMap, truth: ClassMap) -> Match:
-    """Find by which transform the walls of a map lie on those of the truth best."""
-    walls = find_place(written).list_middles(written.classes == OCCUPIED)
-    return fit(walls, Walls.of(truth.classes == OCCUPIED, find_place(truth), FARTHEST_M))
-
-
 def share(part: Bool, whole: Bool) -> float:
     """Which share of some cells is in a part of them; 0 of none."""
     return int(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
@@ -362,7 +357,7 @@ def share(part: Bool, whole: Bool) -> float:
 
 def measure_distances(cells: Bool, place: Place) -> Float32:
     """(H, W) how far it is from each cell of a map to the nearest of some cells (m)."""
-    away = Walls.of(cells, place, FARTHEST_M).away
+    away = Walls.of(cells, place).away
     margin = (away.shape[0] - cells.shape[0]) // 2
     return away[margin:-margin, margin:-margin]
 
