@@ -27,7 +27,7 @@ from occmap.report.results import count_cells
 from occmap.scans import choose_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import AddRays, Keep, count_ground, trace_logs
+from occmap.scans.tracing import Keep, count_ground, trace_logs
 from occmap.store.layout import Block, BlockContent, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
@@ -164,7 +164,7 @@ def trace_log(job: Job) -> Traced:
     scans = count_scans(log, options.selection.topics)
     tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs, options.returns))
     runs = RunWriter(job)
-    ((_, notes),) = trace_logs([log], options, runs.begin, tally)
+    _, ((_, notes),) = trace_logs([log], options, runs.begin, tally)
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
@@ -181,15 +181,15 @@ class RunWriter:
         self.points: Counter[str] = Counter()
         self._renew()
 
-    def begin(self) -> AddRays:
-        """Forget what was observed so far, as the log is read anew; return what takes its rays.
+    def begin(self) -> Self:
+        """Forget what was observed so far, as the log is read anew.
 
         Names of run files are not used again: another worker may be at the same log.
         """
         self.pieces.clear()
         self.points.clear()
         self._renew()
-        return self.add
+        return self
 
     def _renew(self) -> None:
         setting = self._job.setting

@@ -17,7 +17,7 @@ from occmap.options import BuildOptions
 from occmap.report import Count, Finite, Share
 from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import Tally, refuse_unused
-from occmap.scans.tracing import AddRays, Progress, Remarks, trace_logs
+from occmap.scans.tracing import Progress, Remarks, Taker, trace_logs
 from occmap.types import Float64, Kind, Rays, ScanBatch
 from occmap.workers import Workers
 
@@ -193,15 +193,20 @@ def estimate_error(part: Float64, whole: Float64) -> float:
 def read_scans(
     paths: Sequence[Path],
     options: BuildOptions,
-    begin: Callable[[], AddRays],
+    begin: Callable[[], Taker],
     progress: Progress,
-) -> tuple[Tally, Remarks]:
-    """Read all usable scans of logs in their order; say what became of them, and what to note.
+) -> tuple[Taker, Tally, Remarks]:
+    """Read all usable scans of logs in their order.
 
     Parameters
     ----------
     begin
-        Called each time that the logs are read; returns what takes their rays.
+        As for `trace_logs`.
+
+    Returns
+    -------
+    taker, tally, remarks
+        What took the scans; what became of them, and what to note.
 
     Raises
     ------
@@ -213,10 +218,11 @@ def read_scans(
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     tally.tell = lambda scans: progress(scans, total)
     remarks = Remarks([str(log.path) for log in logs])
-    for log, notes in trace_logs(logs, replace(options, jobs=1), begin, tally):
+    taker, told = trace_logs(logs, replace(options, jobs=1), begin, tally)
+    for log, notes in told:
         remarks.note(log.path, log.notes, notes)
     refuse_unused(paths, tally)
-    return tally, remarks
+    return taker, tally, remarks
 
 
 Taken = TypeVar("Taken", Rays, ScanBatch)

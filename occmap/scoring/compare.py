@@ -24,7 +24,7 @@ from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Noted, Share, count, 
 from occmap.report.results import name_frames
 from occmap.scans import make_engine
 from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import AddRays, Progress, Remarks, ignore_progress
+from occmap.scans.tracing import Progress, Remarks, ignore_progress
 from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, read_scans, score_map
 from occmap.sensor.models import SensorModel, make_model, parse_model
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
@@ -158,23 +158,29 @@ class ScoredVariant:
         )
 
 
+Task = tuple[SharedEvidence, Rays]
+"""Scans for one piece of evidence"""
+
+
 class Trials:
     """The variants of one comparison. Those that need the same evidence share it."""
 
-    def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
+    def __init__(
+        self, variants: Sequence[Variant], options: BuildOptions, workers: Workers[Task]
+    ) -> None:
         self.hold_out = HoldOut()
-        self._variants, self._options = variants, options
+        self._variants, self._options, self._workers = variants, options, workers
         self._shared = {
             key: SharedEvidence(replace(options, update=each.update, model=each.model))
             for key, each in {each.evidence: each for each in variants}.items()
         }
 
-    def observe(self, workers: Workers[tuple[SharedEvidence, Rays]], rays: Rays) -> None:
+    def add(self, rays: Rays) -> None:
         """Hold some scans out, and have the others traced."""
         seen = self.hold_out.split(rays)
         if len(seen.kind):
             for evidence in self._shared.values():
-                workers.give((evidence, seen))
+                self._workers.give((evidence, seen))
 
     def score(self) -> list[ScoredVariant]:
         """Render every variant and score it on the scans held out, the best share first.
@@ -279,17 +285,12 @@ def compare(
     OccmapError
         As `build`, no held-out beam measured a range, or logs are mapped in different frames.
     """
-    trials: list[Trials] = []
-
-    def begin() -> AddRays:  # where the logs are read once more, what came first is of no use
-        trials[:] = [Trials(variants, options)]
-        return partial(trials[0].observe, workers)
-
-    with Workers[tuple[SharedEvidence, Rays]](lambda it: it[0].add(it[1]), options.jobs) as workers:
-        tally, remarks = read_scans(paths, options, begin, progress)
+    with Workers[Task](lambda it: it[0].add(it[1]), options.jobs) as workers:
+        begin = partial(Trials, variants, options, workers)
+        trials, tally, remarks = read_scans(paths, options, begin, progress)
     fix = "choose one with `map_frame`, or compare each log by itself"
     require(not (apart := name_frames(tally)), apart, fix)
-    hold_out = trials[0].hold_out
+    hold_out = trials.hold_out
     held_out = hold_out.sample.scans
     refuse_unscored(remarks.logs, held_out, hold_out.hits)
     remarks.notes += hold_out.sample.list_notes("held-out scans")
@@ -297,7 +298,7 @@ def compare(
         few = count(held_out, "held-out scan")
         remarks.notes.append(f"{few}: too few to tell variants apart; give a longer log")
     scans = HeldOutScans(**vars(tally.scans), held_out=held_out)
-    return choose_best(trials[0].score(), options, remarks, scans)
+    return choose_best(trials.score(), options, remarks, scans)
 
 
 def choose_best(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import AddRays, Progress, ignore_progress
+from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring import MOST_SCANS, Sample, Trial, read_scans, score_map
 from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
@@ -220,15 +221,9 @@ def score_by_logs(
         As a build, no beam measured a range, or the map says not where it lies.
     """
     place = find_place(written)
-    sample = Sample[Rays](MOST_SCANS)
-
-    def begin() -> AddRays:
-        nonlocal sample
-        sample = Sample(MOST_SCANS)
-        return sample.add
-
     options = replace(options, resolution=place.resolution)
-    tally, remarks = read_scans(paths, options, begin, progress)
+    begin = partial(Sample[Rays], MOST_SCANS)
+    sample, tally, remarks = read_scans(paths, options, begin, progress)
     remarks.notes += sample.list_notes()
     hits = list_hits(sample.parts)
     if not len(hits):
