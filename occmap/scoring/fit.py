@@ -19,18 +19,8 @@ from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
 from occmap.evidence.manifest import write_value
-from occmap.grid import CellBox
-from occmap.grid.tiles import (
-    MAX_CELLS,
-    TILE,
-    EvidenceKind,
-    Key,
-    pack,
-    stack_tiles,
-    take,
-    unite,
-    unpack,
-)
+from occmap.grid import CellBox, tiles
+from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, Key
 from occmap.options import BuildOptions
 from occmap.scans.mounts import sample_rays
 from occmap.sensor.models import SensorModel
@@ -332,10 +322,10 @@ def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
     manifest = evidence.manifest
     builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
     origins = list_origins(evidence.tiles, by, manifest.resolution)
-    tiles, cells = stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
+    places, cells = tiles.stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
     slices = tuple(_move_slices(each, origins) for each in evidence.slices)
     manifest = replace(manifest, builds=builds)
-    return replace(evidence, manifest=manifest, tiles=tiles, cells=cells, slices=slices)
+    return replace(evidence, manifest=manifest, tiles=places, cells=cells, slices=slices)
 
 
 Origin: TypeAlias = tuple[list[Key], Int64, Int64]
@@ -343,10 +333,10 @@ Origin: TypeAlias = tuple[list[Key], Int64, Int64]
 them, and at which place in that"""
 
 
-def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
-    """Find all tiles that some (T, 2) may reach when they move, and where their cells were."""
+def list_origins(places: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
+    """Find all tiles that some, at (T, 2), may reach when they move, and where their cells were."""
     side, beside = TILE * resolution, np.array(list(product((-1, 0, 1), repeat=2)))
-    centres = by.move(tiles[:, ::-1].astype(np.float64) * side + side / 2) / side
+    centres = by.move(places[:, ::-1].astype(np.float64) * side + side / 2) / side
     # No part of a tile reaches beyond the tiles beside that in which its centre lies.
     reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
     middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
@@ -361,10 +351,10 @@ def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Or
 
 
 def _move_tiles(
-    tiles: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
+    places: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
 ) -> dict[Key, NDArray[Any]]:
-    """Move stacked tiles (T, 2) and what their cells (T, 2, 64, 64) hold; empty ones are gone."""
-    held = {(row, col): at for at, (row, col) in enumerate(tiles.tolist())}
+    """Move what the cells (T, 2, 64, 64) of tiles at (T, 2) hold; empty tiles are gone."""
+    held = {(row, col): at for at, (row, col) in enumerate(places.tolist())}
     numbers = np.concatenate([cells, np.zeros_like(cells[:1])]).reshape(len(cells) + 1, 2, -1)
     made = {}
     for key, (sources, which, inside) in origins.items():
@@ -381,11 +371,12 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     """Move what slices say, one after the other."""
     parts = []
     for number in np.unique(slices.numbers).tolist():
-        of_slice = take(slices, np.flatnonzero(slices.numbers == number))
-        known = np.unpackbits(unpack(of_slice), axis=-1)
-        tiles, moved = stack_tiles(_move_tiles(of_slice.tiles, known, origins))
-        parts.append(pack(tiles, np.full(len(tiles), number), np.packbits(moved != 0, axis=-1)))
-    return unite(parts)
+        of_slice = tiles.take(slices, np.flatnonzero(slices.numbers == number))
+        known = np.unpackbits(tiles.unpack(of_slice), axis=-1)
+        places, moved = tiles.stack_tiles(_move_tiles(of_slice.tiles, known, origins))
+        bits, numbers = np.packbits(moved != 0, axis=-1), np.full(len(places), number)
+        parts.append(tiles.pack(places, numbers, bits))
+    return tiles.unite(parts)
 
 
 def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:
