@@ -42,7 +42,7 @@ fuzz: $(STAMP) ## Feed the readers damaged logs, a minute each
 	@$(BIN)/python -m tests.fuzz
 
 docs: $(STAMP) ## Make the docs a site, and check its links
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check ".[docs]"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
 	@rm -rf build/pages && mkdir -p build/pages/sample_logs
 	@cp -R README.md CHANGELOG.md CONTRIBUTING.md LICENSE docs build/pages
 	@cp sample_logs/map.png build/pages/sample_logs

@@ -228,6 +228,49 @@
     document.body.dataset.scan = index;
   }
 
+  // Drawing: a click adds a corner, a double-click ends the shape. Saved are lines for `--edits`.
+  const shapes = [];
+  let open = false;
+  function addCorner({x, y}) {
+    if (find("draw").getAttribute("aria-pressed") !== "true") return;
+    if (!open) shapes.push({change: find("change").value, corners: []});
+    open = true;
+    shapes.at(-1).corners.push([x, y]);
+    showShapes();
+  }
+  function dropCorner() {
+    const {corners} = shapes.at(-1);
+    corners.pop();
+    open = corners.length > 0;
+    if (!open) shapes.pop();
+    showShapes();
+  }
+  function showShapes() {
+    const source = name => maps[0].figure.document.get_model_by_name(name).data_source;
+    const pick = axis => shapes.map(({corners}) => corners.map(corner => corner[axis]));
+    source("drawn").data = {xs: pick(0), ys: pick(1)};
+    source("corners").data = {x: pick(0).flat(), y: pick(1).flat()};
+    find("undo").disabled = find("save").disabled = !shapes.length;
+  }
+  function saveShapes() {
+    const lines = shapes.filter(({corners}) => corners.length > 1).map(({change, corners}) =>
+      [change, corners.length > 2 ? "polygon" : "line", ...corners.flat().map(each => each.toFixed(3))].join(","));
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([lines.join("\n") + "\n"], {type: "text/csv"}));
+    link.download = "edits.csv";
+    link.click();
+  }
+  function prepareDrawing(figure) {
+    figure.on_event("tap", addCorner);
+    figure.on_event("doubletap", () => { open = false; });
+    find("draw").onclick = ({target}) => {
+      open = false;
+      target.setAttribute("aria-pressed", target.getAttribute("aria-pressed") !== "true");
+    };
+    find("undo").onclick = dropCorner;
+    find("save").onclick = saveShapes;
+  }
+
   function start() {
     const document_ = Bokeh.documents[0];
     for (const map of maps) {
@@ -253,6 +296,7 @@
         for (const name of ["way", "dropped"]) document_.get_model_by_name(name).visible = event.target.checked;
       };
     }
+    if (find("draw")) prepareDrawing(maps[0].figure);
     if (find("scan")) find("scan").oninput = event => layScan(Number(event.target.value));
     show(DATA.layers[0]);
   }

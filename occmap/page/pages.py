@@ -28,12 +28,14 @@ from occmap.page.document import (
 )
 from occmap.page.raster import (
     CLASS_COLOURS,
+    EDITED,
     MOST_BYTES,
     MOST_CELLS,
     Layer,
     Layers,
     Raster,
     Seen,
+    add_drawing,
     add_scan,
     add_way,
     make_raster,
@@ -47,9 +49,8 @@ from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
+from occmap.writers.edits import Change
 
-EDITED = "#009e73"
-"""The outlines of what a person drew over the map"""
 HIT_UNIT_M = 0.02
 """The hits of single scans are rounded to this."""
 
@@ -93,6 +94,8 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
         for ring in shape.rings:
             closed = ring if shape.width else [*ring, ring[0]]
             stage.plots[0].line(*np.transpose(closed), line_width=2, color=EDITED, name="edits")
+    add_drawing(stage.plots[0])
+    stage.data["changes"] = list(Change)
     journey = product.journey
     if journey and journey.trajectories:
         stage.data["journey"] = add_way(stage.plots[0], journey.trajectories)

@@ -354,6 +354,8 @@ WAY_COLOURS = Plasma256[20:165]
 MOST_STEPS = 5000
 """Pieces of a way: more cannot be told apart on a screen"""
 SCAN_COLOUR, LOST_COLOUR = "#e8590c", "#c92a2a"
+EDITED = "#009e73"
+"""What a person drew over the map"""
 
 
 def plot_map(index: int, shared: Any = None) -> Any:
@@ -383,6 +385,15 @@ def plot_map(index: int, shared: Any = None) -> Any:
     source = ColumnDataSource(nothing)
     plot.image_rgba("image", "x", "y", "dw", "dh", source=source, name=f"image-{index}")
     return plot
+
+
+def add_drawing(plot: Any) -> None:
+    """Prepare what a person draws over the map, to save it as a file for `--edits`."""
+    shapes = ColumnDataSource({"xs": [], "ys": []})
+    style = {"fill_color": EDITED, "fill_alpha": 0.3, "line_color": EDITED, "line_width": 2}
+    plot.patches("xs", "ys", source=shapes, name="drawn", **style)
+    corners = ColumnDataSource({"x": [], "y": []})
+    plot.scatter("x", "y", source=corners, name="corners", size=6, color=EDITED)
 
 
 def add_way(plot: Any, trajectories: Sequence[Trajectory]) -> dict[str, Any]:

@@ -345,6 +345,14 @@ def describe_model(model: Any) -> str:
     return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in kept.items())
 
 
+def shorten_model(text: str) -> str:
+    """Leave out of a model, as `describe_model` writes it, what it has without being told."""
+    name, _, pairs = text.partition(":")
+    usual = describe_model(make_model(name, {})).partition(":")[2].split(",")
+    changed = ",".join(pair for pair in pairs.split(",") if pair not in usual)
+    return f"{name}:{changed}" if changed else name
+
+
 def parse_model(text: str) -> SensorModel:
     """Make a model from text such as `simple:p_hit=0.8,p_miss=0.3`.
 

@@ -33,7 +33,7 @@ def test_render_says_what_it_made() -> None:
         "map      7 x 1 cells of 0.05 m, x 0 to 0.35 m, y 0 to 0.05 m",
         "cells    14.3% occupied, 85.7% free",
         "agree    100.0% of the hits lie in occupied cells",
-        "update   beam, model simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
+        "update   beam, model simple:spread=0.0",
         "scans    1 of 1 used",
         "files    a.pgm",
         "         a.yaml",
@@ -52,7 +52,7 @@ def test_render_takes_a_model_thresholds_and_a_mode() -> None:
     assert "counting:prior=0.4" in occmap("render", "a.npz", "-o", "c.pgm", *words).out
     words = ["--clamp-min", "0.1", "--clamp-max", "0.9"]
     bounds = "clamp_min=0.1,clamp_max=0.9"
-    for name, shown in (("a.npz", f"spread=0.0,{bounds}"), ("q.npz", f"cut=0.5,{bounds}")):
+    for name, shown in (("a.npz", f"spread=0.0,{bounds}"), ("q.npz", f"quadratic:{bounds}")):
         assert shown in occmap("render", name, "-o", "c.pgm", *words).out
     assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.45").code == 0
 

@@ -120,6 +120,16 @@ class Shown:
         """Point at a place of the map (m)."""
         return self.point_px(*self.to_px(x, y))
 
+    def click_at(self, x: float, y: float, times: int = 1) -> None:
+        """Click at a place of the map (m), too late to be a double-click with the click before."""
+        right, down = self.to_px(x, y)
+        actions = ActionChains(self.browser, duration=0).pause(0.6)
+        mouse = actions.w3c_actions.pointer_action
+        mouse.move_to_location(round(right), round(down))  # type: ignore[no-untyped-call]
+        for _ in range(times):
+            mouse.click()
+        actions.perform()
+
     def photograph(self) -> NDArray[np.uint8]:
         """(H, W, 3) of the window."""
         png = self.browser.get_screenshot_as_png()

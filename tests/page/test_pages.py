@@ -11,6 +11,7 @@ from selenium.webdriver import Chrome
 from occmap import api
 from occmap.api import Map
 from occmap.page.raster import CLASS_COLOURS, SCAN_COLOUR, make_raster
+from occmap.writers.edits import Change, read_edits
 from tests.page.browser import BROWSER, FLAGS, Shown, open_browser
 
 DRIVE = Path("sample_logs/drive.mcap")
@@ -124,6 +125,33 @@ def test_the_slider_lays_a_scan_over_the_map(drive: Drive) -> None:
     right, down = page.to_px(x, y)
     painted = page.photograph()[round(down), round(right)].astype(int)
     np.testing.assert_allclose(painted, to_rgb(SCAN_COLOUR), atol=8)  # its edge is smoothed
+
+
+def test_shapes_that_are_drawn_over_the_map_are_saved_for_edits(
+    drive: Drive, tmp_path: Path
+) -> None:
+    page = drive.page
+    folder = {"behavior": "allow", "downloadPath": str(tmp_path)}
+    page.browser.execute_cdp_cmd("Browser.setDownloadBehavior", folder)
+    page.click_at(9, 7)  # nothing is drawn before one says so
+    page.click("#draw")
+    for x, y, clicks in ((1, 1, 1), (3, 1, 1), (3, 2.5, 2)):
+        page.click_at(x, y, clicks)
+    page.run(
+        "const s = document.getElementById('change'); s.value = 'unknown';"
+        "s.dispatchEvent(new Event('change'))"
+    )
+    for x, y, clicks in ((5, 1, 1), (7, 2, 1), (8, 8, 1)):
+        page.click_at(x, y, clicks)
+    page.click("#undo")
+    page.click("#save")
+    saved = tmp_path / "edits.csv"
+    page.browser.execute_async_script("setTimeout(arguments[0], 500)")
+    polygon, line = read_edits(saved)
+    assert (polygon.change, line.change) == (Change.FREE, Change.UNKNOWN)
+    np.testing.assert_allclose(polygon.rings[0], [(1, 1), (3, 1), (3, 2.5)], atol=0.03)
+    np.testing.assert_allclose(line.rings[0], [(5, 1), (7, 2)], atol=0.03)
+    page.click("#draw")
 
 
 def test_nothing_is_complained_of_and_nothing_asked_of_the_network(drive: Drive) -> None:

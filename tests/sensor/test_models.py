@@ -18,6 +18,7 @@ from occmap.sensor.models import (
     find_decision,
     make_model,
     parse_model,
+    shorten_model,
 )
 from occmap.types import Float64
 
@@ -153,6 +154,12 @@ def test_bounds_are_described_where_they_bound_anything() -> None:
         describe_model(model) == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,cut=0.5,clamp_max=0.97"
     )
     assert parse_model(describe_model(model)) == model
+
+
+def test_people_are_told_only_the_parameters_that_are_not_usual() -> None:
+    assert shorten_model(describe_model(CountingModel())) == "counting"
+    model = SimpleModel(p_hit=0.8, clamp_max=0.97)
+    assert shorten_model(describe_model(model)) == "simple:p_hit=0.8,clamp_max=0.97"
 
 
 def test_parameters_are_read_from_text() -> None:
