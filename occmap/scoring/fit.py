@@ -39,8 +39,8 @@ APART_M, APART_RAD = 0.3, math.radians(3)
 LEAST_SHARE, MOST_RIVAL = 0.35, 0.75
 """Halves of real logs fit with a share of 0.45 to 0.78, and their rivals have 0.3 to 0.7 of that.
 Logs of other buildings fit with one below 0.35, or their rivals have 0.79 of it and more."""
-BESIDE = sorted(product(range(-2, 3), repeat=3), key=lambda steps: sum(map(abs, steps)))
-"""In steps of turn, x and y: what is as good as what is farther away comes first"""
+BESIDE = (0, -1, 1, -2, 2)
+"""In steps of turn, x or y: where something is as good farther away, the nearer one counts"""
 MOST_POINTS = 10_000
 MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
@@ -170,7 +170,8 @@ def fit(points: Float64, walls: Walls) -> Match:
     middle = points.mean(axis=0)
     search = _Search(points - middle, middle, walls)
     refined = [search.refine(place, range(1, ROUGH + 1), 1500) for place in search.list_peaks()]
-    (share, best), *others = sorted(((search.judge(each), each) for each in refined), reverse=True)
+    shares = [float(search.judge(it.yaw, np.array([it[:2]]))[0]) for it in refined]
+    (share, best), *others = sorted(zip(shares, refined, strict=True), reverse=True)
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
     x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
     right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
@@ -187,41 +188,48 @@ class _Search(NamedTuple):
     """(2,) in the map of the walls (m)"""
     walls: Walls
 
-    def judge(self, place: Transform, width: float = 0.0, most: int = MOST_POINTS) -> float:
-        """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6."""
+    def judge(
+        self, yaw: float, shifts: Float64, width: float = 0.0, most: int = MOST_POINTS
+    ) -> Float64:
+        """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6.
+
+        Returns
+        -------
+        (K,) for a turn and, after it, each of some shifts (K, 2)
+        """
         points = self.points[:: max(len(self.points) // most, 1)]
-        away = self.walls.measure(place.move(points) + self.middle)
-        return float(np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2).mean())
+        turned = Transform(0.0, 0.0, yaw).move(points)
+        moved = turned + shifts[:, np.newaxis] + self.middle
+        away = self.walls.measure(moved.reshape(-1, 2)).reshape(moved.shape[:2])
+        near = np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2)
+        return np.asarray(near.mean(axis=1), np.float64)
 
     def list_peaks(self) -> list[Transform]:
         """List the places on a coarse grid that none beside them beats, the best ones first."""
-        shifts = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
+        steps = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
+        shifts = np.array(list(product(steps, steps)))
         turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
         arm = self.middle - self.walls.pivot
-        swings = [Transform(0.0, 0.0, yaw).move(arm) - arm for yaw in turns]
-        places = [
-            Transform(x + swing[0], y + swing[1], yaw)
-            for x, y, (yaw, swing) in product(shifts, shifts, zip(turns, swings, strict=True))
-        ]
-        shares = np.reshape(
-            [self.judge(place, STEP_M, 500) for place in places],
-            (len(shifts), len(shifts), len(turns)),
+        swung = [shifts + (Transform(0.0, 0.0, yaw).move(arm) - arm) for yaw in turns]
+        shares = np.stack(
+            [self.judge(yaw, at, STEP_M, 500) for yaw, at in zip(turns, swung, strict=True)], axis=1
         )
-        beside = np.lib.stride_tricks.sliding_window_view(np.pad(shares, 1), (3, 3, 3))
-        peaks = np.flatnonzero(shares >= beside.max(axis=(3, 4, 5)))
-        best = peaks[np.argsort(-shares.ravel()[peaks], kind="stable")]
-        return [places[at] for at in best[:MOST_PEAKS].tolist()]
+        grid = shares.reshape(len(steps), len(steps), len(turns))
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(grid, 1), (3, 3, 3))
+        peaks = np.flatnonzero(grid >= beside.max(axis=(3, 4, 5)))
+        best = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")][:MOST_PEAKS].tolist()
+        places = (divmod(each, len(turns)) for each in best)
+        return [Transform._make([*swung[at][shift].tolist(), turns[at]]) for shift, at in places]
 
     def refine(self, place: Transform, halvings: range, most: int = MOST_POINTS) -> Transform:
         """Go on to the best of the places beside, in shorter and shorter steps."""
         for halving in halvings:
             step_m, step_rad = STEP_M / 2**halving, STEP_RAD / 2**halving
-            x, y, yaw = place
-            around = [
-                Transform(x + right * step_m, y + up * step_m, yaw + turn * step_rad)
-                for turn, right, up in BESIDE
-            ]
-            place = max(around, key=lambda each: self.judge(each, step_m, most))
+            turns = [place.yaw + turn * step_rad for turn in BESIDE]
+            shifts = place[:2] + np.array(list(product(BESIDE, BESIDE))) * step_m
+            shares = np.stack([self.judge(yaw, shifts, step_m, most) for yaw in turns])
+            turn, shift = divmod(int(shares.argmax()), len(shifts))
+            place = Transform._make([*shifts[shift].tolist(), turns[turn]])
         return place
 
 

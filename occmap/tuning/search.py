@@ -138,8 +138,11 @@ def find_mount(logs: Sequence[KeptLog]) -> Pose | None:
         None where no single one does: lasers sit at different places, one turns on its body, or
         a log does not tell which frame the body is.
     """
-    frames = {(log.poser, batch.frame) for log in logs for batch in log.batches}
-    found = [mounts.find_mount(poser, frame) for poser, frame in frames]
+    found = [
+        mounts.find_mount(log.poser, frame)
+        for log in logs
+        for frame in sorted({batch.frame for batch in log.batches})
+    ]
     places = [it.pose._replace(z=0.0) for it in found if it and it.option == "sensor_pose"]
     is_one = len(places) == len(found) and np.ptp(places, axis=0).max() < ALIKE
     return places[0] if is_one else None
