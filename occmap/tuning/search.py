@@ -4,7 +4,7 @@ The scans of the logs are read once, and posed again and again.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -330,30 +330,23 @@ def judge(
     before = found[start]
     gain = Gain.measure(before, found[best])
     halves = [
-        {each: Gain.measure(before[half], found[each][half]) for each in tried}
+        {
+            each: Half(correction=each, **vars(Gain.measure(before[half], found[each][half])))
+            for each in tried
+        }
         for half in (slice(len(before) // 2), slice(len(before) // 2, None))
     ]
-    alike = tuple(Half(correction=best, **vars(gains[best])) for gains in halves)
-    if gain.certain and all(half.gain > SMALL for half in alike):
-        return Finding(verdict=Verdict.FOUND, correction=best, **vars(gain), halves=alike)
-    first, second = halves
-    opposed = contradicts(first, second) or contradicts(second, first)
-    if opposed or (gain.certain and min(half.gain for half in alike) <= 0):
-        favourites = ((find_favourite(gains), gains) for gains in halves)
-        apart = tuple(Half(correction=it, **vars(gains[it])) for it, gains in favourites)
-        return Finding(verdict=Verdict.DISAGREE, correction=start, **vars(gain), halves=apart)
-    return Finding(verdict=Verdict.NOTHING, correction=start, **vars(gain), halves=alike)
-
-
-def find_favourite(gains: Mapping[Correction, Gain]) -> Correction:
-    """Find the correction that gains most for some scans."""
-    return max(gains, key=lambda each: gains[each].gain)
-
-
-def contradicts(gains: Mapping[Correction, Gain], others: Mapping[Correction, Gain]) -> bool:
-    """Whether what is best for some scans certainly gains there, and loses by other scans."""
-    favourite = find_favourite(gains)
-    return gains[favourite].certain and others[favourite].loses
+    of_best = tuple(half[best] for half in halves)
+    favourites = tuple(max(half.values(), key=lambda each: each.gain) for half in halves)
+    are_opposed = any(
+        each.certain and other[each.correction].loses
+        for each, other in zip(favourites, reversed(halves), strict=True)
+    )
+    if gain.certain and all(half.gain > SMALL for half in of_best):
+        return Finding(verdict=Verdict.FOUND, correction=best, **vars(gain), halves=of_best)
+    if are_opposed or (gain.certain and min(half.gain for half in of_best) <= 0):
+        return Finding(verdict=Verdict.DISAGREE, correction=start, **vars(gain), halves=favourites)
+    return Finding(verdict=Verdict.NOTHING, correction=start, **vars(gain), halves=of_best)
 
 
 def find_deskew(scorer: Scorer, best: Correction) -> Finding:
