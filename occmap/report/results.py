@@ -16,7 +16,7 @@ from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, wr
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import LeftOut, ScanCounts, Tally
 from occmap.sensor import ReturnCounts
-from occmap.sensor.models import Clamped, SensorModel, find_decision, shorten_model
+from occmap.sensor.models import shorten_model
 from occmap.types import Int64, Update
 from occmap.writers import WriteOptions, list_idle
 
@@ -265,7 +265,6 @@ def list_notes(
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
-    yield from list_unreached(options.model, options.writing)
     yield from list_outside(facts, options.writing)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
@@ -338,14 +337,3 @@ def list_outside(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
         lie = f"{count(len(outside), 'shape')} outside of the map, and without effect"
         first = "at" if len(outside) == 1 else "the first at"
         yield f"{writing.edits}: {lie}: {first} {write_box(outside[0])}"
-
-
-def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
-    """Say which class no cell can have, because of the bounds of the model."""
-    if not isinstance(model, Clamped):
-        return
-    free, occupied = writing.decide(find_decision(model))
-    if model.clamp_max <= occupied:
-        yield f"no cell can be occupied: clamp_max {model.clamp_max:g} is not above {occupied:g}"
-    if model.clamp_min >= free:
-        yield f"no cell can be free: clamp_min {model.clamp_min:g} is not below {free:g}"
