@@ -18,8 +18,8 @@ from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.report.results import Build, Report
 from occmap.scans.logs import Inputs, find_inputs
-from occmap.scoring import combine, maps
 from occmap.scoring import compare as scoring
+from occmap.scoring import maps
 from occmap.scoring.fit import lay_on
 from occmap.sensor.models import MODEL, SensorModel
 from occmap.store import merging, open_saved, publishing, read_all
@@ -100,10 +100,9 @@ class Map(OccupancyMap):
 
     def _repr_html_(self) -> str:
         """Show the probability as a small picture, dark is occupied, and the notes under it."""
-        from occmap.scoring.picture import Frame, paint_map  # noqa: PLC0415  late: brings pillow
-        from occmap.writers.images import encode_png  # noqa: PLC0415  late: likewise
+        from occmap.writers.images import encode_png  # noqa: PLC0415  late: brings pillow
 
-        png = b64encode(encode_png(paint_map(self, Frame([self])))).decode()
+        png = b64encode(encode_png(page.paint_map(self, page.Frame([self])))).decode()
         lines = [repr(self).strip("<>"), *self.report.notes]
         return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
 
@@ -221,7 +220,7 @@ def compare(
         As `build_map`, or no held-out beam measured a range.
     """
     (paths, notes), common = read_request(logs, options, "compare")
-    variants = combine(
+    variants = scoring.combine(
         read_value("updates", tuple[Update, ...], updates),
         read_value("models", tuple[SensorModel, ...], models, MODEL),
     )

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.errors import UsageError
 from occmap.grid.rendering import Framing
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
-from occmap.scoring import combine
-from occmap.scoring.compare import compare
+from occmap.scoring.compare import combine, compare
 from occmap.store.merging import merge
 from occmap.types import BEAM_UPDATES, Pose, Update
 from occmap.writers.npz import read_evidence
@@ -57,7 +57,8 @@ def test_logs_in_frames_of_different_names_are_noted(tmp_path: Path) -> None:
     one_frame = replace(PLAIN, posing=PosingOptions(map_frame="odom"))
     for made in (build([first, second], one_frame), build([first, first], PLAIN)):
         assert not [each for each in made.report.notes if "different frames" in each]
-    assert note in compare([first, second], combine([Update.BEAM], []), PLAIN).notes
+    with pytest.raises(UsageError, match=rf"{first} in odom, {second} in map; .* `map_frame`"):
+        compare([first, second], combine([Update.BEAM], []), PLAIN)
 
 
 @pytest.mark.parametrize("update", BEAM_UPDATES)

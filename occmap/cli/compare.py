@@ -19,8 +19,14 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
 from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE
-from occmap.scoring import DEFAULT_MODELS, SMALL, Gain, combine
-from occmap.scoring.compare import SCORES, VariantComparison, list_scores
+from occmap.scoring import SMALL
+from occmap.scoring.compare import (
+    DEFAULT_MODELS,
+    SCORES,
+    VariantComparison,
+    combine,
+    list_scores,
+)
 from occmap.sensor.models import parse_model
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
@@ -190,7 +196,7 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     if finding.verdict is Verdict.FOUND:
         return f"{first} gains {gain}; {halves}"
     why = "too little to show in a map" if finding.gain <= SMALL else "which may be chance"
-    if Gain(finding.gain, finding.gain_error).certain:
+    if finding.certain:
         why = halves
     return f"nothing sure to gain: the best, {first}, gains {gain}, {why}"
 
@@ -200,9 +206,14 @@ TUNED = ("log", "share before", "share", "gain", "agreement")
 
 
 def list_tuned(tuned: TunedLog) -> list[str]:
-    """Write what tuning does for one of several logs as a row of a table."""
-    agreement = "-" if tuned.agreement is None else f"{tuned.agreement:.1%}"
+    """Write what tuning does for one of several logs as a row of a table.
+
+    Of a log without a held-out beam there is nothing to say.
+    """
+    if not tuned.beams:
+        return [tuned.log, *"----"]
     shares = f"{tuned.share_before:.4f}", f"{tuned.share:.4f}"
+    agreement = "-" if tuned.agreement is None else f"{tuned.agreement:.1%}"
     return [tuned.log, *shares, format_gain(tuned.gain, tuned.gain_error), agreement]
 
 

@@ -191,8 +191,6 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         if not (box[0] <= x < box[2] and box[1] <= y < box[3]):
             yield "", f"it lies outside of the map: {write_box(box)}"
     yield from label_first("around", list_around(explanation))
-    if explanation.digest:
-        yield "digest", explanation.digest
 
 
 def list_around(explanation: Explanation) -> Iterator[str]:

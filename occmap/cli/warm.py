@@ -9,7 +9,8 @@ import numpy as np
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
-from occmap.scoring import make_scans, score_map
+from occmap.scoring import score_map
+from occmap.scoring.compare import make_scans
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel
 from occmap.types import BEAM_UPDATES
 

@@ -8,37 +8,19 @@ from typing import Literal
 
 import numpy as np
 
+from occmap import evidence
 from occmap.cells import Box, Evidence, OccupancyMap
 from occmap.choices import option
 from occmap.errors import UsageError
-from occmap.evidence import (
-    check_passes,
-    keep_lasting,
-    paint_box,
-    read_model,
-    refuse_other_profile,
-    to_grid,
-)
 from occmap.evidence.manifest import list_doubts
-from occmap.explanation.history import (
-    Cell,
-    Numbers,
-    Seen,
-    Sighting,
-    Use,
-    Visits,
-    add_up,
-    find_sightings,
-    find_uses,
-    list_logs,
-    list_missing,
-)
+from occmap.explanation import history
+from occmap.explanation.history import Cell, Numbers, Seen, Sighting, Use, Visits
 from occmap.grid import Lattice
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind, find_unit, unite
 from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import MODEL, SensorModel, describe_model
-from occmap.store import Saved, Store, as_blocks, read_part
+from occmap.store import Saved, as_blocks, read_part
 from occmap.store.publishing import open_map
 from occmap.types import Update
 from occmap.writers import WriteOptions
@@ -84,8 +66,6 @@ class Explanation(Printed):
     """x and y that were asked for (m)"""
     cell: Cell
     """The cell that holds the point"""
-    digest: str | None
-    """SHA-256 of all that a store holds, however it is compressed; null for a file"""
     map_extent: Box | None
     """Lowest x and y, highest x and y of all observed cells (m); null where there are none"""
     verdict: Verdict = field(metadata=printed_as("class"))
@@ -130,9 +110,9 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         The point is in no map, the model cannot read the evidence, a log cannot be read or is none
         that the evidence was made of, or a trajectory is missing.
     """
-    model = question.model or read_model(saved)
-    refuse_other_profile(saved, model)
-    check_passes(question.min_passes, model)
+    model = question.model or evidence.read_model(saved)
+    evidence.refuse_other_profile(saved, model)
+    evidence.check_passes(question.min_passes, model)
     if question.poses and not question.logs:
         raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
     if question.logs and saved.manifest.update == Update.CLOUD:
@@ -140,18 +120,19 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         raise UsageError(found, where=saved.where, fix="leave out `logs`")
     cell = Cell.find(Lattice(saved.manifest.resolution), question.x, question.y)
     # All that is in memory, or the tile that holds the point and those beside it.
-    evidence = read_part(saved, cell.box)
-    manifest, around = evidence.manifest, cell.read_around(evidence)
-    layers = cell.read_slices(evidence)
-    uses = find_uses(evidence, question.logs, question.poses)
-    sightings, scans_used = find_sightings(uses, cell, progress)
-    lasting = keep_lasting(to_grid(evidence), evidence.slices, question.min_passes)
-    made = paint_box(lasting, model, cell.box)
+    part = read_part(saved, cell.box)
+    manifest, grid = part.manifest, evidence.to_grid(part)
+    around = cell.read_around(grid)
+    layers = cell.read_slices(part)
+    uses = history.find_uses(part, question.logs, question.poses)
+    sightings, scans_used = history.find_sightings(uses, cell, progress)
+    lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
+    blocks = as_blocks(saved)
+    made = evidence.paint_box(lasting, model, cell.box)
     return Explanation(
         point=(question.x, question.y),
         cell=cell,
-        digest=saved.digest if isinstance(saved, Store) else None,
-        map_extent=measure_extent(saved, model),
+        map_extent=open_map(blocks, model).extent if blocks.blocks else None,
         verdict=name_class(made, question.writing),
         probability=float(made.probability[0, 0]),
         model=describe_model(model),
@@ -162,7 +143,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         min_passes=question.min_passes,
         visits=cell.read_visits(unite(layers), manifest),
         builds=tuple(
-            BuildVisits(**vars(visits), build=index, logs=list_logs(manifest.builds[index]))
+            BuildVisits(**vars(visits), build=index, logs=history.list_logs(manifest.builds[index]))
             for index, layer in enumerate(layers)
             if (visits := cell.read_visits(layer, manifest))
         ),
@@ -170,7 +151,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         scans=tuple(sightings),
         notes=(
             *list_doubts(manifest),
-            *list_unexplained(evidence, around[1][1], uses, sightings),
+            *list_unexplained(part, around[1][1], uses, sightings),
         ),
     )
 
@@ -193,23 +174,17 @@ def measure_ground(saved: Saved, question: Question) -> float | None:
     return None if math.isnan(height) else height
 
 
-def measure_extent(saved: Saved, model: SensorModel) -> Box | None:
-    """Lowest x and y, highest x and y of the map that a model makes (m); None if it is empty."""
-    blocks = as_blocks(saved)
-    return open_map(blocks, model).extent if blocks.blocks else None
-
-
 def list_unexplained(
-    evidence: Evidence, seen: Seen, uses: Sequence[Use], sightings: Sequence[Sighting]
+    part: Evidence, seen: Seen, uses: Sequence[Use], sightings: Sequence[Sighting]
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
-    found, manifest = add_up(sightings), evidence.manifest
+    found, manifest = history.add_up(sightings), part.manifest
     if not uses or found == seen.numbers:
         return
     unit = find_unit(manifest.update)
     parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
     sums = " of ".join(parts)
-    if missing := list_missing(evidence, uses):
+    if missing := history.list_missing(part, uses):
         yield f"these logs explain {sums}; the rest is in {join_names(missing)}"
     elif manifest.subtracted:
         yield f"the scans explain {sums}; other evidence was subtracted"

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from occmap.choices import take
 from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
 from occmap.grid import CellBox, Lattice, tiles
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
 from occmap.report import HIDDEN, Count, join_names
@@ -31,17 +31,18 @@ from occmap.sensor import interpret
 from occmap.types import Pose, PosedScans, PoseSample
 
 
-@dataclass(frozen=True)
-class Use:
+class Use(NamedTuple):
     """A log, and how a build used it."""
 
     log: Path
+    hashes: frozenset[str]
+    """SHA-256 of its files"""
     build: int
     """Which of `Manifest.builds`"""
     options: BuildOptions
 
 
-def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -> list[Use]:
+def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> list[Use]:
     """Find every build that used a log; one that used it twice is found twice.
 
     Parameters
@@ -60,26 +61,26 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Sequence[Path]) -
     given = {digest: path for path in poses for digest in hash_files(path)}
     distinct: dict[frozenset[str], Path] = {}
     for log in logs:  # of equal logs the first will do: a build cannot tell them apart
-        distinct.setdefault(frozenset(hash_files(log)), log)
+        distinct.setdefault(hash_files(log), log)
     uses: list[Use] = []
     for hashes, log in distinct.items():
-        times = [count_uses(hashes, build) for build in builds]
-        if not any(times):
+        times = [at for at, build in enumerate(builds) for _ in range(count_uses(hashes, build))]
+        if not times:
             refuse_stranger(evidence, log)
-        for index in np.flatnonzero(times).tolist():
-            options = recall_build(builds[index], evidence.where, log, given)
-            uses += [Use(log, index, options)] * times[index]
-    trajectories = [find_trajectory(builds[use.build]) for use in uses]
-    had = {trajectory["sha256"] for trajectory in trajectories if trajectory}
-    if idle := [path for digest, path in given.items() if digest not in had]:
+        for at in times:
+            options = recall_build(builds[at], evidence.where, log, given)
+            uses.append(Use(log, hashes, at, options))
+    trajectories = filter(None, [find_trajectory(builds[use.build]) for use in uses])
+    idle = given.keys() - {trajectory["sha256"] for trajectory in trajectories}
+    if idle:
         found = "is not a trajectory that these logs were built with"
-        raise PoseError(found, where=idle[0], fix="leave it out")
+        raise PoseError(found, where=given[min(idle)], fix="leave it out")
     return uses
 
 
-def hash_files(path: Path) -> list[str]:
+def hash_files(path: Path) -> frozenset[str]:
     """SHA-256 of a file, or of all files in a folder; raises LogError if one cannot be read."""
-    return [str(entry["sha256"]) for entry in describe_files(path)]
+    return frozenset(entry["sha256"] for entry in describe_files(path))
 
 
 def count_uses(hashes: Iterable[str], build: BuildRecord) -> int:
@@ -95,7 +96,7 @@ def list_logs(build: BuildRecord) -> list[str]:
 
 def list_missing(evidence: Evidence, uses: Sequence[Use]) -> list[str]:
     """Name the logs that went into the evidence, and that no use reads."""
-    read = {(use.build, digest) for use in uses for digest in hash_files(use.log)}
+    read = {(use.build, digest) for use in uses for digest in use.hashes}
     missing = (
         entry["name"].partition("/")[0]
         for index, build in enumerate(evidence.manifest.builds)
@@ -175,9 +176,6 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
         values: dict[str, Any] = {}
         for name, value in plain.items():
             values |= value if isinstance(value, dict) else {name: value}
-        if "clouds" not in plain:  # once they were flattened between two heights over the sensor
-            for name in ("min_height", "max_height"):
-                values.pop(name, None)
         return take(BuildOptions, {name: recall(name, value) for name, value in values.items()})
     except (OccmapError, TypeError, ValueError, OverflowError) as error:
         found = f"the options of a build in it cannot be read ({error})"
@@ -203,9 +201,7 @@ def recall(name: str, plain: Any) -> Any:
     elif option.kind is Pose and plain is not None:
         plain = Pose(*plain)
     elif name == "static_transforms":
-        names = PoseSample._fields
-        samples = (dict(zip(names, each, strict=True)) for each in plain)
-        plain = [PoseSample(**{**each, "pose": Pose(*each["pose"])}) for each in samples]
+        plain = [PoseSample(*[*it[:3], Pose(*it[3]), *it[4:]]) for it in plain]
     return option.read(plain)
 
 
@@ -297,16 +293,13 @@ class Cell:
             tiles.take(each, np.flatnonzero((each.tiles == tile).all(axis=1))) for each in layers
         ]
 
-    def read_around(self, evidence: Evidence) -> list[list[Seen]]:
+    def read_around(self, grid: TileGrid) -> list[list[Seen]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
 
         A cell that is in no tile has zeros.
         """
-        aside = (-1, 0, 1)
-        return [
-            [read_cell(evidence, self.row - down, self.column + right) for right in aside]
-            for down in aside
-        ]
+        rows = np.moveaxis(grid.gather(self.box.grow(1), np.int64), 0, -1)[::-1]
+        return [[Seen.read(numbers, grid.kind) for numbers in row] for row in rows.tolist()]
 
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
@@ -319,13 +312,6 @@ class Cell:
         hit, seen_visits = tiles.count_visits(slices)[:, row, col].tolist()
         hit_visits = hit if manifest.kind == EvidenceKind.COUNTS else None
         return Visits(numbers[0] * slice_ns, (numbers[-1] + 1) * slice_ns, hit_visits, seen_visits)
-
-
-def read_cell(evidence: Evidence, row: int, col: int) -> Seen:
-    """Read what observed a cell; a cell that is in no tile has zeros."""
-    at = np.flatnonzero((evidence.tiles == (row // TILE, col // TILE)).all(axis=1))
-    numbers = evidence.cells[at, :, row % TILE, col % TILE].astype(np.int64).sum(axis=0).tolist()
-    return Seen.read(numbers, EvidenceKind(evidence.manifest.kind))
 
 
 @dataclass(frozen=True)

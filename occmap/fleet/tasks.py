@@ -27,7 +27,7 @@ from occmap.report.results import count_cells
 from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import AddRays, Keep, choose_engine, count_ground, trace_logs
+from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_logs
 from occmap.store.layout import Block, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
@@ -163,7 +163,7 @@ def trace_log(job: Job) -> Traced:
     scans = count_scans(log, options.selection.topics)
     tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs))
     runs = RunWriter(job)
-    ((_, notes),) = trace_logs([log], options, runs.begin, tally)
+    _, ((_, notes),) = trace_logs([log], options, runs.begin, tally)
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
@@ -180,15 +180,15 @@ class RunWriter:
         self.points: Counter[str] = Counter()
         self._renew()
 
-    def begin(self) -> AddRays:
-        """Forget what was observed so far, as the log is read anew; return what takes its rays.
+    def begin(self) -> Self:
+        """Forget what was observed so far, as the log is read anew.
 
         Names of run files are not used again: another worker may be at the same log.
         """
         self.pieces.clear()
         self.points.clear()
         self._renew()
-        return self.add
+        return self
 
     def _renew(self) -> None:
         setting = self._job.setting

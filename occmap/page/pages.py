@@ -19,8 +19,7 @@ from occmap.grid import CellBox
 from occmap.page import Block, Page, Section, Stage, raster
 from occmap.report import write_box
 from occmap.report.results import tell_beams, tell_map, tell_scans
-from occmap.scoring import ScoredVariant
-from occmap.scoring.compare import SCORES, VariantComparison, list_scores
+from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 from occmap.writers.edits import Change

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import permutations
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from occmap.errors import UsageError, require
@@ -149,10 +150,15 @@ def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
     return [failed for limit in limits if (failed := limit.judge(result))]
 
 
+def list_measures(unit: str, *names: str, of: str = "") -> Measures:
+    """List measures that are called as the attributes are that hold them, of a part of a result."""
+    return tuple(Measure(name, unit, attrgetter(of + name)) for name in names)
+
+
 SCANS: Measures = (
-    Measure("scans_read", COUNT, lambda it: it.scans.read),
-    Measure("scans_used", COUNT, lambda it: it.scans.used),
-    Measure("dropped_scans", SHARE, lambda it: it.scans.dropped_share),
+    Measure("scans_read", COUNT, attrgetter("scans.read")),
+    Measure("scans_used", COUNT, attrgetter("scans.used")),
+    Measure("dropped_scans", SHARE, attrgetter("scans.dropped_share")),
 )
 """What became of the scans, in any report"""
 DAMAGE = Measure("damage", COUNT, lambda it: len(it.damage))
@@ -160,15 +166,12 @@ DAMAGE = Measure("damage", COUNT, lambda it: len(it.damage))
 
 SAVED: Measures = (
     *SCANS,
-    Measure("hits", SHARE, lambda it: it.hit_share),
-    Measure("no_return", SHARE, lambda it: it.no_return_share),
-    Measure("occupied", SHARE, lambda it: it.map.occupied),
-    Measure("free", SHARE, lambda it: it.map.free),
-    Measure("unknown", SHARE, lambda it: it.map.unknown),
-    Measure("undecided", SHARE, lambda it: it.map.undecided),
+    Measure("hits", SHARE, attrgetter("hit_share")),
+    Measure("no_return", SHARE, attrgetter("no_return_share")),
+    *list_measures(SHARE, "occupied", "free", "unknown", "undecided", of="map."),
     Measure("agreement", SHARE, lambda it: it.map.agreement or 0.0),  # 0 where no hits are kept
-    Measure("cells", COUNT, lambda it: it.map.cells),
-    Measure("area", "m2", lambda it: it.map.area),
+    Measure("cells", COUNT, attrgetter("map.cells")),
+    Measure("area", "m2", attrgetter("map.area")),
     Measure("notes", COUNT, lambda it: len(it.notes)),
 )
 """What can be limited of what `occmap render` and `occmap merge` make"""
@@ -189,18 +192,13 @@ CHECK: Measures = (
 )
 
 COMPARE: Measures = (
-    Measure("share", SHARE, lambda it: it.recommended.score.share),
-    Measure("log_likelihood", "nat", lambda it: it.recommended.score.log_likelihood),
-    Measure("cross_entropy", "nat", lambda it: it.recommended.score.cross_entropy),
-    Measure("seconds", "s", lambda it: it.recommended.seconds),
+    Measure("share", SHARE, attrgetter("recommended.score.share")),
+    *list_measures("nat", "log_likelihood", "cross_entropy", of="recommended.score."),
+    Measure("seconds", "s", attrgetter("recommended.seconds")),
     *(*SCANS, DAMAGE),
 )
 
-TUNE: Measures = (
-    Measure("gain", SHARE, lambda it: it.gain),
-    Measure("share", SHARE, lambda it: it.share),
-    *(*SCANS, DAMAGE),
-)
+TUNE: Measures = (*list_measures(SHARE, "gain", "share"), *SCANS, DAMAGE)
 
 PAIRS = [f"{was} to {now}" for was, now in permutations(("neither", "free", "occupied"), 2)]
 """From which class to which a cell may change"""
@@ -212,11 +210,11 @@ def share_pair(pair: str, difference: Any) -> float:
 
 
 DIFF: Measures = (
-    Measure("changed", SHARE, lambda it: it.share),
+    Measure("changed", SHARE, attrgetter("share")),
     *(Measure(pair.replace(" ", "_"), SHARE, partial(share_pair, pair)) for pair in PAIRS),
-    Measure("changed_cells", COUNT, lambda it: it.changed_cells),
+    Measure("changed_cells", COUNT, attrgetter("changed_cells")),
     Measure("largest_blob", COUNT, lambda it: it.largest.cells if it.largest else 0),
-    Measure("known", COUNT, lambda it: it.known),
+    Measure("known", COUNT, attrgetter("known")),
 )
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -16,7 +16,7 @@ from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, wr
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import LeftOut, ScanCounts, Tally
 from occmap.sensor import ReturnCounts
-from occmap.sensor.models import Clamped, SensorModel, find_decision, shorten_model
+from occmap.sensor.models import shorten_model
 from occmap.types import Int64, Update
 from occmap.writers import WriteOptions, list_idle
 
@@ -265,7 +265,6 @@ def list_notes(
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
-    yield from list_unreached(options.model, options.writing)
     yield from list_outside(facts, options.writing)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
@@ -276,13 +275,23 @@ def list_notes(
     for log, times in Counter(map(str, paths)).items():
         if times > 1:
             yield f"{log}: given {times} times, and counted as often"
-    yield from list_frames(tally)
+    if apart := name_frames(tally):
+        yield (
+            f"{apart}; where these do not lie on each other, choose one with `map_frame`, or "
+            "build each log alone with its own `transform` and merge them"
+        )
     # Evidence that the logs are added to may have walls; clouds have no beams.
     if not tally.beams.hit and options.update is not Update.CLOUD:
         lack = "of the logs hit" if facts.has_walls else "hit"
         end = "" if facts.has_walls else ", so the map has no walls"
         yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
-    points = tally.points
+    yield from list_odd_points(tally.points)
+    yield from list_disagreement(facts)
+    yield from list_misfits(paths, options, facts.agreement, tally)
+
+
+def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
+    """Say where hardly a point of clouds lies on the ground, or in the robot's band."""
     if points and points["obstacle"] < LEAST_OBSTACLES * sum(points.values()):
         yield (
             f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
@@ -293,23 +302,16 @@ def list_notes(
             f"hardly a point lies on the ground: {points['ground']:,} beside "
             f"{points['obstacle']:,} of obstacles; `occmap check` says if a mount is wrong"
         )
-    yield from list_disagreement(facts)
-    yield from list_misfits(paths, options, facts.agreement, tally)
 
 
-def list_frames(tally: Tally) -> Iterator[str]:
-    """Say that logs are mapped in frames of different names, which may lie anywhere."""
+def name_frames(tally: Tally) -> str:
+    """Say that logs are mapped in frames of different names, which may lie anywhere; else ""."""
     first: dict[str, str] = {}
     for log, frame in tally.frames.items():
         if frame:
             first.setdefault(frame, log)
-    if len(first) > 1:
-        named = ", ".join(f"{log} in {frame}" for frame, log in first.items())
-        yield (
-            f"the logs are mapped in different frames: {named}; where these do not lie on each "
-            "other, choose one with `map_frame`, or build each log alone with its own `transform` "
-            "and merge them"
-        )
+    named = ", ".join(f"{log} in {frame}" for frame, log in first.items())
+    return f"the logs are mapped in different frames: {named}" if len(first) > 1 else ""
 
 
 def list_disagreement(facts: MapFacts) -> Iterator[str]:
@@ -319,7 +321,7 @@ def list_disagreement(facts: MapFacts) -> Iterator[str]:
         yield (
             f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
-            "`time_offset_s` or another trajectory"
+            "`time_offset_s`, `deskew=on` or another trajectory"
         )
 
 
@@ -335,14 +337,3 @@ def list_outside(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
         lie = f"{count(len(outside), 'shape')} outside of the map, and without effect"
         first = "at" if len(outside) == 1 else "the first at"
         yield f"{writing.edits}: {lie}: {first} {write_box(outside[0])}"
-
-
-def list_unreached(model: SensorModel, writing: WriteOptions) -> Iterator[str]:
-    """Say which class no cell can have, because of the bounds of the model."""
-    if not isinstance(model, Clamped):
-        return
-    free, occupied = writing.decide(find_decision(model))
-    if model.clamp_max <= occupied:
-        yield f"no cell can be occupied: clamp_max {model.clamp_max:g} is not above {occupied:g}"
-    if model.clamp_min >= free:
-        yield f"no cell can be free: clamp_min {model.clamp_min:g} is not below {free:g}"

@@ -3,8 +3,9 @@
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -41,10 +42,21 @@ AddRays = Callable[[Any], None]
 """Adds the rays of a batch, or its posed clouds, to the evidence; any number of threads may."""
 
 
+class TakesRays(Protocol):
+    """Whatever scans are given to."""
+
+    @property
+    def add(self) -> AddRays:
+        """Takes the scans of a batch."""
+
+
+Taker = TypeVar("Taker", bound=TakesRays)
+
+
 def trace_logs(
-    logs: Sequence[Log], options: BuildOptions, begin: Callable[[], AddRays], tally: Tally
-) -> list[tuple[Log, list[str]]]:
-    """Read logs and trace their scans; return each log with the notes on it.
+    logs: Sequence[Log], options: BuildOptions, begin: Callable[[], Taker], tally: Tally
+) -> tuple[Taker, list[tuple[Log, list[str]]]]:
+    """Read logs and trace their scans; return what took them, and each log with the notes on it.
 
     Only a log read to its end shows for sure which ranges mean "no return", and which scans leap
     away. Where the first scans let something else seem right, all these logs are read once more.
@@ -52,18 +64,19 @@ def trace_logs(
     Parameters
     ----------
     begin
-        Called each time that the logs are read; returns what takes their rays.
+        Called each time that the logs are read; returns what takes their rays. Where they are read
+        once more, what took them first is of no use.
     """
     with tally.time("poses"):
         drives = [open_drive(log, options) for log in logs]
     for _ in range(2):
-        counts, add_rays = tally.start_over(), begin()
-        right = [trace(drive, options, add_rays, counts) for drive in drives]
+        counts, taker = tally.start_over(), begin()
+        right = [trace(drive, options, taker.add, counts) for drive in drives]
         if all(right):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
     tally.add(counts)
-    return [(drive.log, drive.list_notes()) for drive in drives]
+    return taker, [(drive.log, drive.list_notes()) for drive in drives]
 
 
 def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> bool:
@@ -328,11 +341,6 @@ def observe_log(
     log: Log, options: BuildOptions, keep: Keep, tally: Tally
 ) -> tuple["GridEngine | CloudEngine", list[str]]:
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    engines: list[GridEngine | CloudEngine] = []
-
-    def begin() -> AddRays:  # where the log is read once more, the first engine is of no use
-        engines[:] = [choose_engine(options, keep)]
-        return engines[0].add
-
-    ((_, notes),) = trace_logs([log], options, begin, tally)
-    return engines[0], notes
+    begin = partial(choose_engine, options, keep)
+    engine, ((_, notes),) = trace_logs([log], options, begin, tally)
+    return engine, notes

@@ -1,30 +1,24 @@
-"""Scoring: which update and sensor model suits a log, measured on scans that no map has seen.
+"""Scoring: how well a map predicts scans that it was not made of.
 
-A variant of a map is an update and a sensor model; it is scored by how well its map predicts scans
-that are kept from all of them.
+`compare` asks it of several ways to make a map, `maps` of a map that is written, and
+`occmap.tuning` of corrections of the poses.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from time import thread_time
-from typing import Generic, NamedTuple, Self, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.evidence import render
-from occmap.evidence.manifest import describe_profile
-from occmap.grid.tiles import TileGrid
-from occmap.options import BuildOptions, choose_model
-from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Share
-from occmap.scans import make_engine
+from occmap.options import BuildOptions
+from occmap.report import Count, Finite, Share
 from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import Tally, refuse_unused
-from occmap.scans.tracing import AddRays, Progress, Remarks, trace_logs
-from occmap.sensor.models import SensorModel, make_model, parse_model
-from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, ScanBatch, Update
+from occmap.scans.tracing import Progress, Remarks, Taker, trace_logs
+from occmap.types import Float64, Kind, Rays, ScanBatch
 from occmap.workers import Workers
 
 NOISE = 2.0
@@ -32,6 +26,12 @@ NOISE = 2.0
 SMALL = 0.005
 """A smaller difference of shares does not show in a map, however certain it is: as all maps are
 asked about the same scans, a difference of a thousandth may well be certain."""
+MOST_SCANS = 4000
+"""Of all logs together: more tell little more, and all that are asked are held in memory."""
+EVERY = 5
+"""Every n-th scan is held out"""
+FIRST = 2
+"""The first scan that is held out, counted from 0"""
 
 
 @dataclass(frozen=True)
@@ -76,40 +76,88 @@ class Score:
 
 
 class Trial(NamedTuple):
-    """How a map fared."""
+    """How a map fared with the scans that are held out from it, or how several maps did."""
 
-    score: Score
-    predicted: Float64
-    """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
+    totals: Float64
+    """(N, 6) of each held-out scan, as `cast_beams` writes them"""
+    looks: Float64
+    """(BINS + 1, 3) of the cells in each bin of probability, likewise"""
+    agreement: float | None
+    """Share of the other scans' hits in cells that the map calls occupied; None without any"""
+    parts: tuple["Trial", ...] = ()
+    """Those of single maps, where this is all of them together"""
+
+    @classmethod
+    def join(cls, parts: Iterable["Trial"]) -> "Trial":
+        """Take several maps together; their agreement counts by their held-out beams."""
+        parts = tuple(parts)
+        totals = np.concatenate([each.totals for each in parts])
+        known = [(it.agreement, it.totals[:, 0].sum()) for it in parts if it.agreement is not None]
+        beams = sum(beams for _, beams in known)
+        agreement = sum(agreement * beams for agreement, beams in known) / beams if known else None
+        looks = sum((each.looks for each in parts), np.zeros((1, 3)))
+        return cls(totals, looks, agreement, parts)
+
+    @property
+    def predicted(self) -> Float64:
+        """(N, 2) of each held-out scan: beams that measured a range, and those it predicted."""
+        return self.totals[:, :2]
+
+    @property
+    def score(self) -> Score:
+        """Means over all beams."""
+        beams, near, likelihood, occupied, cells, free = map(math.fsum, self.totals.T)
+        occupied_cost, free_cost = occupied / max(beams, 1), free / max(cells, 1)
+        return Score(
+            beams=int(beams),
+            share=near / max(beams, 1),
+            share_error=estimate_error(self.totals[:, 1], self.totals[:, 0]),
+            log_likelihood=likelihood / max(beams, 1),
+            occupied_cost=occupied_cost,
+            free_cost=free_cost,
+            cross_entropy=(occupied_cost + free_cost) / 2,
+            reliability=tuple(
+                ReliabilityBin(int(looks), predicted / looks, ended / looks)
+                for looks, predicted, ended in self.looks[:-1].tolist()
+                if looks
+            ),
+        )
 
 
-class Gain(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Gain:
     """How much larger the share of one map is than that of another, by the same scans."""
 
-    share: float = 0.0
-    error: float = 0.0
-    """Standard error, from the differences scan by scan; it is smaller than those of the shares,
-    since both maps are asked about the same scans"""
+    gain: float = 0.0
+    """How much larger the share is"""
+    gain_error: Finite = 0.0
+    """Standard error of the gain, from the differences scan by scan; null where one scan is all
+    there is"""
+
+    @classmethod
+    def measure(cls, before: Float64, after: Float64) -> "Gain":
+        """Measure it by how two maps fared with some scans (N, 2), as `Trial.predicted` has it.
+
+        The error is smaller than those of the shares, as both maps are asked about the same scans.
+        """
+        beams, now = after.T
+        more = now - before[:, 1]
+        gain = math.fsum(more) / max(math.fsum(beams), 1)
+        return Gain(gain=gain, gain_error=estimate_error(more, beams))
 
     @property
     def certain(self) -> bool:
         """Whether it is more than noise, and so much that it shows in a map."""
-        return self.share > max(NOISE * self.error, SMALL)
+        return self.gain > max(NOISE * self.gain_error, SMALL)
 
-    def __neg__(self) -> "Gain":
-        """How much smaller the share is."""
-        return Gain(-self.share, self.error)
-
-    @classmethod
-    def measure(cls, before: Float64, after: Float64) -> "Gain":
-        """Measure it by how two maps fared with some scans (N, 2), as `Trial.predicted` has it."""
-        beams, now = after.T
-        more = now - before[:, 1]
-        return cls(math.fsum(more) / max(math.fsum(beams), 1), estimate_error(more, beams))
+    @property
+    def loses(self) -> bool:
+        """Whether the share is certainly smaller."""
+        return -self.gain > max(NOISE * self.gain_error, SMALL)
 
 
 def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
-    """Cast held-out beams, of which some must have measured a range, through a map."""
+    """Cast held-out beams through a map."""
     from occmap.grid.kernels.cast import BINS, CERTAIN, Chart, cast_beams  # noqa: PLC0415  late: loads numba
 
     probability = np.where(grid.observed, grid.probability, np.float32(0.5))
@@ -118,36 +166,15 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     bins = np.where(grid.observed, tenths, BINS).astype(np.uint8)
     chart = Chart(grid.occupied, probability, free_cost, bins, grid.origin, grid.resolution)
     totals = [np.zeros((len(rays.kind), 6)) for rays in held_out]
-    tallies = [np.zeros((BINS + 1, 3)) for _ in held_out]
+    looks = [np.zeros((BINS + 1, 3)) for _ in held_out]
 
     def cast(index: int) -> None:
-        cast_beams(held_out[index], chart, totals[index], tallies[index])
+        cast_beams(held_out[index], chart, totals[index], looks[index])
 
     with Workers(cast, jobs) as workers:
         for index in range(len(held_out)):
             workers.give(index)
-    by_scan = np.concatenate(totals)
-    reliability = tuple(
-        ReliabilityBin(int(looks), predicted / looks, ended / looks)
-        for looks, predicted, ended in np.sum(tallies, axis=0)[:BINS].tolist()
-        if looks
-    )
-    return Trial(replace(sum_up(by_scan), reliability=reliability), by_scan[:, :2])
-
-
-def sum_up(totals: Float64) -> Score:
-    """Turn (N, 6) totals of N scans, as `cast_beams` writes them, into means."""
-    beams, near, log_likelihood, occupied, cells, free = (math.fsum(each) for each in totals.T)
-    occupied_cost, free_cost = occupied / beams, free / max(cells, 1)
-    return Score(
-        beams=int(beams),
-        share=near / beams,
-        share_error=estimate_error(totals[:, 1], totals[:, 0]),
-        log_likelihood=log_likelihood / beams,
-        occupied_cost=occupied_cost,
-        free_cost=free_cost,
-        cross_entropy=(occupied_cost + free_cost) / 2,
-    )
+    return Trial(np.concatenate(totals), np.sum(looks, axis=0), grid.agreement)
 
 
 def estimate_error(part: Float64, whole: Float64) -> float:
@@ -166,15 +193,20 @@ def estimate_error(part: Float64, whole: Float64) -> float:
 def read_scans(
     paths: Sequence[Path],
     options: BuildOptions,
-    begin: Callable[[], AddRays],
+    begin: Callable[[], Taker],
     progress: Progress,
-) -> tuple[Tally, Remarks]:
-    """Read all usable scans of logs in their order; say what became of them, and what to note.
+) -> tuple[Taker, Tally, Remarks]:
+    """Read all usable scans of logs in their order.
 
     Parameters
     ----------
     begin
-        Called each time that the logs are read; returns what takes their rays.
+        As for `trace_logs`.
+
+    Returns
+    -------
+    taker, tally, remarks
+        What took the scans; what became of them, and what to note.
 
     Raises
     ------
@@ -186,10 +218,11 @@ def read_scans(
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     tally.tell = lambda scans: progress(scans, total)
     remarks = Remarks([str(log.path) for log in logs])
-    for log, notes in trace_logs(logs, replace(options, jobs=1), begin, tally):
+    taker, told = trace_logs(logs, replace(options, jobs=1), begin, tally)
+    for log, notes in told:
         remarks.note(log.path, log.notes, notes)
     refuse_unused(paths, tally)
-    return tally, remarks
+    return taker, tally, remarks
 
 
 Taken = TypeVar("Taken", Rays, ScanBatch)
@@ -204,8 +237,8 @@ class Sample(Generic[Taken]):
     """
 
     def __init__(self, most: int) -> None:
-        self.seen = 0
-        """How many scans came"""
+        self.seen = self.scans = 0
+        """How many scans came, and how many of them are kept"""
         self._most, self._limit = most, 1.0
         self._kept: list[tuple[Float64, Taken]] = []
         """The fractions of scans, and the scans"""
@@ -215,90 +248,35 @@ class Sample(Generic[Taken]):
         """The scans that are kept."""
         return [part for _, part in self._kept]
 
-    @property
-    def scans(self) -> int:
-        """How many are kept."""
-        return sum(len(fraction) for fraction, _ in self._kept)
-
     def add(self, part: Taken) -> None:
         """Take scans that come after all others; where there are too many, half of them go."""
         numbers = self.seen + np.arange(len(part.stamp_ns), dtype=np.float64)
-        fraction = np.asarray(numbers * GOLDEN % 1, np.float64)
         self.seen += len(numbers)
-        self._kept += self._take_low([(fraction, part)])
+        self._keep_low([(np.asarray(numbers * GOLDEN % 1, np.float64), part)])
         while self.scans > self._most:
             self._limit /= 2
-            self._kept = self._take_low(self._kept)
+            kept, self._kept, self.scans = self._kept, [], 0
+            self._keep_low(kept)
 
-    def _take_low(self, parts: Sequence[tuple[Float64, Taken]]) -> list[tuple[Float64, Taken]]:
-        return [
-            (fraction[low], part.take(low))
-            for fraction, part in parts
-            if (low := fraction < self._limit).any()
-        ]
+    def _keep_low(self, parts: Sequence[tuple[Float64, Taken]]) -> None:
+        for fraction, part in parts:
+            low = fraction < self._limit
+            if low.any():
+                self._kept.append((fraction[low], part.take(low)))
+                self.scans += int(np.count_nonzero(low))
 
-
-DEFAULT_MODELS = ("simple", "quadratic")
-"""Beside the one that an update is used with"""
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One way to make a map."""
-
-    update: Update
-    model: SensorModel
-
-    @property
-    def name(self) -> str:
-        """The update, the model, and the parameters that are not at their defaults."""
-        return f"{self.update} {shorten_model(self.model)}"
-
-    @property
-    def evidence(self) -> str:
-        """Equal for variants that differ only in what they make of the same evidence."""
-        return f"{self.update} {describe_profile(self.model) or 'counts'}"
-
-
-def shorten_model(model: SensorModel) -> str:
-    """Write a model as `model` takes it, without the parameters that are at their defaults."""
-    default = make_model(model.name, {})
-    changed = [
-        f"{field.name}={getattr(model, field.name):g}"
-        for field in fields(model)  # type: ignore[arg-type]  # a dataclass
-        if getattr(model, field.name) != getattr(default, field.name)
-    ]
-    return model.name + (":" + ",".join(changed) if changed else "")
-
-
-def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Variant]:
-    """Combine every update with every model, each once; where none is given, with the usual ones.
-
-    Raises
-    ------
-    UsageError
-        A model does not load.
-    """
-    others = models or [parse_model(text) for text in DEFAULT_MODELS]
-    variants = [
-        Variant(update, model)
-        for update in updates or BEAM_UPDATES
-        for model in ([] if models else [choose_model(update)]) + list(others)
-    ]
-    return list({each.name: each for each in variants}.values())
-
-
-EVERY = 5
-"""Every n-th scan is held out"""
-FIRST = 2
-"""The first scan that is held out, counted from 0"""
+    def list_notes(self, what: str = "scans") -> Iterator[str]:
+        """Say how many are kept, where not all are."""
+        if self.scans < self.seen:
+            yield f"{self.scans:,} of {self.seen:,} {what} are asked, spread over the logs"
 
 
 class HoldOut:
     """Keeps every fifth scan from the maps; the scans must come in one order, so in one thread."""
 
     def __init__(self) -> None:
-        self.held: list[Rays] = []
+        self.sample = Sample[Rays](MOST_SCANS)
+        """The held-out scans that maps are scored on"""
         self._seen = 0
 
     def split(self, rays: Rays) -> Rays:
@@ -306,159 +284,10 @@ class HoldOut:
         scans = len(rays.kind)
         kept = (self._seen + np.arange(scans)) % EVERY == FIRST
         self._seen += scans
-        if kept.any():
-            self.held.append(rays.take(kept))
+        self.sample.add(rays.take(kept))
         return rays.take(~kept)
-
-    @property
-    def scans(self) -> int:
-        """Held-out scans."""
-        return sum(len(rays.kind) for rays in self.held)
 
     @property
     def hits(self) -> int:
         """Held-out beams that measured a range."""
-        return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.held)
-
-
-def make_scans(scans: int) -> Rays:
-    """A corner of a room, from one place."""
-    ways, reach = np.tile(np.eye(2), (scans, 1, 1)), np.ones((scans, 2), np.float32)
-    kind, stamp_ns = np.full((scans, 2), Kind.HIT, np.uint8), np.zeros(scans, np.int64)
-    return Rays.along(np.zeros((scans, 1, 2)), ways, reach, kind, stamp_ns, full_circle=False)
-
-
-class SharedEvidence:
-    """The evidence of one or more variants, and the processor time that it took."""
-
-    def __init__(self, options: BuildOptions) -> None:
-        # No variant is charged for compiling kernels: those for few scans, and those for many.
-        engine = make_engine(options)
-        for scans in (1, 500):
-            engine.add(make_scans(scans))
-        engine.finish()
-        self._engine = make_engine(options)
-        self._seconds: list[float] = []
-
-    def add(self, rays: Rays) -> None:
-        """Trace scans; any thread may."""
-        start = thread_time()
-        self._engine.add(rays)
-        self._seconds.append(thread_time() - start)
-
-    def finish(self) -> TileGrid:
-        """Return the evidence of all scans."""
-        start = thread_time()
-        grid = self._engine.finish()
-        self._seconds.append(thread_time() - start)
-        return grid
-
-    @property
-    def seconds(self) -> float:
-        """Processor time of all threads together (s)."""
-        return sum(self._seconds)
-
-
-Task = tuple[SharedEvidence, Rays]
-"""Scans for one piece of evidence"""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ScoredVariant:
-    """One way to make the map, and how well that map predicts the held-out scans."""
-
-    variant: Variant = field(metadata=HIDDEN)
-    map: OccupancyMap = field(metadata=HIDDEN)
-    predicted: Float64 = field(metadata=HIDDEN)
-    """(N, 2) of each held-out scan: beams that measured a range, and those of them it predicted"""
-    score: Score = field(metadata=IN_PLACE)
-    name: str
-    """The update, the model, and its parameters that are not at their defaults"""
-    update: Update
-    """How scans became observations of cells"""
-    model: str
-    """Sensor model, as `model` takes it"""
-    behind: Share = 0.0
-    """How much lower the share is than the best one"""
-    behind_error: Finite = 0.0
-    """Standard error of that, from the differences scan by scan; null where one scan is all
-    there is"""
-    as_good: bool = True
-    """The share is behind the best one by at most two standard errors, or half a percent"""
-    columns: Count
-    """Cells of the map from left to right (along x)"""
-    rows: Count
-    """Cells of the map from bottom to top (along y)"""
-    seconds: float
-    """Processor time to trace and render (s)"""
-    bytes: Count
-    """Size of the evidence in memory (bytes)"""
-
-    def compare_with(self, best: Self) -> Self:
-        """Measure how far the share is behind the best one."""
-        behind = Gain.measure(self.predicted, best.predicted)
-        return replace(
-            self, behind=behind.share, behind_error=behind.error, as_good=not behind.certain
-        )
-
-
-class Trials:
-    """The variants of one comparison. Those that need the same evidence share it."""
-
-    def __init__(self, variants: Sequence[Variant], options: BuildOptions) -> None:
-        self._options = options
-        self._variants = variants
-        self._evidence: dict[str, SharedEvidence] = {}
-        self.hold_out = HoldOut()
-
-    def tracing(self) -> Workers[Task]:
-        """Make threads that trace."""
-        return Workers(lambda task: task[0].add(task[1]), self._options.jobs)
-
-    def begin(self, workers: Workers[Task]) -> Callable[[Rays], None]:
-        """Start anew; return a function that holds some scans out and has the others traced."""
-        self.hold_out = HoldOut()
-        self._evidence = {
-            key: SharedEvidence(replace(self._options, update=each.update, model=each.model))
-            for key, each in {each.evidence: each for each in self._variants}.items()
-        }
-
-        def observe(rays: Rays) -> None:
-            seen = self.hold_out.split(rays)
-            if len(seen.kind):
-                for evidence in self._evidence.values():
-                    workers.give((evidence, seen))
-
-        return observe
-
-    def score(self) -> list[ScoredVariant]:
-        """Render every variant and score it on the scans held out, the best share first.
-
-        Raises
-        ------
-        MapError
-            Nothing was observed, or a map would be too large.
-        """
-        grids = {key: evidence.finish() for key, evidence in self._evidence.items()}
-        results = [self._score(each, grids[each.evidence]) for each in self._variants]
-        results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
-        return [each.compare_with(results[0]) for each in results]
-
-    def _score(self, variant: Variant, grid: TileGrid) -> ScoredVariant:
-        start = thread_time()
-        made = render(grid, variant.model, self._options.max_cells)
-        seconds = self._evidence[variant.evidence].seconds + thread_time() - start
-        trial = score_map(made, self.hold_out.held, self._options.jobs)
-        return ScoredVariant(
-            variant=variant,
-            map=made,
-            predicted=trial.predicted,
-            score=trial.score,
-            name=variant.name,
-            update=variant.update,
-            model=shorten_model(variant.model),
-            columns=made.shape[1],
-            rows=made.shape[0],
-            seconds=round(seconds, 4),
-            bytes=sum(tile.nbytes for tile in grid.tiles.values()),
-        )
+        return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.sample.parts)

@@ -1,22 +1,218 @@
-"""Several ways to map the same logs, in one read: which of them predicts scans best."""
+"""Several ways to map the same logs, in one read: which of them predicts scans best.
+
+A variant of a map is an update and a sensor model; it is scored by how well its map predicts scans
+that are kept from the maps of all variants.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from time import thread_time
+from typing import Self
 
-from occmap.errors import LogError
-from occmap.options import DEFAULT_UPDATE, BuildOptions, compose_build
-from occmap.report import HIDDEN, Count, Noted, count, printed_as
-from occmap.report.results import list_frames
+import numpy as np
+
+from occmap.cells import OccupancyMap
+from occmap.errors import LogError, require
+from occmap.evidence import render
+from occmap.evidence.manifest import describe_profile
+from occmap.grid.tiles import TileGrid
+from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model, compose_build
+from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Noted, Share, count, printed_as
+from occmap.report.results import name_frames
+from occmap.scans import make_engine
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Remarks, ignore_progress
-from occmap.scoring import SMALL, ScoredVariant, Trials, Variant, read_scans
-from occmap.types import Update
+from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, read_scans, score_map
+from occmap.sensor.models import SensorModel, make_model, parse_model
+from occmap.types import BEAM_UPDATES, Kind, Rays, Update
+from occmap.workers import Workers
 
 FEW_SCANS = 10
 """Fewer scans do not show how far the next one may lie from them."""
+DEFAULT_MODELS = ("simple", "quadratic")
+"""Beside the one that an update is used with"""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to make a map."""
+
+    update: Update
+    model: SensorModel
+
+    @property
+    def name(self) -> str:
+        """The update, the model, and the parameters that are not at their defaults."""
+        return f"{self.update} {shorten_model(self.model)}"
+
+    @property
+    def evidence(self) -> str:
+        """Equal for variants that differ only in what they make of the same evidence."""
+        return f"{self.update} {describe_profile(self.model) or 'counts'}"
+
+
+def shorten_model(model: SensorModel) -> str:
+    """Write a model as `model` takes it, without the parameters that are at their defaults."""
+    default = make_model(model.name, {})
+    changed = [
+        f"{field.name}={getattr(model, field.name):g}"
+        for field in fields(model)  # type: ignore[arg-type]  # a dataclass
+        if getattr(model, field.name) != getattr(default, field.name)
+    ]
+    return model.name + (":" + ",".join(changed) if changed else "")
+
+
+def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Variant]:
+    """Combine every update with every model, each once; where none is given, with the usual ones.
+
+    Raises
+    ------
+    UsageError
+        A model does not load.
+    """
+    others = models or [parse_model(text) for text in DEFAULT_MODELS]
+    variants = [
+        Variant(update, model)
+        for update in updates or BEAM_UPDATES
+        for model in ([] if models else [choose_model(update)]) + list(others)
+    ]
+    return list({each.name: each for each in variants}.values())
+
+
+def make_scans(scans: int) -> Rays:
+    """A corner of a room, from one place."""
+    ways, reach = np.tile(np.eye(2), (scans, 1, 1)), np.ones((scans, 2), np.float32)
+    kind, stamp_ns = np.full((scans, 2), Kind.HIT, np.uint8), np.zeros(scans, np.int64)
+    return Rays.along(np.zeros((scans, 1, 2)), ways, reach, kind, stamp_ns, full_circle=False)
+
+
+class SharedEvidence:
+    """The evidence of one or more variants, and the processor time that it took."""
+
+    def __init__(self, options: BuildOptions) -> None:
+        # No variant is charged for compiling kernels: those for few scans, and those for many.
+        engine = make_engine(options)
+        for scans in (1, 500):
+            engine.add(make_scans(scans))
+        engine.finish()
+        self._engine = make_engine(options)
+        self._seconds: list[float] = []
+
+    def add(self, rays: Rays) -> None:
+        """Trace scans; any thread may."""
+        start = thread_time()
+        self._engine.add(rays)
+        self._seconds.append(thread_time() - start)
+
+    def finish(self) -> TileGrid:
+        """Return the evidence of all scans."""
+        start = thread_time()
+        grid = self._engine.finish()
+        self._seconds.append(thread_time() - start)
+        return grid
+
+    @property
+    def seconds(self) -> float:
+        """Processor time of all threads together (s)."""
+        return sum(self._seconds)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScoredVariant:
+    """One way to make the map, and how well that map predicts the held-out scans."""
+
+    variant: Variant = field(metadata=HIDDEN)
+    map: OccupancyMap = field(metadata=HIDDEN)
+    trial: Trial = field(metadata=HIDDEN)
+    score: Score = field(metadata=IN_PLACE)
+    name: str
+    """The update, the model, and its parameters that are not at their defaults"""
+    update: Update
+    """How scans became observations of cells"""
+    model: str
+    """Sensor model, as `model` takes it"""
+    behind: Share = 0.0
+    """How much lower the share is than the best one"""
+    behind_error: Finite = 0.0
+    """Standard error of that, from the differences scan by scan; null where one scan is all
+    there is"""
+    as_good: bool = True
+    """The share is behind the best one by at most two standard errors, or half a percent"""
+    columns: Count
+    """Cells of the map from left to right (along x)"""
+    rows: Count
+    """Cells of the map from bottom to top (along y)"""
+    seconds: float
+    """Processor time to trace and render (s)"""
+    bytes: Count
+    """Size of the evidence in memory (bytes)"""
+
+    def compare_with(self, best: Self) -> Self:
+        """Measure how far the share is behind the best one."""
+        behind = Gain.measure(self.trial.predicted, best.trial.predicted)
+        return replace(
+            self, behind=behind.gain, behind_error=behind.gain_error, as_good=not behind.certain
+        )
+
+
+Task = tuple[SharedEvidence, Rays]
+"""Scans for one piece of evidence"""
+
+
+class Trials:
+    """The variants of one comparison. Those that need the same evidence share it."""
+
+    def __init__(
+        self, variants: Sequence[Variant], options: BuildOptions, workers: Workers[Task]
+    ) -> None:
+        self.hold_out = HoldOut()
+        self._variants, self._options, self._workers = variants, options, workers
+        self._shared = {
+            key: SharedEvidence(replace(options, update=each.update, model=each.model))
+            for key, each in {each.evidence: each for each in variants}.items()
+        }
+
+    def add(self, rays: Rays) -> None:
+        """Hold some scans out, and have the others traced."""
+        seen = self.hold_out.split(rays)
+        if len(seen.kind):
+            for evidence in self._shared.values():
+                self._workers.give((evidence, seen))
+
+    def score(self) -> list[ScoredVariant]:
+        """Render every variant and score it on the scans held out, the best share first.
+
+        Raises
+        ------
+        MapError
+            Nothing was observed, or a map would be too large.
+        """
+        grids = {key: evidence.finish() for key, evidence in self._shared.items()}
+        results = [self._score(each, grids[each.evidence]) for each in self._variants]
+        results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
+        return [each.compare_with(results[0]) for each in results]
+
+    def _score(self, variant: Variant, grid: TileGrid) -> ScoredVariant:
+        start = thread_time()
+        made = render(grid, variant.model, self._options.max_cells)
+        seconds = self._shared[variant.evidence].seconds + thread_time() - start
+        trial = score_map(made, self.hold_out.sample.parts, self._options.jobs)
+        return ScoredVariant(
+            variant=variant,
+            map=made,
+            trial=trial,
+            score=trial.score,
+            name=variant.name,
+            update=variant.update,
+            model=shorten_model(variant.model),
+            columns=made.shape[1],
+            rows=made.shape[0],
+            seconds=round(seconds, 4),
+            bytes=sum(tile.nbytes for tile in grid.tiles.values()),
+        )
 
 
 @dataclass(frozen=True)
@@ -77,7 +273,7 @@ def compare(
 ) -> VariantComparison:
     """Map logs in several ways, with every fifth scan held out, and score the maps on those.
 
-    The held-out scans stay in memory: five bytes a beam.
+    At most 4,000 held-out scans, spread over all of them, stay in memory: five bytes a beam.
 
     Parameters
     ----------
@@ -87,18 +283,21 @@ def compare(
     Raises
     ------
     OccmapError
-        As `build`, or no held-out beam measured a range.
+        As `build`, no held-out beam measured a range, or logs are mapped in different frames.
     """
-    trials = Trials(variants, options)
-    with trials.tracing() as workers:
-        tally, remarks = read_scans(paths, options, partial(trials.begin, workers), progress)
+    with Workers[Task](lambda it: it[0].add(it[1]), options.jobs) as workers:
+        begin = partial(Trials, variants, options, workers)
+        trials, tally, remarks = read_scans(paths, options, begin, progress)
+    fix = "choose one with `map_frame`, or compare each log by itself"
+    require(not (apart := name_frames(tally)), apart, fix)
     hold_out = trials.hold_out
-    refuse_unscored(remarks.logs, hold_out.scans, hold_out.hits)
-    remarks.notes += list_frames(tally)
-    if hold_out.scans < FEW_SCANS:
-        held_out = count(hold_out.scans, "held-out scan")
-        remarks.notes.append(f"{held_out}: too few to tell variants apart; give a longer log")
-    scans = HeldOutScans(**vars(tally.scans), held_out=hold_out.scans)
+    held_out = hold_out.sample.scans
+    refuse_unscored(remarks.logs, held_out, hold_out.hits)
+    remarks.notes += hold_out.sample.list_notes("held-out scans")
+    if held_out < FEW_SCANS:
+        few = count(held_out, "held-out scan")
+        remarks.notes.append(f"{few}: too few to tell variants apart; give a longer log")
+    scans = HeldOutScans(**vars(tally.scans), held_out=held_out)
     return choose_best(trials.score(), options, remarks, scans)
 
 

@@ -15,22 +15,12 @@ from numpy.typing import NDArray
 
 from occmap.cells import Evidence, Slices
 from occmap.choices import format_mount, to_rpy
-from occmap.difference import Place
+from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
 from occmap.evidence.manifest import write_value
-from occmap.grid import CellBox
-from occmap.grid.tiles import (
-    MAX_CELLS,
-    TILE,
-    EvidenceKind,
-    Key,
-    pack,
-    stack_tiles,
-    take,
-    unite,
-    unpack,
-)
+from occmap.grid import CellBox, tiles
+from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, Key
 from occmap.options import BuildOptions
 from occmap.scans.mounts import sample_rays
 from occmap.sensor.models import SensorModel
@@ -38,7 +28,7 @@ from occmap.store.merging import refuse_different
 from occmap.types import IDENTITY, Bool, Float32, Float64, Int64, Kind, Pose, Rays, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
-"""No larger transform is looked for"""
+"""No larger transform is looked for, and what is farther from a wall counts as this far"""
 STEP_M, STEP_RAD = 0.2, math.radians(2)
 """Of the first look; then both are halved again and again"""
 HALVINGS, ROUGH = 6, 3
@@ -49,8 +39,8 @@ APART_M, APART_RAD = 0.3, math.radians(3)
 LEAST_SHARE, MOST_RIVAL = 0.35, 0.75
 """Halves of real logs fit with a share of 0.45 to 0.78, and their rivals have 0.3 to 0.7 of that.
 Logs of other buildings fit with one below 0.35, or their rivals have 0.79 of it and more."""
-BESIDE = sorted(product(range(-2, 3), repeat=3), key=lambda steps: sum(map(abs, steps)))
-"""In steps of turn, x and y: what is as good as what is farther away comes first"""
+BESIDE = (0, -1, 1, -2, 2)
+"""In steps of turn, x or y: where something is as good farther away, the nearer one counts"""
 MOST_POINTS = 10_000
 MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
@@ -101,11 +91,9 @@ class Walls(NamedTuple):
     away: Float32
     """(H, W) m, up to a limit; along the border it is the limit"""
     place: Place
-    limit: float
-    """What is farther away counts as this far (m)"""
 
     @classmethod
-    def of(cls, occupied: Bool, place: Place, limit: float) -> "Walls":
+    def of(cls, occupied: Bool, place: Place, limit: float = REACH_M) -> "Walls":
         """Measure it between the middles of cells, in a map (H, W) and within `limit` around it.
 
         Squares of distances are smallest over columns first and over rows then, which is exact
@@ -125,7 +113,7 @@ class Walls(NamedTuple):
             squares = np.ascontiguousarray(lowest.T)
         away = np.minimum(np.sqrt(squares) * np.float32(resolution), np.float32(limit))
         margin = side * resolution
-        return cls(away, Place(resolution, x - margin, y - margin), limit)
+        return cls(away, Place(resolution, x - margin, y - margin))
 
     @property
     def pivot(self) -> Float64:
@@ -182,7 +170,8 @@ def fit(points: Float64, walls: Walls) -> Match:
     middle = points.mean(axis=0)
     search = _Search(points - middle, middle, walls)
     refined = [search.refine(place, range(1, ROUGH + 1), 1500) for place in search.list_peaks()]
-    (share, best), *others = sorted(((search.judge(each), each) for each in refined), reverse=True)
+    shares = [float(search.judge(it.yaw, np.array([it[:2]]))[0]) for it in refined]
+    (share, best), *others = sorted(zip(shares, refined, strict=True), reverse=True)
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
     x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
     right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
@@ -199,41 +188,48 @@ class _Search(NamedTuple):
     """(2,) in the map of the walls (m)"""
     walls: Walls
 
-    def judge(self, place: Transform, width: float = 0.0, most: int = MOST_POINTS) -> float:
-        """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6."""
+    def judge(
+        self, yaw: float, shifts: Float64, width: float = 0.0, most: int = MOST_POINTS
+    ) -> Float64:
+        """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6.
+
+        Returns
+        -------
+        (K,) for a turn and, after it, each of some shifts (K, 2)
+        """
         points = self.points[:: max(len(self.points) // most, 1)]
-        away = self.walls.measure(place.move(points) + self.middle)
-        return float(np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2).mean())
+        turned = Transform(0.0, 0.0, yaw).move(points)
+        moved = turned + shifts[:, np.newaxis] + self.middle
+        away = self.walls.measure(moved.reshape(-1, 2)).reshape(moved.shape[:2])
+        near = np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2)
+        return np.asarray(near.mean(axis=1), np.float64)
 
     def list_peaks(self) -> list[Transform]:
         """List the places on a coarse grid that none beside them beats, the best ones first."""
-        shifts = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
+        steps = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
+        shifts = np.array(list(product(steps, steps)))
         turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
         arm = self.middle - self.walls.pivot
-        swings = [Transform(0.0, 0.0, yaw).move(arm) - arm for yaw in turns]
-        places = [
-            Transform(x + swing[0], y + swing[1], yaw)
-            for x, y, (yaw, swing) in product(shifts, shifts, zip(turns, swings, strict=True))
-        ]
-        shares = np.reshape(
-            [self.judge(place, STEP_M, 500) for place in places],
-            (len(shifts), len(shifts), len(turns)),
+        swung = [shifts + (Transform(0.0, 0.0, yaw).move(arm) - arm) for yaw in turns]
+        shares = np.stack(
+            [self.judge(yaw, at, STEP_M, 500) for yaw, at in zip(turns, swung, strict=True)], axis=1
         )
-        beside = np.lib.stride_tricks.sliding_window_view(np.pad(shares, 1), (3, 3, 3))
-        peaks = np.flatnonzero(shares >= beside.max(axis=(3, 4, 5)))
-        best = peaks[np.argsort(-shares.ravel()[peaks], kind="stable")]
-        return [places[at] for at in best[:MOST_PEAKS].tolist()]
+        grid = shares.reshape(len(steps), len(steps), len(turns))
+        beside = np.lib.stride_tricks.sliding_window_view(np.pad(grid, 1), (3, 3, 3))
+        peaks = np.flatnonzero(grid >= beside.max(axis=(3, 4, 5)))
+        best = peaks[np.argsort(-grid.ravel()[peaks], kind="stable")][:MOST_PEAKS].tolist()
+        places = (divmod(each, len(turns)) for each in best)
+        return [Transform._make([*swung[at][shift].tolist(), turns[at]]) for shift, at in places]
 
     def refine(self, place: Transform, halvings: range, most: int = MOST_POINTS) -> Transform:
         """Go on to the best of the places beside, in shorter and shorter steps."""
         for halving in halvings:
             step_m, step_rad = STEP_M / 2**halving, STEP_RAD / 2**halving
-            x, y, yaw = place
-            around = [
-                Transform(x + right * step_m, y + up * step_m, yaw + turn * step_rad)
-                for turn, right, up in BESIDE
-            ]
-            place = max(around, key=lambda each: self.judge(each, step_m, most))
+            turns = [place.yaw + turn * step_rad for turn in BESIDE]
+            shifts = place[:2] + np.array(list(product(BESIDE, BESIDE))) * step_m
+            shares = np.stack([self.judge(yaw, shifts, step_m, most) for yaw in turns])
+            turn, shift = divmod(int(shares.argmax()), len(shifts))
+            place = Transform._make([*shifts[shift].tolist(), turns[turn]])
         return place
 
 
@@ -270,7 +266,7 @@ def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
         found = "`fit` takes scans of planar lasers, not clouds"
         raise PoseError(found, where=past.where, fix="leave `fit` out")
     grid = render(to_grid(past), model, max_cells)
-    return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin), REACH_M)
+    return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin))
 
 
 def refuse_doubt(found: Match, whose: str, where: str) -> None:
@@ -334,10 +330,10 @@ def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
     manifest = evidence.manifest
     builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
     origins = list_origins(evidence.tiles, by, manifest.resolution)
-    tiles, cells = stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
+    places, cells = tiles.stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
     slices = tuple(_move_slices(each, origins) for each in evidence.slices)
     manifest = replace(manifest, builds=builds)
-    return replace(evidence, manifest=manifest, tiles=tiles, cells=cells, slices=slices)
+    return replace(evidence, manifest=manifest, tiles=places, cells=cells, slices=slices)
 
 
 Origin: TypeAlias = tuple[list[Key], Int64, Int64]
@@ -345,10 +341,10 @@ Origin: TypeAlias = tuple[list[Key], Int64, Int64]
 them, and at which place in that"""
 
 
-def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
-    """Find all tiles that some (T, 2) may reach when they move, and where their cells were."""
+def list_origins(places: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
+    """Find all tiles that some, at (T, 2), may reach when they move, and where their cells were."""
     side, beside = TILE * resolution, np.array(list(product((-1, 0, 1), repeat=2)))
-    centres = by.move(tiles[:, ::-1].astype(np.float64) * side + side / 2) / side
+    centres = by.move(places[:, ::-1].astype(np.float64) * side + side / 2) / side
     # No part of a tile reaches beyond the tiles beside that in which its centre lies.
     reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
     middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
@@ -363,10 +359,10 @@ def list_origins(tiles: Int64, by: Transform, resolution: float) -> dict[Key, Or
 
 
 def _move_tiles(
-    tiles: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
+    places: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
 ) -> dict[Key, NDArray[Any]]:
-    """Move stacked tiles (T, 2) and what their cells (T, 2, 64, 64) hold; empty ones are gone."""
-    held = {(row, col): at for at, (row, col) in enumerate(tiles.tolist())}
+    """Move what the cells (T, 2, 64, 64) of tiles at (T, 2) hold; empty tiles are gone."""
+    held = {(row, col): at for at, (row, col) in enumerate(places.tolist())}
     numbers = np.concatenate([cells, np.zeros_like(cells[:1])]).reshape(len(cells) + 1, 2, -1)
     made = {}
     for key, (sources, which, inside) in origins.items():
@@ -383,11 +379,12 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     """Move what slices say, one after the other."""
     parts = []
     for number in np.unique(slices.numbers).tolist():
-        of_slice = take(slices, np.flatnonzero(slices.numbers == number))
-        known = np.unpackbits(unpack(of_slice), axis=-1)
-        tiles, moved = stack_tiles(_move_tiles(of_slice.tiles, known, origins))
-        parts.append(pack(tiles, np.full(len(tiles), number), np.packbits(moved != 0, axis=-1)))
-    return unite(parts)
+        of_slice = tiles.take(slices, np.flatnonzero(slices.numbers == number))
+        known = np.unpackbits(tiles.unpack(of_slice), axis=-1)
+        places, moved = tiles.stack_tiles(_move_tiles(of_slice.tiles, known, origins))
+        bits, numbers = np.packbits(moved != 0, axis=-1), np.full(len(places), number)
+        parts.append(tiles.pack(places, numbers, bits))
+    return tiles.unite(parts)
 
 
 def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:

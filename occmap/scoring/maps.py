@@ -3,13 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from occmap.cells import CellClass, Decision, OccupancyMap
-from occmap.difference import ClassMap, Place, load_map
+from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
@@ -17,22 +18,18 @@ from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import AddRays, Progress, ignore_progress
-from occmap.scoring import Sample, Trial, read_scans, score_map
+from occmap.scans.tracing import Progress, ignore_progress
+from occmap.scoring import MOST_SCANS, Sample, Trial, read_scans, score_map
 from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 
 WITHIN_M = 0.1
 """A wall that is drawn on the wrong side of a cell's edge is still right."""
-MOST_SCANS = 4000
-"""Of all logs together: more tell little more, and all that are asked are held in memory."""
 LEAST_CHANCE = 0.001
 """No class is so sure that beams never find otherwise."""
 FIRST_GUESS = 0.9
 """The chance that a beam stops in an occupied cell, until beams tell"""
-FARTHEST_M = 2.0
-"""Distances from walls count up to here"""
 BESIDE = 1.5
 """In cells: all eight cells around one are nearer"""
 AS_THEY_LIE = Match(STAY, 1.0, 0.0)
@@ -170,7 +167,10 @@ def score(
     if against.logs:
         by_logs, notes = score_by_logs(written, against.logs, options, against.fit, progress)
     if true:
-        found = fit_walls(written, true) if against.fit else AS_THEY_LIE
+        found = AS_THEY_LIE
+        if against.fit:
+            walls = find_place(written).list_middles(written.classes == OCCUPIED)
+            found = fit(walls, Walls.of(true.classes == OCCUPIED, find_place(true)))
         notes += filter(None, [found.doubt("the map", str(truth))])
         by_truth = score_by_truth(written, true, against.within_m, found.transform)
         if picture:
@@ -221,24 +221,15 @@ def score_by_logs(
         As a build, no beam measured a range, or the map says not where it lies.
     """
     place = find_place(written)
-    sample = Sample[Rays](MOST_SCANS)
-
-    def begin() -> AddRays:
-        nonlocal sample
-        sample = Sample(MOST_SCANS)
-        return sample.add
-
     options = replace(options, resolution=place.resolution)
-    tally, remarks = read_scans(paths, options, begin, progress)
-    if sample.scans < sample.seen:
-        remarks.notes.append(
-            f"{sample.scans:,} of {sample.seen:,} scans are asked, spread over the logs"
-        )
+    begin = partial(Sample[Rays], MOST_SCANS)
+    sample, tally, remarks = read_scans(paths, options, begin, progress)
+    remarks.notes += sample.list_notes()
     hits = list_hits(sample.parts)
     if not len(hits):
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
-    walls = Walls.of(written.classes == OCCUPIED, place, FARTHEST_M)
+    walls = Walls.of(written.classes == OCCUPIED, place)
     found = fit(hits, walls) if is_fitted else AS_THEY_LIE
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
@@ -354,12 +345,6 @@ def score_by_truth(
     )
 
 
-def fit_walls(written: ClassMap, truth: ClassMap) -> Match:
-    """Find by which transform the walls of a map lie on those of the truth best."""
-    walls = find_place(written).list_middles(written.classes == OCCUPIED)
-    return fit(walls, Walls.of(truth.classes == OCCUPIED, find_place(truth), FARTHEST_M))
-
-
 def share(part: Bool, whole: Bool) -> float:
     """Which share of some cells is in a part of them; 0 of none."""
     return int(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
@@ -367,7 +352,7 @@ def share(part: Bool, whole: Bool) -> float:
 
 def measure_distances(cells: Bool, place: Place) -> Float32:
     """(H, W) how far it is from each cell of a map to the nearest of some cells (m)."""
-    away = Walls.of(cells, place, FARTHEST_M).away
+    away = Walls.of(cells, place).away
     margin = (away.shape[0] - cells.shape[0]) // 2
     return away[margin:-margin, margin:-margin]
 

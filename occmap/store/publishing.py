@@ -34,7 +34,7 @@ from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
-from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
+from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision
 from occmap.store import Blocks, Saved, Store, identify, read_all, read_part
 from occmap.store.layout import Block, list_blocks
 from occmap.types import Int64, UInt8
@@ -396,7 +396,6 @@ def summarise(
     manifest: Manifest, facts: MapFacts, options: RenderOptions, outputs: Sequence[Path] = ()
 ) -> Report:
     """Sum up all builds of evidence, and the map that was made of it by the manifest's model."""
-    model = options.model or parse_model(manifest.model)
     beams = [build["scans"]["beams"] for build in manifest.builds]
     # An older occmap may have counted fewer kinds of beams, or others.
     kinds = {kind: sum(each.get(kind, 0) for each in beams) for kind in ReturnCounts._fields}
@@ -411,7 +410,6 @@ def summarise(
         notes=(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
-            *results.list_unreached(model, options.writing),
             *results.list_outside(facts, options.writing),
             *facts.lost,
             *results.list_disagreement(facts),

@@ -8,30 +8,15 @@ from typing import Any
 import numpy as np
 
 from occmap.options import BuildOptions, compose_build
-from occmap.report import HIDDEN, Count, Finite, Share, count
+from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.logs import count_scans, open_scans
-from occmap.scans.tally import Tally
-from occmap.scans.tracing import Progress, Remarks, ignore_progress
-from occmap.scoring import Gain
+from occmap.scans.tracing import Progress, ignore_progress
+from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tuning import search
-from occmap.tuning.search import (
-    Correction,
-    Fare,
-    Finding,
-    KeptLog,
-    Knob,
-    Scorer,
-    Verdict,
-    find_mount,
-    keep_logs,
-    limit_scans,
-)
+from occmap.tuning.search import Correction, Finding, KeptLog, Knob, Scorer, Verdict
 from occmap.types import Float64
 
-USUAL_SCORINGS = 35
-"""About how many maps a search scores, for the progress bar"""
 TRAVEL_M = 0.5
 """A robot that stays nearer than this to its start does not show the yaw of a mount: the whole map
 turns with it, and cells fit the walls better or worse by chance."""
@@ -57,7 +42,7 @@ class TriedCorrection(Correction):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Improvement:
+class Improvement(Gain):
     """How much better held-out beams are predicted with a correction."""
 
     beams: Count
@@ -67,11 +52,6 @@ class Improvement:
     options given"""
     share: Share
     """The same share with what is recommended"""
-    gain: float
-    """How much larger the share is"""
-    gain_error: Finite
-    """Standard error of the gain, from the differences scan by scan; null where one scan is all
-    there is"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +62,6 @@ class TunedLog(Improvement):
     """The log, as it was given"""
     agreement: float | None
     """Share of the hits in occupied cells with the correction; null without any"""
-
-    @property
-    def loses(self) -> bool:
-        """Whether it certainly loses."""
-        return Gain(-self.gain, self.gain_error).certain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,20 +118,14 @@ def tune(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    tally = Tally()
-    opened = open_scans(paths, options)
-    total = sum(count_scans(log, options.selection.topics) for log in opened)
-    planned = total + USUAL_SCORINGS * min(total, limit_scans(len(opened)) * len(opened))
-    tally.tell = lambda scans: progress(scans, planned)
-    remarks = Remarks([str(log.path) for log in opened])
-    logs = keep_logs(opened, options, tally, remarks)
+    logs, tally, remarks = search.keep_logs(paths, options, progress)
     kept = sum(log.scans for log in logs)
-    mount = find_mount(logs, options.posing)
-    scorer = Scorer(logs, options, mount, lambda: tally.advance(kept))
+    scorer = Scorer(logs, options, search.find_mount(logs), lambda: tally.advance(kept))
     before = scorer.score(Correction())
     timed, place, unsearched = plan_search(scorer)
     time, mounted, best = search.find_both(scorer, Correction(), timed, place)
-    deskew = search.find_deskew(scorer, best) if timed else Finding(Verdict.UNSEEN, best)
+    unseen = Finding(verdict=Verdict.UNSEEN, correction=best)
+    deskew = search.find_deskew(scorer, best) if timed else unseen
     if deskew.verdict is Verdict.FOUND:
         time, mounted, best = search.find_both(scorer, deskew.correction, timed, place)
     if place and mounted.verdict is Verdict.UNSEEN:
@@ -166,8 +135,8 @@ def tune(
     together = search.find_correction(scorer, best, again)
     best = together.correction
     after = scorer.score(best)
-    leading = max(scorer.tried.values(), key=lambda fare: fare.share)
-    better = replace(options, posing=best.apply(options.posing, mount))
+    leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
+    better = replace(options, posing=best.apply(options.posing, scorer.mount))
     tuning = Tuning(
         **vars(remarks),
         scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
@@ -179,8 +148,8 @@ def tune(
         mount=mounted,
         together=together,
         tried=[
-            TriedCorrection(**vars(correction), share=fare.share)
-            for correction, fare in scorer.tried.items()
+            TriedCorrection(**vars(correction), share=trial.score.share)
+            for correction, trial in scorer.tried.items()
         ],
         by_log=list(list_gains(remarks.logs, before, after if best.is_any else leading)),
         command=(),
@@ -192,14 +161,14 @@ def tune(
     return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
 
 
-def improve(before: Fare, after: Fare) -> dict[str, Any]:
+def improve(before: Trial, after: Trial) -> dict[str, Any]:
     """Measure how much better maps fare, as fields of an `Improvement`."""
-    gain, error = Gain.measure(before.predicted, after.predicted)
-    shares = {"share_before": before.share, "share": after.share}
-    return {"beams": before.beams, **shares, "gain": gain, "gain_error": error}
+    gain = Gain.measure(before.predicted, after.predicted)
+    old, new = before.score, after.score
+    return {"beams": old.beams, "share_before": old.share, "share": new.share, **vars(gain)}
 
 
-def list_gains(logs: Sequence[str], before: Fare, after: Fare) -> Iterator[TunedLog]:
+def list_gains(logs: Sequence[str], before: Trial, after: Trial) -> Iterator[TunedLog]:
     """List how the maps of single logs fare, before and after."""
     for log, old, new in zip(logs, before.parts, after.parts, strict=True):
         yield TunedLog(**improve(old, new), log=log, agreement=new.agreement)
@@ -221,7 +190,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
         return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
-    timed, place, notes = [search.TIME], list[Knob](), list[str]()
+    timed, notes = [search.TIME], list[str]()
     if all(log.stated for log in scorer.logs):
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")
@@ -230,17 +199,13 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
             "the mount is not searched: no single `sensor_pose` says where the lasers sit; name "
             "one laser by `topics`, or its body by `base_frame`"
         )
-        return timed, place, notes
-    if travels:
-        place.append(search.YAW)
-    else:
+        return timed, [], notes
+    if not travels:
         needed = f"more than {TRAVEL_M:g} m of travel"
         notes.append(f"the yaw of the mount is not searched: it takes {needed}")
-    if turns:
-        place += [search.X, search.Y]
-    else:
+    if not turns:
         notes.append(f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad")
-    return timed, place, notes
+    return timed, [search.YAW] * travels + [search.X, search.Y] * turns, notes
 
 
 def measure_motion(scorer: Scorer, log: KeptLog) -> tuple[float, float]:

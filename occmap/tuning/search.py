@@ -4,10 +4,10 @@ The scans of the logs are read once, and posed again and again.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 
@@ -18,21 +18,21 @@ from occmap.options import BuildOptions
 from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import MAX_TURN_S
-from occmap.posing.tracks import to_quaternions
 from occmap.readers import Log
-from occmap.report import Finite
-from occmap.scans import make_engine
-from occmap.scans.mounts import open_drive
+from occmap.scans import make_engine, mounts
+from occmap.scans.logs import count_scans, open_scans
 from occmap.scans.tally import Tally, refuse_unused
-from occmap.scans.tracing import Remarks
-from occmap.scoring import SMALL, Gain, HoldOut, Sample, score_map
+from occmap.scans.tracing import Progress, Remarks
+from occmap.scoring import SMALL, Gain, HoldOut, Sample, Trial, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
-from occmap.types import IDENTITY, Float64, Pose, PosedScans, Rays, ScanBatch
+from occmap.types import Pose, PosedScans, Rays, ScanBatch
 from occmap.workers import Workers
 
 MOST_SCANS, MOST_OF_ALL = 1000, 4000
 """Scans of a log, and of all: more tell little more, and each is traced over thirty times."""
+USUAL_SCORINGS = 35
+"""About how many maps a search scores, for the progress bar"""
 MOST_OFFSET_S = 0.5
 """No larger time offset is tried, either way."""
 ALIKE = 1e-3
@@ -71,16 +71,24 @@ class KeptLog:
 
 
 def keep_logs(
-    logs: Sequence[Log], options: BuildOptions, tally: Tally, remarks: Remarks
-) -> list[KeptLog]:
+    paths: Sequence[Path], options: BuildOptions, progress: Progress
+) -> tuple[list[KeptLog], Tally, Remarks]:
     """Read logs as a build does, and keep scans that have a pose at every time offset.
+
+    The tally goes on to show the progress of a search over them.
 
     Raises
     ------
     OccmapError
         As a build, or no scan is left.
     """
-    kept = [keep_log(log, options, limit_scans(len(logs)), tally, remarks) for log in logs]
+    logs, tally = open_scans(paths, options), Tally()
+    most = max(min(MOST_SCANS, MOST_OF_ALL // len(logs)), 1)
+    total = sum(count_scans(log, options.selection.topics) for log in logs)
+    planned = total + USUAL_SCORINGS * min(total, most * len(logs))
+    tally.tell = lambda scans: progress(scans, planned)
+    remarks = Remarks([str(log.path) for log in logs])
+    kept = [keep_log(log, options, most, tally, remarks) for log in logs]
     refuse_unused(remarks.logs, tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
@@ -93,17 +101,12 @@ def keep_logs(
             where=", ".join(remarks.logs),
             fix="give a longer log",
         )
-    return kept
-
-
-def limit_scans(logs: int) -> int:
-    """How many scans of each of so many logs are kept."""
-    return max(min(MOST_SCANS, MOST_OF_ALL // logs), 1)
+    return kept, tally, remarks
 
 
 def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    drive = open_drive(log, options)
+    drive = mounts.open_drive(log, options)
     drive.foresee()
     sample = Sample[ScanBatch](most)
     for _, posed, _ in drive.read(tally):
@@ -124,40 +127,25 @@ def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
     return log
 
 
-def find_mount(logs: Sequence[KeptLog], options: PosingOptions) -> Pose | None:
+def find_mount(logs: Sequence[KeptLog]) -> Pose | None:
     """Find the `sensor_pose` that leaves every pose of a scan as it is.
+
+    Its height is left out, as it is where `sensor_pose` is typed: no map shows it.
 
     Returns
     -------
     Pose or None
         None where no single one does: lasers sit at different places, one turns on its body, or
-        the log does not tell which frame the body is.
+        a log does not tell which frame the body is.
     """
-    if options.sensor_pose is not None:
-        return options.sensor_pose
-    on_body = replace(options, sensor_pose=IDENTITY)
-    mounts = []
-    for log in logs:
-        sensor, body = log.pose(options), log.pose(on_body)
-        if [len(each.position) for each in sensor] != [len(each.position) for each in body]:
-            return None
-        mounts += [measure_mount(*pair) for pair in zip(sensor, body, strict=True)]
-    every = np.concatenate(mounts)
-    if np.abs(every - every[0]).max() >= ALIKE:
-        return None
-    return Pose(*every[0, :, 3].tolist(), *to_quaternions(every[:1, :, :3])[0].tolist())
-
-
-def measure_mount(sensor: PosedScans, body: PosedScans) -> Float64:
-    """Measure where a sensor sits on its body at each scan: (S, 3, 4), turn and position.
-
-    The height is left out, as it is of `sensor_pose`: no map shows it.
-    """
-    (position, turn), (origin, orientation) = sensor.at_first_beam, body.at_first_beam
-    back = orientation.swapaxes(1, 2)
-    place = back @ (position - origin)[:, :, None]
-    place[:, 2] = 0
-    return np.concatenate([back @ turn, place], axis=2)
+    found = [
+        mounts.find_mount(log.poser, frame)
+        for log in logs
+        for frame in sorted({batch.frame for batch in log.batches})
+    ]
+    places = [it.pose._replace(z=0.0) for it in found if it and it.option == "sensor_pose"]
+    is_one = len(places) == len(found) and np.ptp(places, axis=0).max() < ALIKE
+    return places[0] if is_one else None
 
 
 @dataclass(frozen=True)
@@ -218,35 +206,6 @@ Y = replace(X, name="y")
 TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
 
 
-class Fare(NamedTuple):
-    """How well the map of a log predicts the scans that are held out from it."""
-
-    predicted: Float64
-    """(N, 2) of each held-out scan, as `scoring.Trial.predicted` has it"""
-    agreement: float | None
-    """Share of the hits of the other scans in cells that it calls occupied; None without a map"""
-    parts: tuple["Fare", ...] = ()
-    """Those of single logs, where this is all of them together"""
-
-    @property
-    def beams(self) -> int:
-        """Held-out beams that measured a range."""
-        return int(self.predicted[:, 0].sum())
-
-    @property
-    def share(self) -> float:
-        """Share of these that the map predicts."""
-        return float(self.predicted[:, 1].sum()) / max(self.beams, 1)
-
-
-def join_fares(parts: Sequence[Fare]) -> Fare:
-    """Take the maps of all logs together; their agreement counts by their held-out beams."""
-    known = [(each.agreement, each.beams) for each in parts if each.agreement is not None]
-    agreed = sum(agreement * beams for agreement, beams in known)
-    agreement = agreed / sum(beams for _, beams in known) if known else None
-    return Fare(np.concatenate([each.predicted for each in parts]), agreement, tuple(parts))
-
-
 @dataclass(eq=False)
 class Scorer:
     """Scores corrections by the same scans, each only once."""
@@ -257,18 +216,19 @@ class Scorer:
     """The sensor's pose as it is now"""
     advance: Callable[[], None]
     """Called for each correction"""
-    tried: dict[Correction, Fare] = field(default_factory=dict)
+    tried: dict[Correction, Trial] = field(default_factory=dict)
 
-    def score(self, correction: Correction) -> Fare:
+    def score(self, correction: Correction) -> Trial:
         """Score maps of the scans posed with a correction, all logs together."""
         if correction not in self.tried:
-            fare = join_fares([self.score_log(log, correction) for log in self.logs])
-            refuse_unscored([log.path for log in self.logs], len(fare.predicted), fare.beams)
-            self.tried[correction] = fare
+            trial = Trial.join(self.score_log(log, correction) for log in self.logs)
+            paths = [log.path for log in self.logs]
+            refuse_unscored(paths, len(trial.totals), trial.score.beams)
+            self.tried[correction] = trial
             self.advance()
         return self.tried[correction]
 
-    def score_log(self, log: KeptLog, correction: Correction) -> Fare:
+    def score_log(self, log: KeptLog, correction: Correction) -> Trial:
         """Score a map of one log alone, since the frames of several may lie anywhere."""
         hold_out, engine = HoldOut(), make_engine(self.options)
         with Workers(engine.add, self.options.jobs) as workers:
@@ -276,10 +236,11 @@ class Scorer:
                 seen = hold_out.split(rays)
                 if len(seen.kind):
                     workers.give(seen)
+        held_out = hold_out.sample
         if not hold_out.hits:
-            return Fare(np.zeros((hold_out.scans, 2)), None)
+            return Trial(np.zeros((held_out.scans, 6)), np.zeros((1, 3)), None)
         made = render(engine.finish(), self.options.model, self.options.max_cells)
-        return Fare(score_map(made, hold_out.held, self.options.jobs).predicted, made.agreement)
+        return score_map(made, held_out.parts, self.options.jobs)
 
     def trace(self, log: KeptLog, correction: Correction) -> Iterator[Rays]:
         """Turn the scans of a log, posed with a correction, into rays."""
@@ -304,7 +265,7 @@ def climb(scorer: Scorer, best: Correction, knob: Knob, step: float) -> Correcti
         start, tried = best, best.move(knob.name, change)
         while (
             abs(getattr(tried, knob.name)) <= knob.reach
-            and scorer.score(tried).share > scorer.score(best).share
+            and scorer.score(tried).score.share > scorer.score(best).score.share
         ):
             best, tried = tried, tried.move(knob.name, change)
         if best != start:
@@ -321,21 +282,16 @@ class Verdict(StrEnum):
     UNSEEN = "unseen"
 
 
-@dataclass(frozen=True)
-class Half:
+@dataclass(frozen=True, kw_only=True)
+class Half(Gain):
     """What half of the held-out scans gain."""
 
     correction: Correction
     """By what: by the best for all, or, where halves disagree, by the best for this one"""
-    gain: float
-    """How much larger the share is"""
-    gain_error: Finite
-    """Standard error of the gain, from the differences scan by scan; null where one scan is all
-    there is"""
 
 
-@dataclass(frozen=True)
-class Finding:
+@dataclass(frozen=True, kw_only=True)
+class Finding(Gain):
     """What came of a search."""
 
     verdict: Verdict
@@ -346,9 +302,6 @@ class Finding:
     """What was found, with what was found before; else what the search began with"""
     gain: float = 0.0
     """How much larger the share is by the best that was tried"""
-    gain_error: Finite = 0.0
-    """Standard error of the gain, from the differences scan by scan; null where one scan is all
-    there is"""
     halves: tuple[Half, ...] = ()
     """The first half of the held-out scans and the second; none where nothing was searched"""
 
@@ -356,7 +309,7 @@ class Finding:
 def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Finding:
     """Search for a correction better than `start`, and judge it; no knobs: no search."""
     if not knobs:
-        return Finding(Verdict.UNSEEN, start)
+        return Finding(verdict=Verdict.UNSEEN, correction=start)
     scorer.score(start)
     earlier = scorer.tried.keys() - {start}
     best = find_best(scorer, start, knobs)
@@ -377,38 +330,31 @@ def judge(
     before = found[start]
     gain = Gain.measure(before, found[best])
     halves = [
-        {each: Gain.measure(before[half], found[each][half]) for each in tried}
+        {
+            each: Half(correction=each, **vars(Gain.measure(before[half], found[each][half])))
+            for each in tried
+        }
         for half in (slice(len(before) // 2), slice(len(before) // 2, None))
     ]
-    alike = tuple(Half(best, *gains[best]) for gains in halves)
-    if gain.certain and all(half.gain > SMALL for half in alike):
-        return Finding(Verdict.FOUND, best, *gain, alike)
-    first, second = halves
-    opposed = contradicts(first, second) or contradicts(second, first)
-    if opposed or (gain.certain and min(half.gain for half in alike) <= 0):
-        favourites = ((find_favourite(gains), gains) for gains in halves)
-        apart = tuple(Half(favourite, *gains[favourite]) for favourite, gains in favourites)
-        return Finding(Verdict.DISAGREE, start, *gain, apart)
-    return Finding(Verdict.NOTHING, start, *gain, alike)
-
-
-def find_favourite(gains: Mapping[Correction, Gain]) -> Correction:
-    """Find the correction that gains most for some scans."""
-    return max(gains, key=lambda each: gains[each].share)
-
-
-def contradicts(gains: Mapping[Correction, Gain], others: Mapping[Correction, Gain]) -> bool:
-    """Whether what is best for some scans certainly gains there, and loses by other scans."""
-    favourite = find_favourite(gains)
-    return gains[favourite].certain and (-others[favourite]).certain
+    of_best = tuple(half[best] for half in halves)
+    favourites = tuple(max(half.values(), key=lambda each: each.gain) for half in halves)
+    are_opposed = any(
+        each.certain and other[each.correction].loses
+        for each, other in zip(favourites, reversed(halves), strict=True)
+    )
+    if gain.certain and all(half.gain > SMALL for half in of_best):
+        return Finding(verdict=Verdict.FOUND, correction=best, **vars(gain), halves=of_best)
+    if are_opposed or (gain.certain and min(half.gain for half in of_best) <= 0):
+        return Finding(verdict=Verdict.DISAGREE, correction=start, **vars(gain), halves=favourites)
+    return Finding(verdict=Verdict.NOTHING, correction=start, **vars(gain), halves=of_best)
 
 
 def find_deskew(scorer: Scorer, best: Correction) -> Finding:
     """Judge whether poses for single beams alone gain on the best that was found without."""
     if not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
-        return Finding(Verdict.UNSEEN, best)
+        return Finding(verdict=Verdict.UNSEEN, correction=best)
     tried = [best, Correction(deskew=True)]
-    return judge(scorer, best, max(tried, key=lambda each: scorer.score(each).share), tried)
+    return judge(scorer, best, max(tried, key=lambda each: scorer.score(each).score.share), tried)
 
 
 def find_both(

@@ -10,7 +10,7 @@ neighbours of the defaults do.
 import argparse
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -29,8 +29,8 @@ from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import array_kernel
 from occmap.options import BuildOptions
 from occmap.scans.tracing import ignore_progress
-from occmap.scoring import HoldOut, Score, SharedEvidence, estimate_error, score_map
-from occmap.scoring.compare import refuse_unscored
+from occmap.scoring import HoldOut, Score, estimate_error, score_map
+from occmap.scoring.compare import SharedEvidence, refuse_unscored
 from occmap.types import Bool, Float64, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
@@ -67,6 +67,18 @@ class Fare(NamedTuple):
         return float(near / beams)
 
 
+class Kept:
+    """Takes all scans of a log, and holds some out."""
+
+    def __init__(self) -> None:
+        self.seen: list[Rays] = []
+        self.hold_out = HoldOut()
+
+    def add(self, rays: Rays) -> None:
+        """Take the scans of a batch."""
+        self.seen.append(self.hold_out.split(rays))
+
+
 def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     """Read a log; every fifth scan is held out.
 
@@ -75,19 +87,11 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     OccmapError
         As `compare`.
     """
-    seen: list[Rays] = []
-    hold_out = HoldOut()
-
-    def begin() -> Callable[[Rays], None]:
-        nonlocal hold_out
-        hold_out = HoldOut()
-        seen.clear()
-        return lambda rays: seen.append(hold_out.split(rays))
-
     posing = replace(recording.posing, deskew=options.posing.deskew)
-    scoring.read_scans([recording.path], replace(options, posing=posing), begin, ignore_progress)
-    refuse_unscored([str(recording.path)], hold_out.scans, hold_out.hits)
-    return Scans(seen, hold_out.held)
+    options = replace(options, posing=posing)
+    kept, _, _ = scoring.read_scans([recording.path], options, Kept, ignore_progress)
+    refuse_unscored([str(recording.path)], kept.hold_out.sample.scans, kept.hold_out.hits)
+    return Scans(kept.seen, kept.hold_out.sample.parts)
 
 
 def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
@@ -100,8 +104,8 @@ def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
 
 def score(grid: OccupancyMap, scans: Scans, seconds: float = math.nan) -> Fare:
     """Ask a map by both measures."""
-    found, exact = score_map(grid, scans.held_out, DEFAULT.jobs)
-    return Fare(found, exact, walk(grid, scans.held_out), seconds)
+    found = score_map(grid, scans.held_out, DEFAULT.jobs)
+    return Fare(found.score, found.predicted, walk(grid, scans.held_out), seconds)
 
 
 def score_builds(scans: Scans, settings: Mapping[str, BuildOptions]) -> dict[str, Fare]:

@@ -1,6 +1,7 @@
 """`occmap tune` as a command line: what it prints, what it exits with, and what is refused."""
 
 import json
+import math
 import shlex
 from pathlib import Path
 
@@ -121,3 +122,9 @@ def test_wrong_usage(words: list[object], found: str) -> None:
 def test_what_fails_is_one_line(tmp_path: Path) -> None:
     assert "no such file" in read_error(occmap("tune", tmp_path / "no.log"), 1)
     assert "--max-cells 3" in read_error(occmap("tune", DRIVE, "--max-cells", 3), 1)
+
+
+def test_of_a_log_without_a_beam_to_score_by_nothing_is_said(tmp_path: Path) -> None:
+    blind = write_csv(tmp_path / "blind.csv", [(0.1 * i, 0.0, 0.0) for i in range(20)], [math.nan])
+    lines = occmap("tune", DRIVE, blind, "--resolution", 0.2, "--end", 10).out.splitlines()
+    assert [line.split() for line in lines if "blind" in line] == [[str(blind), *"----"]]

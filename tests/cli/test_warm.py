@@ -13,8 +13,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
 from occmap.readers import decimals
-from occmap.scoring import combine
-from occmap.scoring.compare import compare
+from occmap.scoring.compare import combine, compare
 from occmap.sensor.models import parse_model
 from occmap.types import BEAM_UPDATES, Update
 from tests.samples import SAMPLE_LOGS

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.difference import ChangedBlob, ClassMap, MapDifference, Place, compare_maps, paint
+from occmap.difference import ChangedBlob, MapDifference, compare_maps, paint
+from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 
 AT_ZERO = Place(0.5, 0.0, 0.0)

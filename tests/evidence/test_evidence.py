@@ -77,33 +77,6 @@ def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
     np.testing.assert_allclose(weigh(model)(hits, misses), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("model", "notes"),
-    [
-        (
-            "simple:cut=0.64,clamp_max=0.64",
-            ("no cell can be occupied: clamp_max 0.64 is not above 0.64",),
-        ),
-        (
-            "simple:cut=0.2,clamp_min=0.2",
-            ("no cell can be free: clamp_min 0.2 is not below 0.2",),
-        ),
-        ("simple:clamp_min=0.49,clamp_max=0.51", ()),
-    ],
-)
-def test_bounds_within_the_thresholds_are_noted(
-    tmp_path: Path, model: str, notes: tuple[str, ...]
-) -> None:
-    options = choose(model=model)
-    built = build([DRIVE], options, [tmp_path / "m.npz"]).report
-    rendered = publish(read_evidence(tmp_path / "m.npz"), RenderOptions(), [tmp_path / "m.pgm"])
-    for report in (built, rendered):
-        assert len(report.notes) == len(notes)
-        assert all(note.startswith(text) for note, text in zip(report.notes, notes, strict=True))
-        occupied, free = report.map.occupied, report.map.free
-        assert (occupied > 0, free > 0) == ("=0.64" not in model, "min=0.2" not in model)
-
-
 @pytest.mark.parametrize("jobs", [2, 5])
 def test_the_file_is_the_same_with_any_number_of_threads(tmp_path: Path, jobs: int) -> None:
     save(tmp_path / "one.npz", choose())

@@ -47,7 +47,8 @@ def find(evidence: Evidence, *logs: str, poses: Sequence[str] = ()) -> list[Use]
 
 def test_a_log_is_found_with_the_options_of_its_build() -> None:
     (use,) = find(save("a.csv", "b.csv"), "b.csv")
-    assert use == Use(Path("b.csv"), 0, replace(SELECTED, jobs=use.options.jobs))
+    assert (use.log, use.build) == (Path("b.csv"), 0)
+    assert use.options == replace(SELECTED, jobs=use.options.jobs)
 
 
 def test_a_log_that_moved_is_found() -> None:

@@ -13,16 +13,17 @@ from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.scans.tracing import Remarks
-from occmap.scoring import (
-    HoldOut,
-    Score,
+from occmap.scoring import MOST_SCANS, HoldOut, Score, Trial, estimate_error
+from occmap.scoring.compare import (
+    HeldOutScans,
     ScoredVariant,
     Variant,
+    VariantComparison,
+    choose_best,
     combine,
-    estimate_error,
+    compare,
     shorten_model,
 )
-from occmap.scoring.compare import HeldOutScans, VariantComparison, choose_best, compare
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import (
     CountingModel,
@@ -41,21 +42,20 @@ LATE_KERNELS = """
 import sys
 import occmap
 from occmap import jit
-from occmap.scoring import Trials
+from occmap.scoring.compare import Trials
 
 loaded = []
-load, begin = jit.Kernel._load, Trials.begin
+load, begin = jit.Kernel._load, Trials.__init__
 
 def load_and_note(self, *args):
     loaded.append(self.name)
     return load(self, *args)
 
-def begin_and_forget(self, workers):
-    observe = begin(self, workers)
+def begin_and_forget(self, *args):
+    begin(self, *args)
     loaded.clear()
-    return observe
 
-jit.Kernel._load, Trials.begin = load_and_note, begin_and_forget
+jit.Kernel._load, Trials.__init__ = load_and_note, begin_and_forget
 occmap.compare(sys.argv[1], stride=10)
 print(*(name for name in loaded if not name.startswith("cast.")))
 """
@@ -84,9 +84,20 @@ def test_every_fifth_scan_is_held_out_however_they_are_batched(sizes: list[int])
         np.isin(np.arange(20), range(end - n, end)) for n, end in zip(sizes, ends, strict=True)
     ]
     seen = [hold_out.split(everything.take(part)) for part in parts]
-    assert list_x(hold_out.held) == [2, 7, 12, 17]
-    assert hold_out.scans == 4
-    assert sorted(list_x(seen) + list_x(hold_out.held)) == list(range(20))
+    assert list_x(hold_out.sample.parts) == [2, 7, 12, 17]
+    assert hold_out.sample.scans == 4
+    assert sorted(list_x(seen) + list_x(hold_out.sample.parts)) == list(range(20))
+
+
+def test_of_many_held_out_scans_some_are_asked_and_none_is_mapped() -> None:
+    hold_out = HoldOut()
+    for _ in range(60):
+        assert len(hold_out.split(make_scans(500)).kind) == 400
+    sample = hold_out.sample
+    assert sample.seen == 6000
+    assert MOST_SCANS / 2 < sample.scans < MOST_SCANS
+    (note,) = sample.list_notes("held-out scans")
+    assert note.startswith(f"{sample.scans:,} of 6,000 held-out scans")
 
 
 def test_no_variant_is_charged_for_loading_or_compiling_kernels() -> None:
@@ -198,7 +209,7 @@ def make_result(
     model: SensorModel, predicted: list[int], log_likelihood: float, beams: int = 10
 ) -> ScoredVariant:
     """Of scans of so many beams each."""
-    by_scan = np.array([(beams, near) for near in predicted], float)
+    by_scan = np.array([(beams, near, 0, 0, 0, 0) for near in predicted], float)
     share = sum(predicted) / (beams * len(predicted))
     score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
     grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
@@ -206,7 +217,7 @@ def make_result(
     return ScoredVariant(
         variant=variant,
         map=grid,
-        predicted=by_scan,
+        trial=Trial(by_scan, np.zeros((1, 3)), None),
         score=score,
         name=variant.name,
         update=variant.update,

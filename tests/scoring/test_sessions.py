@@ -9,7 +9,7 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.choices import format_mount, to_rpy
-from occmap.difference import Place
+from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
 from occmap.evidence import make_empty, paint_box, render, to_grid
 from occmap.grid import CellBox

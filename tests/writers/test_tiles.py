@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from occmap.cells import CellClass, OccupancyMap
-from occmap.difference import load_map
+from occmap.difference.maps import load_map
 from occmap.writers import WriteOptions
 from occmap.writers.images import TILE_PIXELS, TilesWriter
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.scoring.picture import BLUE, RED, Frame, paint_disagreement, paint_map
+from occmap.page import BLUE, RED, Frame, paint_disagreement, paint_map
 
 KNOWN = {"#": 3.0, ".": -3.0, "?": 0.0, " ": 0.0}
 
@@ -27,10 +27,10 @@ def test_maps_are_aligned_by_their_lattice_and_the_highest_row_is_on_top() -> No
 
 def test_red_is_contradiction_and_blue_is_what_not_all_know() -> None:
     maps = [draw("#.#?# "), draw("#...  "), draw("#.#.# ")]
-    panel = paint_disagreement(maps, Frame(maps))
-    row = [tuple(pixel) for pixel in panel.pixels[30, 30::60].tolist()]
+    legend, pixels = paint_disagreement(maps, Frame(maps))
+    row = [tuple(pixel) for pixel in pixels[30, 30::60].tolist()]
     assert row == [(0, 0, 0), (255, 255, 255), RED, BLUE, BLUE, (205, 205, 205)]
-    assert panel.title[1] == "red: free or occupied (20.0%), blue: known or not (40.0%)"
+    assert legend == "red: free or occupied (20.0%), blue: known or not (40.0%)"
 
 
 def test_a_large_map_is_shrunk_and_loses_no_wall() -> None:

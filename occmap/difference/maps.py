@@ -1,0 +1,288 @@
+"""Maps that were written, read back as what their cells are, whatever the format.
+
+A cell is occupied, free, or neither; a map image does not tell a cell that nothing observed from
+one that stayed undecided, so both are called neither here.
+"""
+
+import math
+import re
+import reprlib
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from occmap.cells import Box, CellClass, Decision
+from occmap.errors import MapError, UsageError
+from occmap.evidence import read_model
+from occmap.grid import CellBox
+from occmap.store import as_blocks, identify, open_saved
+from occmap.store.publishing import classify_blocks, open_map
+from occmap.types import Bool, Float64, Int64, UInt8
+from occmap.writers import MapMode, WriteOptions
+
+if TYPE_CHECKING:
+    from occmap.writers.images import GreyImage
+
+IN_PNG = ("free_thresh", "occupied_thresh", "negate")
+"""What a PNG of occmap says of its pixels, as a YAML would"""
+YAML_BYTES = 1 << 16
+"""A map's YAML has a dozen lines."""
+FARTHEST_M = 1e15
+"""Farther out, or with larger cells, a float cannot tell one cell from the next."""
+BYTES = {0xDC80 + byte: 0xE080 + byte for byte in range(128)}
+"""Private characters for bytes of file names that are not UTF-8: YAML has no surrogates."""
+
+
+class Place(NamedTuple):
+    """Where a map lies in the world."""
+
+    resolution: float
+    """Side of a cell (m)"""
+    x: float
+    y: float
+    """Lower-left corner of cell (0, 0) (m)"""
+
+    def measure(self, box: CellBox) -> Box:
+        """Lowest x and y, highest x and y of a box of cells (m)."""
+        row, col, row_end, col_end = (edge * self.resolution for edge in box)
+        return self.x + col, self.y + row, self.x + col_end, self.y + row_end
+
+    def list_middles(self, mask: Bool) -> Float64:
+        """(N, 2) x and y of the middles of the cells of a mask (H, W) that are true (m)."""
+        rows, cols = np.nonzero(mask)
+        return np.column_stack([cols + 0.5, rows + 0.5]) * self.resolution + self[1:]
+
+    def find_cells(self, points: Float64, shape: tuple[int, ...]) -> tuple[Int64, Int64]:
+        """Rows and columns of the cells of points (N, 2); those outside are on the border."""
+        cells = np.floor((points - self[1:]) / self.resolution)
+        cols, rows = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
+        return rows, cols
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClassMap:
+    """A map as classes of cells."""
+
+    path: Path
+    classes: UInt8
+    """(H, W) of CellClass; row 0 is the lowest y"""
+    place: Place | None
+    """None: a bare image, which says nothing of the world"""
+    image: Path | None = None
+    """What the cells were read from, where that is another file than `path`"""
+    evidence: str | None = None
+    """Names what was observed, by `Manifest.identify`; None where an image does not say"""
+
+
+def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load a map that was written before.
+
+    Parameters
+    ----------
+    path
+        A map_server YAML, a PGM with its YAML beside it, a PNG of probabilities, or evidence.
+    thresholds
+        For formats that hold probabilities; a YAML states its own.
+
+    Raises
+    ------
+    UsageError
+        Not a format of maps.
+    MapError
+        A file is missing or damaged.
+    """
+    loader = LOADERS.get(path.suffix.lower())
+    if loader is None:
+        found = f"the suffix {path.suffix!r} is not that of a map"
+        raise UsageError(found, where=path, fix=f"maps are {', '.join(LOADERS)}")
+    if not path.exists():
+        raise MapError("no such file", where=path, fix="check the path")
+    return loader(path, thresholds)
+
+
+def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
+    """Load the image that a map_server YAML names, or a PGM by the YAML of its name.
+
+    Raises
+    ------
+    MapError
+        The YAML or its image is missing, damaged or not of a map.
+    """
+    is_image = path.suffix.lower() == ".pgm"
+    stating = path.with_suffix(".yaml") if is_image else path
+    if not stating.is_file():
+        raise MapError(f"there is no {stating.name} beside it", where=path, fix="give the YAML")
+    meta = parse_meta(stating, read_yaml(stating))
+    image = path if is_image else path.parent / meta.image
+    with stating.open("rb") as file:
+        said = re.search(rb"^# evidence: ([0-9a-f]{12})$", file.read(YAML_BYTES), re.M)
+    name = said[1].decode() if said else None
+    return ClassMap(path, classify(read_image(image), meta), meta.place, image, evidence=name)
+
+
+def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load a PNG: transparent is neither, and a text in it says how the rest is decided.
+
+    Where it has none, dark is occupied.
+
+    Raises
+    ------
+    MapError
+        It cannot be read.
+    """
+    image = read_image(path)
+    said = {name: text for name, text in image.texts.items() if name in IN_PNG}
+    free, occupied = thresholds.thresholds
+    if len(said) == len(IN_PNG):
+        stated = (parse_number(path, name, said[name]) for name in IN_PNG[:2])
+        free, occupied = thresholds.decide(Decision(*stated))
+    meta = Meta(path.name, MapMode.TRINARY, occupied, free, said.get("negate") == "1")
+    name = image.texts.get("evidence")
+    return ClassMap(path, classify(image, meta), None, evidence=name)
+
+
+def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
+    """Load evidence, from a file or a store, as the map that its own model makes of it.
+
+    Raises
+    ------
+    MapError
+        It cannot be read, or is damaged.
+    """
+    saved = open_saved(path)
+    made = open_map(as_blocks(saved), read_model(saved))
+    x, y, *_ = made.extent
+    classes = classify_blocks(made, thresholds)
+    return ClassMap(path, classes, Place(made.resolution, x, y), evidence=identify(saved))
+
+
+LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
+    ".pgm": load_grey,
+    ".yaml": load_grey,
+    ".yml": load_grey,
+    ".png": load_png,
+    ".npz": load_saved,
+    ".zarr": load_saved,
+}
+
+
+@dataclass(frozen=True)
+class Meta:
+    """What a map_server YAML says (wiki.ros.org/map_server)."""
+
+    image: str
+    mode: MapMode
+    occupied_thresh: float
+    free_thresh: float
+    negate: bool = False
+    place: Place | None = None
+
+
+def brief(value: object) -> str:
+    """Write a value of a YAML, cut where it is very long."""
+    return reprlib.repr(value)[:60]
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """Read a YAML file of names and values; a value is text, a list or again names and values.
+
+    No value is converted, however long it is, and an alias is not copied but refers to its value.
+
+    Raises
+    ------
+    MapError
+        It is not YAML.
+    """
+    from ruamel.yaml import YAML  # noqa: PLC0415  late: it takes long to load
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError  # noqa: PLC0415  late: as above
+
+    try:
+        with path.open("rb") as file:
+            text = file.read(YAML_BYTES).decode("utf-8", "surrogateescape")
+        values = YAML(typ="base", pure=True).load(text.translate(BYTES))
+    except OSError as error:
+        raise MapError(f"cannot be read ({error.strerror})", where=path) from None
+    except (YAMLError, ValueError, RecursionError) as error:
+        reason = str(error).partition("\n")[0]
+        if isinstance(error, MarkedYAMLError) and error.problem_mark:
+            reason = f"line {error.problem_mark.line + 1}: {error.problem}"
+        raise MapError(f"is not YAML ({reason})", where=path) from None
+    if not isinstance(values, dict):
+        raise MapError("is not the YAML of a map: it holds no names with values", where=path)
+    return values
+
+
+def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
+    """Check what a map_server YAML says.
+
+    Raises
+    ------
+    MapError
+        A value is missing or impossible, or the map is turned.
+    """
+    image, mode = values.get("image"), values.get("mode", MapMode.TRINARY.value)
+    if not isinstance(image, str):
+        raise MapError("names no image", where=path, fix="add a line such as `image: map.pgm`")
+    if mode not in list(MapMode):
+        raise MapError(
+            f"{brief(mode)} is not a mode of a map", where=path, fix="trinary, scale or raw"
+        )
+    resolution, occupied, free = (
+        parse_number(path, name, values.get(name))
+        for name in ("resolution", "occupied_thresh", "free_thresh")
+    )
+    origin = values.get("origin")
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise MapError(f"origin is {brief(origin)}, where [x, y, yaw] belongs", where=path)
+    x, y, yaw = (parse_number(path, "a value of origin", each) for each in origin)
+    if yaw:
+        raise MapError(f"the map is turned by {yaw} rad: it lies on no lattice", where=path)
+    if not 0 < resolution <= FARTHEST_M or max(abs(x), abs(y)) > FARTHEST_M:
+        found = f"cells of {resolution:g} m from ({x:g}, {y:g}) m on are not possible"
+        raise MapError(found, where=path)
+    negate = values.get("negate", "0")
+    is_spelt = negate in ("true", "false")
+    is_negated = negate == "true" if is_spelt else parse_number(path, "negate", negate) != 0
+    image = image.translate({private: byte for byte, private in BYTES.items()})
+    return Meta(image, MapMode(mode), occupied, free, is_negated, Place(resolution, x, y))
+
+
+def parse_number(path: Path, name: str, value: object) -> float:
+    """Check a number of a map_server YAML.
+
+    Raises
+    ------
+    MapError
+        It is missing, or not a number.
+    """
+    with suppress(ValueError):
+        if isinstance(value, str) and math.isfinite(number := float(value)):
+            return number
+    raise MapError(f"{name} is {brief(value)}, where a number belongs", where=path)
+
+
+def read_image(path: Path) -> "GreyImage":
+    """Read an image as shades of grey; raises MapError where it cannot be read."""
+    from occmap.writers.images import read_grey  # noqa: PLC0415  late: it brings pillow
+
+    return read_grey(path)
+
+
+def classify(image: "GreyImage", meta: Meta) -> UInt8:
+    """(H, W) of CellClass, row 0 lowest, by the rules of map_server."""
+    grey, visible, _ = image
+    levels = np.arange(256)
+    if meta.mode is MapMode.RAW:
+        known = levels <= 100  # above, a value says nothing
+        occupied = known & (levels >= 100 * meta.occupied_thresh)
+        free = known & (levels <= 100 * meta.free_thresh)
+    else:
+        occupancy = (levels if meta.negate else 255 - levels) / 255
+        occupied, free = occupancy > meta.occupied_thresh, occupancy < meta.free_thresh
+    table = np.select([occupied, free], [CellClass.OCCUPIED, CellClass.FREE], CellClass.NEITHER)
+    classes: UInt8 = np.where(visible, table.astype(np.uint8)[grey], np.uint8(CellClass.NEITHER))
+    return classes[::-1]
