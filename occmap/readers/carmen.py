@@ -354,8 +354,10 @@ def make_sample(odometry: Scan) -> PoseSample:
 def sort_lines(block: Block) -> Mapping[str, list[int]]:
     """Find the lines of each keyword: `#` for every comment, "" for a line of blanks."""
     found: defaultdict[bytes, list[int]] = defaultdict(list)
-    for row, start in enumerate(block.starts[:-1].tolist()):
-        if word := KEYWORD.match(block.text, start):
+    is_filled = np.frombuffer(block.text, np.uint8)[block.starts[:-1]] != ord("\n")
+    starts = block.starts.tolist()
+    for row in np.flatnonzero(is_filled).tolist():
+        if word := KEYWORD.match(block.text, starts[row]):
             found[word[1]].append(row)
     lines: defaultdict[str, list[int]] = defaultdict(list)
     for letters, rows in found.items():
