@@ -90,22 +90,21 @@ class Bag1Source(RecordSource):
         head = block[at : at + _LONGEST_HEADER]
         match = _MESSAGE_HEAD.match(head)
         if match is not None and match.end() == _MESSAGE_HEAD_SIZE:
-            start = at + _MESSAGE_HEAD_SIZE
-            end = start + int.from_bytes(match["length"], "little")
-            return int.from_bytes(match["conn"], "little"), _read_time(match["time"]), start, end
+            connection, time, length = match.group("conn", "time", "length")
+            key, start = int.from_bytes(connection, "little"), at + _MESSAGE_HEAD_SIZE
+            return key, _read_time(time), at, start, start + int.from_bytes(length, "little")
         try:
             header = parse_header(head)
         except self.errors:
             return None
-        start = at + header.size
+        start, length = at + header.size, header.length
         if header.opcode == MESSAGE:
             record_ns = _read_time(header.fields[b"time"])
-            return header.number(b"conn"), record_ns, start, start + header.length
-        length = header.length
+            return header.number(b"conn"), record_ns, at, start, start + length
         if header.opcode in _ENTRY_BYTES:
             # There are bags whose recorder stated another length; the entries have one size.
             length = _ENTRY_BYTES[header.opcode] * header.number(b"count")
-        return _KINDS[header.opcode][0], 0, at, start + length
+        return _KINDS[header.opcode][0], 0, at, at, start + length
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         header = parse_header(record)
@@ -203,5 +202,5 @@ def _parse_fields(header: bytes) -> dict[bytes, bytes]:
 
 def _read_time(value: bytes) -> int:
     """Read a time in ns."""
-    seconds, nanoseconds = _TIME.unpack(value)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    seconds, nanoseconds = map(int, _TIME.unpack(value))
+    return seconds * 1_000_000_000 + nanoseconds

@@ -76,13 +76,13 @@ class McapSource(RecordSource):
             opcode, length, key, _, record_ns = _MESSAGE_HEAD.unpack(head)
             start, end = at + _MESSAGE_DATA, at + _HEAD.size + length
             if opcode == _MESSAGE and start <= end:
-                return key, min(record_ns, _LATEST_NS), start, end
+                return key, min(record_ns, _LATEST_NS), at, start, end
         if len(head) < _HEAD.size:
             return None
         opcode, length = _HEAD.unpack_from(head)
         end = at + _HEAD.size + length
         if opcode == Opcode.FOOTER and end == len(block) - len(self.magic):
-            return OTHER, 0, at, len(block)
+            return OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:
             return None
         kind = _KINDS.get(opcode, OTHER)
@@ -90,7 +90,7 @@ class McapSource(RecordSource):
         chunk = kind == OTHER and _CHUNK_HEAD.match(block[start : start + _LONGEST_HEAD])
         if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
             kind = CHUNK  # whatever its opcode says
-        return kind, 0, at, end
+        return kind, 0, at, at, end
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""

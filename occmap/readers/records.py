@@ -59,13 +59,10 @@ class FileBytes:
 Bytes: TypeAlias = FileBytes | memoryview
 """What holds records: a file, or what was in a chunk"""
 
-Record: TypeAlias = tuple[int, int, int, int]
-"""A message's channel, when it was recorded (ns), and where in the bytes the message begins and the
-record ends; any other record is given from its start. A plain tuple, since a log has tens of
-thousands."""
-
-Placed: TypeAlias = tuple[int, Record]
-"""Where a record begins, and the record"""
+Record: TypeAlias = tuple[int, int, int, int, int]
+"""A message's channel, when it was recorded (ns), and where in the bytes the record begins, the
+message begins, and both end. Any other record is all message. A plain tuple, since a log has tens
+of thousands."""
 
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
@@ -182,27 +179,28 @@ class RecordSource(ABC):
         The records that describe channels are added to `descriptions`.
         """
         for position, block, records in self._open_blocks(file, wanted):
-            for at, (key, record_ns, start, end) in records:
+            for key, record_ns, _, start, end in records:
                 if key == DESCRIPTION:
-                    descriptions.setdefault(bytes(block[at:end]), position)
+                    descriptions.setdefault(bytes(block[start:end]), position)
                 elif key in wanted:
                     yield key, record_ns, block[start:end]
 
     def _open_blocks(
         self, file: FileBytes, wanted: Container[int]
-    ) -> Iterator[tuple[int, Bytes, Iterable[Placed]]]:
+    ) -> Iterator[tuple[int, Bytes, Iterable[Record]]]:
         """Give what may hold messages of some channels, by its position: its bytes and records."""
-        for position, record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
-            if record[0] != CHUNK:
-                yield position, file, [(position, record)]
+        for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
+            kind, _, position, _, end = record
+            if kind != CHUNK:
+                yield position, file, [record]
                 continue
             held = self._summary.chunks.get(position)
             if held and not any(key in wanted for key in held):
                 continue
-            block = memoryview(self._open_chunk(position, file[position : record[3]]))
+            block = memoryview(self._open_chunk(position, file[position:end]))
             yield position, block, self._walk_chunk(position, block)
 
-    def _walk_chunk(self, position: int, block: Bytes) -> Iterator[Placed]:
+    def _walk_chunk(self, position: int, block: Bytes) -> Iterator[Record]:
         """Give the records of a chunk; note where it is damaged."""
         damaged: list[int] = []
         yield from self._walk(block, 0, _PLAIN, lambda at, _: damaged.append(at))
@@ -216,61 +214,58 @@ class RecordSource(ABC):
         at: int,
         kinds: Container[int],
         tell: Callable[[int, int | None], object],
-    ) -> Iterator[Placed]:
+    ) -> Iterator[Record]:
         """Give the records of a file or a chunk one by one.
 
         Where none follows one, its length may be wrong. So it ends where the next one begins that
         is found behind its start. `tell` takes the place of the damage and that of the next record.
         """
-        size = len(block)
-        record: Record = OTHER, 0, at, at
-        while (place := record[3]) != size:
-            following = self._parse(block, place)
+        size, parse = len(block), self._parse
+        record: Record = OTHER, 0, at, at, at
+        while (end := record[4]) != size:
+            following = parse(block, end)
             # The length of a chunk that seems to be cut is looked at in the next round.
             if (
                 following is None
                 or following[0] not in kinds
-                or (following[3] > size and following[0] != CHUNK)
+                or (following[4] > size and following[0] != CHUNK)
             ):
-                found = self._find_following(block, at, record, kinds)
-                until = found[0] if found else size
-                tell(place if place <= until else at, found and found[0])
-                record = (*record[:3], min(place, until))
-                if found is None:
+                following = self._find_following(block, record, kinds)
+                place = following[2] if following else None
+                until = size if place is None else place
+                tell(end if end <= until else record[2], place)
+                record = (*record[:4], min(end, until))
+                if following is None:
                     break
-                place, following = found
-            yield at, record
-            at, record = place, following
-        yield at, record
+            yield record
+            record = following
+        yield record
 
-    def _find_following(
-        self, block: Bytes, at: int, record: Record, kinds: Container[int]
-    ) -> Placed | None:
+    def _find_following(self, block: Bytes, record: Record, kinds: Container[int]) -> Record | None:
         """Find the next record behind the start of one; what lies in a chunk does not follow it."""
-        kind, _, _, end = record
+        kind, _, at, _, end = record
         if kind != CHUNK:
             return self._find(block, at + 1, len(block), kinds)
         found = self._find(block, at + 1, len(block), _FRAME)
         # Before it may lie the messages of a chunk that lost its head.
-        return self._find(block, end, found[0] if found else len(block), _PLAIN) or found
+        return self._find(block, end, found[2] if found else len(block), _PLAIN) or found
 
-    def _find(self, block: Bytes, at: int, until: int, kinds: Container[int]) -> Placed | None:
+    def _find(self, block: Bytes, at: int, until: int, kinds: Container[int]) -> Record | None:
         """Find where records of some kinds go on, which end at a position at the latest."""
         while at < until:
             for match in self.head.finditer(block[at : at + _WINDOW]):
-                place = at + match.start()
-                record = self._parse(block, place)
-                if record is None or record[0] not in kinds or record[3] > until:
+                record = self._parse(block, at + match.start())
+                if record is None or record[0] not in kinds or record[4] > until:
                     continue
-                if self.is_unmistakable or self._leads_on(block, record[3], until):
-                    return place, record
+                if self.is_unmistakable or self._leads_on(block, record[4], until):
+                    return record
             at += _WINDOW - _LONGEST_MATCH
         return None
 
     def _leads_on(self, block: Bytes, at: int, until: int) -> bool:
         """Say whether a record, or the end, is at a position."""
         record = self._parse(block, at)
-        return at == until if record is None else record[3] <= until
+        return at == until if record is None else record[4] <= until
 
     def _tell(self, file: FileBytes, at: int, following: int | None) -> None:
         """Note that a file is damaged at a byte, and where it is read on."""
@@ -281,7 +276,7 @@ class RecordSource(ABC):
             text = f"from byte {at} on, the last {count(size - at, 'byte')} hold no whole record"
         else:
             self._cut_at = at
-            there = f"{size - at:,} of its {record[3] - at:,} bytes are there"
+            there = f"{size - at:,} of its {record[4] - at:,} bytes are there"
             text = f"the file ends in the middle of the record at byte {at}: {there}"
         self.notes.add_damage(text)
 
@@ -292,7 +287,7 @@ class RecordSource(ABC):
 
     def _split(self, block: Bytes, at: int) -> Iterator[bytes]:
         """Give the records from a position on; raises ValueError where one is damaged."""
-        for begin, (_, _, _, end) in self._walk(block, at, _ANY, _refuse):
+        for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
             if begin < end:
                 yield bytes(block[begin:end])
 
