@@ -130,13 +130,15 @@ def read_poser(log: Log, options: PosingOptions) -> Poser:
 def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:
     """Read every pose source of a log, and the topics of poses of another one that `poses` names.
 
-    The topics of the other one begin with its path; its transforms are passed over.
+    The topics of the other one begin with its path; its transforms are passed over. What is damaged
+    in it is noted of the log.
     """
     yield from readers.read_poses(log)
     if posing.recording is None:
         return
     path, _ = posing.recording
-    for each in readers.read_poses(open_log(path)):
+    other = open_log(path)
+    for each in readers.read_poses(other):
         topic = f"{path}:{each.topic}"
         if last_part(each.topic) in TF_TOPICS:
             continue
@@ -144,6 +146,8 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
             yield each._replace(topic=topic)
         else:
             yield replace(each, topic=topic)
+    damage = (note.placed(path) for note in other.notes if note.damage)
+    log.notes.extend(note for note in damage if note not in log.notes)
 
 
 def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:
