@@ -4,11 +4,10 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
-from threading import Lock
 
 import numpy as np
 
-from occmap.cells import Ground, Slices
+from occmap.cells import Ground
 from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels.growth import BLOCK, Blocks
@@ -23,8 +22,9 @@ from occmap.clouds.kernels.tracing import (
     trace_cloud,
 )
 from occmap.grid import CellBox, Lattice
+from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, mark_observed, unite, view_tiles
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 SLACK_M = 0.096
@@ -105,15 +105,15 @@ def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
     return Canvas(table, corner, places, np.zeros(tiles, np.int32), ground, state, counts, used)
 
 
-class CloudEngine:
-    """Adds up what clouds observe over the ground; any number of threads may call `add`.
+class CloudEngine(Engine):
+    """Adds up what clouds observe over the ground.
 
     Parameters
     ----------
     limits
         Points between these distances from the sensor count (m).
     slice_ns
-        It keeps what each slice of time observed, if they are so long; None: it keeps none.
+        As of `Engine`.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class CloudEngine:
         limits: tuple[float, float],
         slice_ns: int | None = None,
     ) -> None:
-        self.grid = TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT)
+        super().__init__(TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT), slice_ns)
         self.ground = ground
         blocks = index_blocks(ground.blocks)
         # A table of its own for each thread, of tiles around all ground.
@@ -138,58 +138,40 @@ class CloudEngine:
         margin = options.range_margin
         level = SLACK_M / margin if margin else math.inf
         self._band = Band(low, high, margin * 1000, level, nearest, farthest)
-        self._slice_ns = slice_ns
-        self._slices: list[Slices] = []
-        self._idle: list[Sheet] = []
-        self._lock = Lock()
 
     def add(self, posed: PosedScans) -> None:
         """Observe the cells of some clouds."""
         clouds = list(list_clouds(posed))
-        numbers = (posed.batch.stamp_ns // (self._slice_ns or 1 << 62)).tolist()
+        numbers = self._number(posed.batch.stamp_ns).tolist()
         with self._lock:
             sheet = self._idle.pop() if self._idle else self._make_sheet()
         for number, some in groupby(range(len(clouds)), numbers.__getitem__):
             if sheet.number != number:
-                self._fold(sheet)
+                self._empty(sheet)
                 sheet.number = number
             sheet.observe([clouds[i] for i in some], self._band)
         with self._lock:
             self._idle.append(sheet)
 
-    def _fold(self, sheet: Sheet) -> None:
-        """Add what a sheet holds to the whole, and empty it."""
+    def _empty(self, sheet: Sheet) -> None:
         places, cells = sheet.empty()
-        if not len(places):
-            return
-        grid = TileGrid(self.grid.lattice, EvidenceKind.COUNTS, NEAR_WEIGHT)
-        grid.add(view_tiles(places, cells), int(cells.max()))
-        seen = None if self._slice_ns is None else mark_observed(grid, sheet.number)
-        with self._lock:
-            self.grid.merge(grid)
-            self._slices += [] if seen is None else [seen]
+        if len(places):
+            self._keep(view_tiles(places, cells), int(cells.max()), sheet.number)
 
     @property
     def points(self) -> dict[str, int]:
-        """What became of all points so far, by kind."""
+        """As of `Engine`."""
         counts = sum((sheet.counts for sheet in self._idle), np.zeros(COUNTS, np.int64))
         return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
 
     @property
     def bytes_held(self) -> int:
-        """How much memory holds what was observed so far, about."""
-        tiles = sum(sheet.used for sheet in self._idle) + len(self.grid.tiles)
-        return tiles * TILE_BYTES
+        """As of `Engine`, and what the sheets take."""
+        tiles: int = sum(sheet.used for sheet in self._idle)
+        return super().bytes_held + tiles * TILE_BYTES
 
     def finish(self) -> TileGrid:
         """Give the evidence; more may be added later."""
         for sheet in self._idle:
-            self._fold(sheet)
+            self._empty(sheet)
         return self.grid
-
-    def read_slices(self) -> tuple[Slices, ...]:
-        """Which cells each slice observed of what `finish` gave; none where none are kept."""
-        if self._slice_ns is None:
-            return ()
-        self._slices = [unite(self._slices)]
-        return tuple(self._slices)

@@ -22,13 +22,10 @@ def make_engine(
     options: BuildOptions, keep_slices: bool = False, window_cells: int = WINDOW_CELLS
 ) -> "GridEngine":
     """Make an engine for rays by an update and a model, which keeps slices of time if asked to."""
-    from occmap.grid.engine import GridEngine, SlicedEngine  # noqa: PLC0415  late: it brings numba
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: it brings numba
 
-    spec = plan_grid(options)
-    if keep_slices:
-        slice_ns = round(options.pass_gap_s * 1e9)
-        return SlicedEngine(spec, slice_ns, window_cells, options.max_cells)
-    return GridEngine(spec, window_cells, options.max_cells)
+    slice_ns = round(options.pass_gap_s * 1e9) if keep_slices else None
+    return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
 
 
 def choose_engine(
