@@ -261,19 +261,16 @@ def choose_engine(
     options: BuildOptions, keep: Keep, window_cells: int = WINDOW_CELLS
 ) -> "GridEngine | CloudEngine":
     """Make an engine for what the update is for: rays, or clouds over ground that is known."""
-    slice_ns = round(options.pass_gap_s * 1e9)
+    slice_ns = round(options.pass_gap_s * 1e9) if keep.slices else None
     if options.update is Update.CLOUD and keep.ground is not None:
         from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
 
         limits = options.returns.min_range, options.returns.max_range
         over = Lattice(options.resolution), options.clouds, keep.ground
-        return CloudEngine(*over, limits, slice_ns if keep.slices else None)
-    from occmap.grid.engine import GridEngine, SlicedEngine  # noqa: PLC0415  likewise
+        return CloudEngine(*over, limits, slice_ns)
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  likewise
 
-    spec = plan_grid(options)
-    if keep.slices:
-        return SlicedEngine(spec, slice_ns, window_cells, options.max_cells)
-    return GridEngine(spec, window_cells, options.max_cells)
+    return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
 
 
 class Observed(NamedTuple):
