@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground
-from occmap.clouds.ground import fit_plane, index_blocks, list_storeys
+from occmap.clouds.ground import Columns, fit_plane, index_blocks, list_storeys, look_beside
 from occmap.clouds.kernels.growth import (
     NO_GROUND,
     PASSED,
@@ -52,6 +52,15 @@ def lay(heights: dict[int, int], empty: int = NO_GROUND) -> Int32:
     laid = np.full(64 * 64, empty, np.int32)
     laid[list(heights)] = list(heights.values())
     return laid
+
+
+@pytest.mark.parametrize(("points", "height"), [(1, 0), (7, -280)])
+def test_a_few_stray_points_below_the_floor_are_no_ground(points: int, height: int) -> None:
+    first, many = lay({0: 0}, empty=0), lay({0: 2}, empty=0)
+    peaks = Peaks(first, many, np.array([-280, 0], np.int32), np.array([points, 100], np.int32))
+    columns = Columns(BLOCKS, peaks, 1)
+    found, _ = look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300))
+    assert found.height[0] == height
 
 
 @pytest.mark.parametrize(("points", "height"), [(99, 40), (101, -160)])

@@ -19,6 +19,8 @@ PASSED, STOOD = 1, 2
 """Columns that the robot passed by, and those that it stood on"""
 QUEUED = -1
 """Stands for the points of a column that may have ground next"""
+STRAY = 16
+"""A peak below one that holds more than so many times its points is noise, or a mirrored thing"""
 STEPPED = 3
 """Low things are looked for so far around a column (columns)"""
 SLOPE_MM = 0.12 * COLUMN_MM
@@ -97,7 +99,7 @@ def look_beside(
     found: Found,
     depths: Int64,
 ) -> None:
-    """Take as ground what lies as deep below the sensor as the ground may; lowest first.
+    """Take as ground the lowest peak that lies as deep below the sensor as the ground may.
 
     Parameters
     ----------
@@ -131,13 +133,17 @@ def look_beside(
                     passed[at] = PASSED
                 if apart > beside * beside:
                     continue
+                lowest = -1
                 for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                    depth = path[i, 2] - peaks.height[k]
-                    if least <= depth <= most:
-                        depths[(depth - least) // BIN_MM] += 1
-                        if height[at] == NO_GROUND or peaks.height[k] < height[at]:
-                            height[at], weight[at] = peaks.height[k], peaks.weight[k]
-                        break
+                    is_deep = least <= path[i, 2] - peaks.height[k] <= most
+                    if is_deep and (lowest < 0 or peaks.weight[k] > STRAY * peaks.weight[lowest]):
+                        lowest = k
+                if lowest < 0:
+                    continue
+                level = peaks.height[lowest]
+                depths[(path[i, 2] - level - least) // BIN_MM] += 1
+                if height[at] == NO_GROUND or level < height[at]:
+                    height[at], weight[at] = level, peaks.weight[lowest]
 
 
 @kernel
