@@ -49,24 +49,14 @@ __all__ = [
     "tune",
 ]
 
-_API = "occmap.api"
-_HOMES = {
-    "Build": "occmap.report.results",
-    "BuildOptions": "occmap.options",
-    "Log": "occmap.readers",
-    "OccmapError": "occmap.errors",
-    "OccupancyMap": "occmap.cells",
-    "build": "occmap.pipeline",
-}
-"""Where public names are that are not in the API's own module"""
-
 
 def __getattr__(name: str) -> Any:
     """Import a public name when it is first asked for (PEP 562)."""
     if name == "__version__":
         value: Any = import_module("importlib.metadata").version("occmap")
     elif name in __all__:
-        value = getattr(import_module(_HOMES.get(name, _API)), name)
+        home = "errors" if name == "OccmapError" else "api"  # which imports all the others
+        value = getattr(import_module(f"occmap.{home}"), name)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = value

@@ -1,7 +1,7 @@
 """What a notebook or a program calls: the commands as functions, and the map that they give."""
 
 from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
@@ -45,9 +45,7 @@ class Map(OccupancyMap):
     @classmethod
     def of(cls, made: Build, writing: WriteOptions, inputs: Sequence[Path]) -> Self:
         """Add to a map what was found beside it, and how and over what it may be saved."""
-        found: dict[str, Any] = {
-            each.name: getattr(made.map, each.name) for each in fields(OccupancyMap)
-        }
+        found: dict[str, Any] = {it.name: getattr(made.map, it.name) for it in fields(OccupancyMap)}
         found |= {"report": made.report, "tiles": made.observed, "evidence": made.evidence}
         return cls(**found, writing=writing, inputs=tuple(inputs))
 
@@ -87,7 +85,7 @@ class Map(OccupancyMap):
             No writer has that suffix, the path is an input of the map, the evidence was not kept
             (.npz), or the file cannot be written.
         """
-        outputs = [read_value("path", Path, path)]
+        outputs = read_value("path", Paths, path)
         check_outputs(outputs, self.inputs)
         product = Product(self, self._take_evidence, report=self.report)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))
@@ -123,6 +121,7 @@ class Map(OccupancyMap):
 
 
 AnyPath = str | Path
+Paths = tuple[Path, ...]
 
 OF_A_BUILD = {*OF_ONE_MAP, "extent", "margin", "align"}
 """Options that do not concern what is read of logs"""
@@ -154,10 +153,8 @@ def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **optio
         A log cannot be read, has no scans or no poses, an option is unknown or out of its range,
         the map would be too large, or an output cannot be written.
     """
-    chosen = read_options(BuildOptions, options, "build_map")
-    files = read_paths("outputs", outputs)
-    others = [*files, *chosen.posing.files]
-    paths, notes = find_inputs(list_logs(logs, "build_map"), chosen.reading, others)
+    files: Paths = read_value("outputs", Paths, outputs)
+    (paths, notes), chosen = read_request(logs, options, "build_map", (), files)
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))
     return Map.of(made._replace(report=report), chosen.writing, list_inputs(paths, chosen))
@@ -227,7 +224,8 @@ def compare(
         read_value("updates", tuple[Update, ...], updates),
         read_value("models", tuple[SensorModel, ...], models, MODEL),
     )
-    found = page.compare_logs(paths, variants, common, read_path("picture", picture))
+    drawn = read_value("picture", Path | None, picture)
+    found = page.compare_logs(paths, variants, common, drawn)
     return replace(found, notes=[*notes, *found.notes])
 
 
@@ -280,10 +278,7 @@ def merge(
         A file cannot be read, the evidence does not go together, or an option is unknown or out of
         its range.
     """
-    if not paths:
-        raise UsageError("no evidence is given", fix='try merge("a.npz", "b.npz")')
-    added = list_paths(paths, "merge(*paths)")
-    taken = read_value("subtract", tuple[Path, ...], subtract)
+    added, taken = list_paths(paths, "merge"), read_value("subtract", Paths, subtract)
     chosen = read_options(publishing.RenderOptions, options, "merge")
     lay = lay_on if read_value("fit", bool, fit) else None
     whole = read_all(merging.combine(added, taken, lay))
@@ -319,7 +314,7 @@ def diff(
     """
     one, other = read_value("before", Path, before), read_value("after", Path, after)
     chosen = read_options(WriteOptions, thresholds, "diff")
-    return page.compare_files(one, other, chosen, read_path("picture", picture))
+    return page.compare_files(one, other, chosen, read_value("picture", Path | None, picture))
 
 
 @refuse_failures()
@@ -365,14 +360,9 @@ def score(  # noqa: PLR0913  what a caller gives, by name
         range, an option is unknown or out of its range, or the picture cannot be written.
     """
     chosen = read_options(BuildOptions, options, "score", OF_A_SCORED_MAP)
-    recordings, notes = find_inputs(read_paths("logs", logs), chosen.reading)
-    against = maps.Against(
-        logs=tuple(recordings),
-        truth=read_path("truth", truth),
-        within_m=read_value("within_m", float, within_m),
-        is_fitted=read_value("fit", bool, fit),
-        picture=read_path("picture", picture),
-    )
+    recordings, notes = find_inputs(read_value("logs", Paths, logs), chosen.reading)
+    asked = {"truth": truth, "within_m": within_m, "fit": fit, "picture": picture}
+    against = read_options(maps.Against, {"logs": recordings, **asked}, "score")
     found = maps.score(read_value("path", Path, path), against, chosen)
     return replace(found, notes=(*notes, *found.notes))
 
@@ -414,8 +404,7 @@ def explain(
         A file cannot be read, the evidence was not made of a log, or an option is unknown or out of
         its range.
     """
-    files = {"logs": read_paths("logs", logs), "poses": read_paths("poses", poses)}
-    asked = {"x": x, "y": y, **files, **options}
+    asked = {"x": x, "y": y, "logs": logs, "poses": poses, **options}
     question = read_options(explanation.Question, asked, "explain")
     return explanation.explain(open_saved(read_value("path", Path, path)), question)
 
@@ -433,49 +422,34 @@ def read_log(path: AnyPath) -> Log:
 
 
 def read_request(
-    logs: Sequence[AnyPath], options: Mapping[str, Any], call: str
+    logs: Sequence[AnyPath],
+    options: Mapping[str, Any],
+    call: str,
+    of_one_map: Container[str] = OF_A_BUILD,
+    outputs: Sequence[Path] = (),
 ) -> tuple[Inputs, BuildOptions]:
-    """Find the recordings that a caller means, and make the options that concern all maps of them.
+    """Find the recordings that a caller means, and make the options of maps of them.
 
     Raises
     ------
     UsageError
-        No log is given, or an option is unknown, out of its range, or concerns one map alone.
+        No log is given, or an option is unknown, out of its range, or among those of one map.
     """
-    paths = list_logs(logs, call)
-    common = read_options(BuildOptions, options, call, OF_A_BUILD)
-    return find_inputs(paths, common.reading), common
+    chosen = read_options(BuildOptions, options, call, of_one_map)
+    others = [*outputs, *chosen.posing.files]
+    return find_inputs(list_paths(logs, call), chosen.reading, others), chosen
 
 
-def read_path(name: str, path: AnyPath | None) -> Path | None:
-    """Make a path of what a caller gave, or None; raises UsageError where it is neither."""
-    return None if path is None else read_value(name, Path, path)
+def list_paths(paths: Sequence[AnyPath], call: str) -> Paths:
+    """Make paths of what a function was called with, one by one or as a list.
 
-
-def read_paths(name: str, paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
-    """Make paths of one or of several that a caller gave; raises UsageError where one is none."""
-    several = [paths] if isinstance(paths, AnyPath) else paths
-    made: tuple[Path, ...] = read_value(name, tuple[Path, ...], several)
+    Raises
+    ------
+    UsageError
+        There is none, or one of them is not a path.
+    """
+    given: Any = paths[0] if len(paths) == 1 else paths
+    if given in ((), []):
+        raise UsageError("no file is given", fix=f'try {call}("drive.mcap")')
+    made: Paths = read_value("paths", Paths, given)
     return made
-
-
-def list_logs(logs: Sequence[AnyPath], call: str) -> list[Path]:
-    """Make paths of the logs that a function was called with; raises UsageError if none is."""
-    if not logs:
-        raise UsageError("no log is given", fix=f'try {call}("drive.mcap")')
-    return list_paths(logs, f"{call}(*logs)")
-
-
-def list_paths(paths: Sequence[AnyPath], call: str = "") -> list[Path]:
-    """Make paths of what a caller gave; raises UsageError where one of them is not a path.
-
-    Parameters
-    ----------
-    call
-        How the paths of a list are given, where they are given one by one.
-    """
-    for path in paths:
-        if not isinstance(path, AnyPath):
-            starred = f"; the paths of a list are given with a star: {call}" if call else ""
-            raise UsageError(f"{path!r} is not a path", fix=f"give text or a Path{starred}")
-    return [read_value("path", Path, path) for path in paths]

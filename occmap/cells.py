@@ -291,3 +291,7 @@ class Evidence:
     """What there is to say of what it was made of; no file keeps that"""
     ground: Ground | None = None
     """What clouds were traced over"""
+
+    def identify(self) -> str:
+        """Name what was observed, by `Manifest.identify`."""
+        return self.manifest.identify(sum_tiles(self.tiles.tolist(), self.cells))

@@ -2,19 +2,18 @@
 
 `occmap.options.BuildOptions` groups those of a build. The command line, a notebook, files of
 options and errors read what an option is called, does and takes from here, and from nowhere else.
-Values are read as a notebook gives them or as they are typed, and written as they are typed.
+One reader takes values as a notebook gives them, as a file of options has them, and as they are
+typed; they are written as they are typed.
 """
 
 import math
 import operator
 import os
-import re
 import textwrap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from enum import EnumType
-from functools import reduce
 from numbers import Real
 from pathlib import Path
 from types import NoneType
@@ -29,8 +28,6 @@ LARGEST_ANGLE = 7.0
 """A little more than a full turn (rad), since people round."""
 LEVEL_RAD = 5e-6
 """A smaller angle is written as 0."""
-TUPLE = re.compile(r"\((.*?)\)")
-"""A tuple, as it is written in Python"""
 
 
 class Form(NamedTuple):
@@ -39,42 +36,7 @@ class Form(NamedTuple):
     read: Callable[[Any], Any]
     """Makes a value of what was given or typed; raises TypeError, ValueError or UsageError"""
     text: str
-    """What to give; a tuple is typed without its parentheses"""
-
-
-def read_value(name: str, kind: Any, value: Any, form: Form | None = None) -> Any:
-    """Convert what a caller gave to the type of an option.
-
-    Parameters
-    ----------
-    form
-        What one value looks like, of which a tuple holds several; None: as usual for the type.
-
-    Raises
-    ------
-    UsageError
-        The value is not of that type.
-    """
-    takes_many = get_args(kind)[1:] == (Ellipsis,) and kind not in FORMS
-    form = form or find_form(get_args(kind)[0] if takes_many else kind)
-    text = f"a list, each item {form.text}" if takes_many else form.text
-    try:
-        if takes_many and isinstance(value, str | bytes):
-            raise TypeError
-        return tuple(map(form.read, value)) if takes_many else form.read(value)
-    except UsageError as error:
-        fix = error.fix or f"give {text}"
-        raise UsageError(error.found, where=f"{name} = {value!r}", fix=fix) from None
-    except (TypeError, ValueError, OverflowError):
-        raise UsageError(f"{name} is {value!r}", fix=f"give {text}") from None
-
-
-def parse_number(word: str, where: str = "", fix: str = "") -> float:
-    """Read a finite decimal number; raises UsageError, with what to write."""
-    with suppress(ValueError):
-        if math.isfinite(number := float(word)):
-            return number
-    raise UsageError(f"{word.strip()!r} is not a number", where=where, fix=fix)
+    """What to type; Python may have it as text, too, or as a tuple of what stands between commas"""
 
 
 def write_values(value: Any) -> list[str]:
@@ -120,30 +82,49 @@ def _join(numbers: Sequence[float]) -> str:
     return ",".join(f"{round(number, 5) + 0.0:.12g}" for number in numbers)
 
 
-def _refuse_degrees(angles: Iterable[float]) -> None:
-    """Refuse angles of more than a turn, which are degrees; raises UsageError with the radians."""
-    for angle in angles:
-        if abs(angle) > LARGEST_ANGLE:
-            found = f"an angle of {angle:g} rad is more than a turn"
-            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
-            raise UsageError(found, fix=fix)
-
-
 def _read_number(value: Any) -> float:
-    if not isinstance(value, Real) or isinstance(value, bool):
+    if not isinstance(value, Real | str) or isinstance(value, bool):
         raise TypeError
     return float(value)
 
 
-def _read_numbers(value: Iterable[Any], *sizes: int) -> tuple[float, ...]:
-    """Make numbers of those that are given or typed; raises UsageError if there are not so many."""
-    if isinstance(value, str):
-        raise TypeError
-    words = tuple(value)
-    if len(words) not in sizes:
+def _read_whole_number(value: Any) -> int:
+    return int(value) if isinstance(value, str) else operator.index(value)
+
+
+def _read_finite(value: Any) -> float:
+    with suppress(ValueError):
+        if math.isfinite(number := _read_number(value)):
+            return number
+    raise UsageError(f"{value!r} is not a number")
+
+
+def _read_numbers(value: Iterable[Any], *sizes: int, angles: slice = slice(0)) -> tuple[float, ...]:
+    """Make finite numbers of several, some of which may be angles in radians.
+
+    Raises
+    ------
+    UsageError
+        There are not so many, one is not a number, or an angle is more than a turn: in degrees.
+    """
+    parts = _part(value)
+    if len(parts) not in sizes:
         belong = " or ".join(map(str, sizes))
-        raise UsageError(f"{count(len(words), 'value')} where {belong} belong")
-    return tuple(parse_number(it) if isinstance(it, str) else _read_number(it) for it in words)
+        raise UsageError(f"{count(len(parts), 'value')} where {belong} belong")
+    numbers = tuple(map(_read_finite, parts))
+    for angle in numbers[angles]:
+        if abs(angle) > LARGEST_ANGLE:
+            found = f"an angle of {angle:g} rad is more than a turn"
+            fix = f"write radians: {angle:g} degrees are {math.radians(angle):.6g}"
+            raise UsageError(found, fix=fix)
+    return numbers
+
+
+def _part(value: Iterable[Any]) -> tuple[Any, ...]:
+    """Part values that are typed with commas between; others are apart."""
+    if isinstance(value, str):
+        return tuple(word.strip() for word in value.split(","))
+    return tuple(value)
 
 
 def _read_text(value: Any) -> str:
@@ -158,8 +139,8 @@ def _read_pose(value: Any, *sizes: int) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
         return value
-    x, y, yaw, roll, pitch, *_ = (*_read_numbers(value, *sizes), 0.0, 0.0)
-    _refuse_degrees((yaw, roll, pitch))
+    numbers = _read_numbers(value, *sizes, angles=slice(2, None))
+    x, y, yaw, roll, pitch, *_ = (*numbers, 0.0, 0.0)
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
 
 
@@ -167,24 +148,13 @@ def _read_transform(value: Any) -> PoseSample:
     """Make a fixed transform of (parent, child, x, y, z, roll, pitch, yaw)."""
     if isinstance(value, PoseSample):
         return value
-    x, y, z, roll, pitch, yaw = _read_numbers(value[2:], 6)
-    parent, child = map(_read_text, value[:2])
+    parts = _part(value)
+    x, y, z, roll, pitch, yaw = _read_numbers(parts[2:], 6, angles=slice(3, None))
+    parent, child = map(_read_text, parts[:2])
     if not (parent and child):
         raise UsageError("a frame has no name")
-    _refuse_degrees((roll, pitch, yaw))
     pose = Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
     return PoseSample(0, parent, child, pose, static=True)
-
-
-def _read_sector(value: Any) -> tuple[float, ...]:
-    """Make a sector of two bearings in radians."""
-    sector = _read_numbers(value, 2)
-    _refuse_degrees(sector)
-    return sector
-
-
-def _read_topics(value: Any) -> tuple[str, ...]:
-    return tuple(map(_read_text, [value] if isinstance(value, str) else value))
 
 
 def _read_switch(value: Any) -> bool:
@@ -196,34 +166,34 @@ def _read_switch(value: Any) -> bool:
 FORMS: dict[Any, Form] = {
     bool: Form(_read_switch, "True or False"),
     float: Form(_read_number, "a number"),
-    int: Form(operator.index, "a whole number"),
+    int: Form(_read_whole_number, "a whole number"),
     str: Form(_read_text, "text"),
     Path: Form(lambda value: Path(_read_text(value)), "a path"),
-    tuple[str, ...]: Form(_read_topics, "a topic or a list of topics"),
 }
 """How values look by their type, where an option does not say it"""
 MOUNT = Form(
     lambda value: _read_pose(value, 3, 5),
-    "(x, y, yaw) or (x, y, yaw, roll, pitch) in metres and radians, such as (0.1, 0, 3.14159)",
+    "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
 )
 PLANAR = Form(
     lambda value: _read_pose(value, 3),
-    "(x, y, yaw) in metres and radians, such as (12.5, -3, 1.5708)",
+    "x,y,yaw in metres and radians, such as 12.5,-3,1.5708",
 )
 GLOBE = Form(
     lambda value: _read_numbers(value, 3),
-    "(latitude, longitude, yaw) in degrees, such as (52.5, 13.4, 30)",
+    "latitude,longitude,yaw in degrees, such as 52.5,13.4,30",
 )
-TRANSFORM = Form(
-    _read_transform, "(parent, child, x, y, z, roll, pitch, yaw) in metres and radians"
+TRANSFORM = Form(_read_transform, "parent,child,x,y,z,roll,pitch,yaw in metres and radians")
+TILT = Form(lambda value: _read_numbers(value, 2), "roll,pitch in degrees, such as 2.5,-1")
+SECTOR = Form(
+    lambda value: _read_numbers(value, 2, angles=slice(None)),
+    "from,to in radians, counter-clockwise, such as 2.5,-2.5",
 )
-TILT = Form(lambda value: _read_numbers(value, 2), "(roll, pitch) in degrees, such as (2.5, -1)")
-SECTOR = Form(_read_sector, "(from, to) in radians, counter-clockwise, such as (2.5, -2.5)")
 
 
 def make_box_form(example: str) -> Form:
     """Make the form of a box of four numbers."""
-    text = f"(x_min, y_min, x_max, y_max) in metres, such as {example}"
+    text = f"x_min,y_min,x_max,y_max in metres, such as {example}"
     return Form(lambda value: _read_numbers(value, 4), text)
 
 
@@ -261,36 +231,50 @@ class Option:
     name: str = ""
     """This and all below are those of the field that declares the option"""
     kind: Any = None
-    """Its type, without None"""
+    """The type of its value, or of each of several"""
+    is_many: bool = False
+    """It takes several values"""
     takes_none: bool = False
     default: Any = None
     """MISSING: it has to be given"""
 
     def read(self, value: Any) -> Any:
-        """Convert what a caller gave; raises UsageError where it is not of the option's type."""
+        """Make the value of the option of what was given or typed; raises UsageError."""
         if value is None and self.takes_none:
             return None
-        try:
-            return read_value(self.name, self.kind, value, self.form)
-        except UsageError as error:
-            none = f", or None, {self.none[1]}" if self.none[1] else ""
-            raise UsageError(error.found, where=error.where, fix=f"{error.fix}{none}") from None
+        if not self.is_many:
+            return self.read_one(value)
+        if not isinstance(value, str | os.PathLike):
+            with suppress(TypeError):  # it is not several values
+                return tuple(map(self.read_one, value))
+        return (self.read_one(value),)
 
-    def parse(self, text: str) -> Any:
-        """Read several values as they are typed, with commas between.
+    def read_one(self, value: Any) -> Any:
+        """Make one value of what was given or typed.
 
         Raises
         ------
         UsageError
-            There are too many or too few, one is not a number, or an angle is in degrees.
+            It is not of the option's type: there are too many or too few numbers, an angle is in
+            degrees, and so on.
         """
         form = self.form or find_form(self.kind)
-        typed = TUPLE.sub(lambda found: found[1].replace(" ", ""), form.text)
         try:
-            return form.read([word.strip() for word in text.split(",")])
+            return form.read(value)
         except UsageError as error:
-            fix = error.fix or f"write {typed}"
-            raise UsageError(error.found, where=f"{self.flag} {text}", fix=fix) from None
+            fix = error.fix or self._tell(form, value)
+            raise UsageError(error.found, where=f"`{self.name}={value}`", fix=fix) from None
+        except (TypeError, ValueError, OverflowError):
+            if self.none[0] and str(value) == self.none[0]:
+                return None
+            fix = self._tell(form, value)
+            raise UsageError(f"`{self.name}` is {value!r}", fix=fix) from None
+
+    def _tell(self, form: Form, value: Any) -> str:
+        """Say what to give; what is typed is one of several values, and no list."""
+        is_list = self.is_many and not isinstance(value, str)
+        none = f", or {self.none[0]}, {self.none[1]}" if self.none[1] else ""
+        return f"give {'a list, each item ' * is_list}{form.text}{none}"
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""
@@ -324,8 +308,7 @@ def list_options(kind: Any) -> dict[str, Option]:
         found[name] = replace(
             declared,
             name=name,
-            kind=drop_none(hint),
-            takes_none=NoneType in get_args(hint),
+            **read_hint(hint),
             default=each.default if each.default_factory is MISSING else each.default_factory(),
             flag="--" + (declared.flag or name.removesuffix("_s").replace("_", "-")),
             metavar=declared.metavar or declared.unit.upper(),
@@ -343,10 +326,24 @@ def list_values(options: Any) -> dict[str, Any]:
     return found
 
 
-def drop_none(hint: Any) -> Any:
-    """The type of an option that is given, where it may also be None."""
-    kinds = [each for each in get_args(hint) if each is not NoneType]
-    return reduce(operator.or_, kinds) if NoneType in get_args(hint) else hint
+def read_hint(hint: Any) -> dict[str, Any]:
+    """Tell from its type what an option takes: values of one kind, several of them, or None."""
+    takes_none = NoneType in get_args(hint)
+    kind = next(each for each in get_args(hint) if each is not NoneType) if takes_none else hint
+    is_many = get_args(kind)[1:] == (Ellipsis,)
+    kind = get_args(kind)[0] if is_many else kind
+    return {"kind": kind, "is_many": is_many, "takes_none": takes_none}
+
+
+def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> Any:
+    """Convert what a caller gave to a type; raises UsageError where it is not of it.
+
+    Parameters
+    ----------
+    form
+        What a value looks like, or each of several; None: as usual for the type.
+    """
+    return Option(name=name, form=form, **read_hint(hint)).read(value)
 
 
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:

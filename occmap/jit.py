@@ -12,8 +12,10 @@ import inspect
 import json
 import logging
 import os
+import shutil
 import struct
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, cached_property
@@ -31,6 +33,8 @@ from occmap.errors import UsageError
 F = TypeVar("F", bound=Callable[..., Any])
 DIGEST_BYTES = hashlib.sha256().digest_size
 RESULT_BYTES, ERROR_BYTES = 248, 8
+KEPT_S = 30 * 24 * 3600
+"""Machine code is surely kept for so long"""
 SCALARS = {
     bool: ("boolean", ctypes.c_bool),
     int: ("int64", ctypes.c_int64),
@@ -55,11 +59,6 @@ def kernel(function: F) -> F:
     and writes only to those that its caller made for it.
     """
     return Kernel(function)  # type: ignore[return-value]  # called like it
-
-
-def array_kernel(function: F) -> F:
-    """Compile a function that makes arrays; numba must then be there when it runs, too."""
-    return Kernel(function, _nrt=True)  # type: ignore[return-value]  # called like it
 
 
 def step(function: F) -> F:
@@ -91,8 +90,8 @@ class Kernel:
     def dispatcher(self) -> Any:
         """What numba knows the function as; other kernels that call it ask for it, too."""
         # What is for calls from Python and C would take a third of the time.
-        unused = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-        options = {"_nrt": False, "error_model": "numpy", **unused, **self._options}
+        unused = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
+        options = {"error_model": "numpy", **unused, **self._options}
         return load_numba().njit(**options)(self.py_func)
 
     def _load(self, kind: Any) -> Callable[[list[Any]], Any] | None:
@@ -114,9 +113,12 @@ class Kernel:
         content = compile_function(self.dispatcher, kind)
         for path in self._list_files(kind):
             with suppress(Exception):
+                is_new = not path.parent.exists()
                 path.parent.mkdir(parents=True, exist_ok=True)
                 # No temporary file is needed: a process that reads half of this one compiles anew.
                 path.write_bytes(hashlib.sha256(content).digest() + content)
+                if is_new:
+                    remove_old(path.parent.parent)
                 break
         else:
             warn_not_kept()
@@ -188,7 +190,7 @@ def to_numba(kind: Any) -> Any:
 def compile_function(dispatcher: Any, kind: Any) -> bytes:
     """Compile a function for arguments of some kinds.
 
-    Returns its name, what it returns and what it calls, in a line of JSON, and machine code.
+    Returns its name and what it returns, in a line of JSON, and machine code.
     """
     signature = tuple(map(to_numba, kind))
     dispatcher.compile(signature)
@@ -198,10 +200,7 @@ def compile_function(dispatcher: Any, kind: Any) -> bytes:
     if struct.calcsize(result) > RESULT_BYTES or compiled.library.has_dynamic_globals:
         # The one writes beyond its room; the other knows an array by where it is in this process.
         raise NotImplementedError(f"{compiled.fndesc.qualname}: its code cannot be kept")
-    functions = compiled.library._final_module.functions
-    needs = [each.name for each in functions if each.is_declaration]
-    needs = [name for name in needs if not name.startswith("llvm.")]
-    described = json.dumps([compiled.fndesc.llvm_func_name, result, needs])
+    described = json.dumps([compiled.fndesc.llvm_func_name, result])
     machine: bytes = compiled.library._get_compiled_object()
     return described.encode() + b"\n" + machine
 
@@ -212,10 +211,7 @@ def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
     Takes what `compile_function` gives.
     """
     described, _, machine = content.partition(b"\n")
-    name, returned, needs = json.loads(described)
-    if None in map(binding.address_of_symbol, needs):
-        target = load_numba().core.registry.cpu_target.target_context
-        load_numba().core.runtime.nrt.rtsys.initialize(target)
+    name, returned = json.loads(described)
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
     processor = binding.Target.from_default_triple().create_target_machine()
@@ -231,13 +227,20 @@ def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
         room = (ctypes.c_char * (RESULT_BYTES + ERROR_BYTES))()
         place = ctypes.addressof(room)
         if function(place, place + RESULT_BYTES, *values):
-            # Arrays find no room, or NUMBA_BOUNDSCHECK is set and an index is out of bounds.
-            raise MemoryError if needs else IndexError
+            raise IndexError  # NUMBA_BOUNDSCHECK is set
         result = unpack(room)
         return result if len(result) > 1 else next(iter(result), None)
 
     call.engine = engine  # type: ignore[attr-defined]  # the owner of the code
     return call
+
+
+def remove_old(base: Path) -> None:
+    """Remove what other versions and settings kept below a folder, if nothing came to it lately."""
+    with suppress(OSError):
+        for folder in base.glob("occmap-*"):
+            if folder.stat().st_mtime < time.time() - KEPT_S:
+                shutil.rmtree(folder)
 
 
 @cache

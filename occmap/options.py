@@ -161,8 +161,9 @@ IDLE = {
 }
 """Options that do nothing with an update"""
 
+COMMAND_FLAGS = ("dask", "output", "overview", "scratch", "strict", "truth")
 OTHER_FLAGS = {
-    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, "dask", "overview", "truth")},
+    **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, *COMMAND_FLAGS)},
     "limits": "--fail-if",
     "logs": "--log",
     "outputs": "-o",

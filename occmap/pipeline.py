@@ -9,23 +9,11 @@ from typing import Any
 from occmap.cells import About, Evidence, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
-from occmap.evidence.manifest import (
-    describe_about,
-    describe_build,
-    list_doubts,
-    plan_manifest,
-)
+from occmap.evidence.manifest import describe_about, describe_build, list_doubts, plan_manifest
 from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
-from occmap.report.results import (
-    Build,
-    MapFacts,
-    MapSummary,
-    Report,
-    Resumed,
-    describe_map,
-    list_notes,
-)
+from occmap.report import results
+from occmap.report.results import Build, MapFacts, Report, Resumed
 from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observe, Progress, Remarks, ignore_progress
@@ -76,9 +64,9 @@ def build(
         with tally.time("write"):  # to hash the logs takes time
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = plan_manifest(options, made, past.manifest if past and made else None)
-        facts = describe_map(grid, options.writing)
+        facts = results.describe_map(grid, options.writing)
         remarks.notes += [*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)]
-        remarks.notes += list_notes(paths, options, outputs, tally, facts)
+        remarks.notes += results.list_notes(paths, options, outputs, tally, facts)
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
         where = past.where if past else ""
@@ -214,7 +202,7 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
         resumed=None,
         beams=tally.beams,
         points=tally.points,
-        map=MapSummary.describe(facts, plan_manifest(options), options.min_passes),
+        map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),
         looked_up=any(tally.frames.values()),

@@ -464,23 +464,13 @@ class Rays(NamedTuple):
 
     def take(self, scans: slice | Bool) -> Self:
         """Select scans by a slice or by a mask (S,)."""
-        return self._replace(
-            origin=self.origin[scans],
-            turn=self.turn[scans],
-            distance=self.distance[scans],
-            kind=self.kind[scans],
-            stamp_ns=self.stamp_ns[scans],
-        )
+        by_scan = "origin", "turn", "distance", "kind", "stamp_ns"
+        return self._replace(**{name: getattr(self, name)[scans] for name in by_scan})
 
     def thin(self, every: int) -> Self:
         """Select every n-th beam of each scan."""
-        return self._replace(
-            origin=self.origin[:, ::every],
-            turn=self.turn[:, ::every],
-            bearing=self.bearing[:, ::every],
-            distance=self.distance[:, ::every],
-            kind=self.kind[:, ::every],
-        )
+        by_beam = "origin", "turn", "bearing", "distance", "kind"
+        return self._replace(**{name: getattr(self, name)[:, ::every] for name in by_beam})
 
     @property
     def direction(self) -> Float64:

@@ -11,7 +11,7 @@ import pytest
 from occmap.cells import Decision, OccupancyMap
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
-from occmap.scans import choose_engine, stream, tracing
+from occmap.scans import stream, tracing
 from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import parse_model
 from occmap.types import BEAM_UPDATES, Bool, Update
@@ -125,6 +125,8 @@ def test_the_way_it_is_made_changes_nothing(
     update, model, expected = reference
     monkeypatch.setattr(stream, "BATCH_BEAMS", beams)
     if window:
-        monkeypatch.setattr(tracing, "choose_engine", partial(choose_engine, window_cells=window))
+        monkeypatch.setattr(
+            tracing, "choose_engine", partial(tracing.choose_engine, window_cells=window)
+        )
     logs = DRIVES[1::-1] if backwards else DRIVES[:2]
     assert write_map(tmp_path, logs, choose(update, model, jobs)) == expected

@@ -11,10 +11,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from io import TextIOWrapper
-from threading import Timer
 from time import monotonic
 from types import FrameType
-from typing import Any
 
 import click
 
@@ -39,6 +37,8 @@ COMMANDS = {
 }
 """The texts are those of --help."""
 HOMES = {
+    "demo": "build",
+    "score": "check",
     **dict.fromkeys(("explain", "merge", "render"), "evidence"),
     **dict.fromkeys(("models", "readers", "schema", "writers"), "lists"),
     **dict.fromkeys(("diff", "tune"), "compare"),
@@ -114,20 +114,14 @@ def run(args: Sequence[str], signals: "Signals | None" = None) -> int:
         if signals.number or isinstance(error, KeyboardInterrupt | click.Abort):
             interrupted = OccmapError("interrupted: nothing more is written")
             return console.fail(interrupted, signals.exit_code)
-        return answer(error, console)
+        if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
+            discard(sys.stdout)
+            return 0
+        known = describe_misuse(error) if isinstance(error, click.ClickException) else error
+        if isinstance(known, OccmapError):
+            return console.fail(known, known.exit_code)
+        return console.fail_unexpectedly(error)
     return 0
-
-
-def answer(error: BaseException, console: Console) -> int:
-    """Say in one line what went wrong; return the exit code."""
-    if isinstance(error, BrokenPipeError):  # who reads the output has seen enough
-        discard(sys.stdout)
-        return 0
-    if isinstance(error, click.ClickException):
-        return console.fail(describe_misuse(error), error.exit_code)
-    if isinstance(error, OccmapError):
-        return console.fail(error, error.exit_code)
-    return console.fail_unexpectedly(error)
 
 
 def describe_misuse(error: click.ClickException) -> UsageError:
@@ -185,10 +179,9 @@ class Interrupted(KeyboardInterrupt):
 class Signals:
     """Listens to signals, and remembers the first that came."""
 
-    def __init__(self) -> None:
-        self.number: int | None = None
-        """The first signal that came"""
-        self._raised_at = 0.0
+    number: int | None = None
+    """The first signal that came"""
+    _raised_at = 0.0
 
     @property
     def exit_code(self) -> int:
@@ -200,7 +193,6 @@ class Signals:
         for number in ENDING:
             if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
                 signal.signal(number, self.receive)
-        sys.unraisablehook = self.raise_later
 
     def ignore(self) -> None:
         """Let no signal disturb the end of a process whose work is done."""
@@ -213,19 +205,3 @@ class Signals:
             self.number = self.number or number
             self._raised_at = monotonic()
             raise Interrupted
-
-    def raise_later(self, dropped: Any) -> None:
-        """Send a signal again that came in a destructor, where Python drops every exception."""
-        if self.number is None:
-            sys.__unraisablehook__(dropped)
-        elif issubclass(dropped.exc_type, KeyboardInterrupt):
-            self._raised_at = 0.0  # the timer below must not run out before this has returned
-            Timer(0.2, send_to_itself, [self.number]).start()
-
-
-def send_to_itself(number: int) -> None:
-    """Send this process a signal, such that its main thread wakes up if it waits."""
-    if sys.platform == "win32":  # there, os.kill ends a process at once
-        signal.raise_signal(number)
-    else:
-        os.kill(os.getpid(), number)

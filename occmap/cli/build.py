@@ -1,6 +1,8 @@
-"""`occmap build`: one map from one or more logs."""
+"""`occmap build`: one map from one or more logs. `occmap demo`: one of a simulated drive."""
 
+import shutil
 from collections.abc import Iterator, Sequence
+from importlib.resources import files
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -10,10 +12,10 @@ from click.core import ParameterSource
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Bar, Console, show_progress, write_rows
+from occmap.cli.console import Console, write_rows
 from occmap.cli.declaring import CONFIG, PATH, RUN, Answer, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, Values
-from occmap.errors import LogError, UsageError
+from occmap.errors import LogError, OccmapError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.plugins import guess
@@ -22,6 +24,7 @@ from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.sensor.models import describe_model, shorten_model
 from occmap.types import Update
+from occmap.writers.atomic import refuse_unwritable
 
 DASK = Option(
     RUN,
@@ -83,8 +86,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     logs = options.gather_logs(console, given, chosen, values["outputs"])
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
-    with show_progress(console) as progress:
-        report = options.hide_sent(run_build(logs, chosen, values, progress))
+    report = options.hide_sent(run_build(console, logs, chosen, values))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -148,13 +150,61 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
 
 
 def run_build(
-    logs: list[Path], chosen: BuildOptions, values: dict[str, Any], progress: Bar
+    console: Console, logs: list[Path], chosen: BuildOptions, values: dict[str, Any]
 ) -> Report:
     """Build in this process, or by the workers that --dask names."""
     outputs = values["outputs"]
     if values["dask"] is None:
-        return build(logs, chosen, outputs, progress).report
+        return build(logs, chosen, outputs, console.advance).report
     from occmap.fleet import Fleet  # noqa: PLC0415  late: few builds need it
 
     scratch = values["scratch"] or outputs[0].with_name(f"{outputs[0].name}.scratch")
-    return Fleet(values["dask"], scratch, progress.describe).build(logs, chosen, outputs, progress)
+    fleet = Fleet(values["dask"], scratch, console.describe)
+    return fleet.build(logs, chosen, outputs, console.advance)
+
+
+SAMPLES = "drive.mcap", "floor_plan.pgm", "floor_plan.yaml"
+"""A simulated drive through an office, and the plan of it"""
+
+
+@command(
+    "demo", Report, click.Argument(["folder"], type=PATH, default="occmap-demo", metavar="[FOLDER]")
+)
+def demo_command(console: Console, /, folder: Path) -> Answer:
+    """Map a simulated drive, to see what occmap does.
+
+    The log, the plan of the office and the maps are put into FOLDER (occmap-demo), and what to type
+    next is said.
+
+      occmap demo
+    """
+    with refuse_unwritable(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in SAMPLES:
+            shutil.copyfile(find_sample(name), folder / name)
+    log, made = folder / SAMPLES[0], [folder / f"map.{suffix}" for suffix in ("pgm", "png", "npz")]
+    report = build([log], BuildOptions(), made, console.advance).report
+    commands = (
+        f"occmap check {log}",
+        f"occmap build beam {log} -o {folder / 'beam.png'}",
+        f"occmap explain {made[2]} 11.18 -1.18 --log {log}",
+        f"occmap score {folder / 'map.yaml'} --truth {folder / SAMPLES[2]}",
+        "occmap build YOUR_LOG -o map.pgm",
+    )
+    rows = [
+        *tell_map(report.map),
+        *tell_scans(report),
+        *label_first("files", report.files),
+        ("look at", str(made[1])),
+        *label_first("next", commands),
+    ]
+    return Answer(report, write_rows(rows))
+
+
+def find_sample(name: str) -> Path:
+    """Find a sample in the install, or in the clone that it is of; raises OccmapError if absent."""
+    package = Path(str(files("occmap")))
+    for folder in (package / "samples", package.parent / "sample_logs"):
+        if (folder / name).is_file():
+            return folder / name
+    raise OccmapError(f"the sample {name} is not a part of this install", fix="install it anew")

@@ -1,6 +1,8 @@
-"""`occmap check`: what is in logs and what will go wrong, before they are mapped."""
+"""`occmap check`: what is in logs, and what will go wrong. `occmap score`: how good a map is."""
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,14 +10,16 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, Verbosity, write_command, write_rows
-from occmap.cli.declaring import CONFIG, Answer, command, fail_if
+from occmap.cli.console import Console, write_command, write_rows
+from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
 from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
-from occmap.report import Row, label_first
-from occmap.report.limits import CHECK
+from occmap.report import Row, count, label_first
+from occmap.report.limits import CHECK, SCORE
+from occmap.scoring.fit import STAY, Transform
+from occmap.scoring.maps import WITHIN_M, Against, MapScore, score
 from occmap.writers import check_picture
 
 LABEL = 10
@@ -47,10 +51,10 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
     chosen = take(BuildOptions, values)
     inspection = inspect(options.gather_logs(console, logs, chosen), chosen)
     if values["output"]:
-        from occmap.page.document import write_inspection  # noqa: PLC0415  late: few want it
+        from occmap.page import write_inspection  # noqa: PLC0415  late: few want it
 
         write_inspection(values["output"], inspection)
-    if console.verbosity is Verbosity.QUIET:
+    if console.quiet:
         for problem in inspection.problems:
             console.tell(f"error: {problem}")
     failure = None if inspection.buildable else click.exceptions.Exit(1)
@@ -90,3 +94,94 @@ def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
     for stream in streams:
         role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
         yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
+
+
+AGAINST = "What it is held against"
+
+
+@command(
+    "score",
+    MapScore,
+    click.Argument(["path"], type=PATH, metavar="MAP"),
+    options.paths(AGAINST, "LOG", "A recording of the place.", "--log", "logs"),
+    Option(
+        AGAINST,
+        "--truth",
+        type=PATH,
+        metavar="MAP",
+        help="The map that is true: a plan, a simulator's, or another tool's.",
+    ),
+    Option(
+        AGAINST,
+        "--within",
+        "within_m",
+        default=WITHIN_M,
+        show_default=True,
+        metavar="M",
+        help="A wall is found, and not invented, if it is off by at most so much.",
+    ),
+    flag(
+        AGAINST,
+        "--fit",
+        text="First move the recordings onto the map, or the map onto the truth, by the shift of "
+        "up to 2 m and the turn of up to 20 degrees by which they fit best.",
+    ),
+    options.one_output("picture", "FILE", "Write a .png here: where the map and the truth differ."),
+    *options.THRESHOLDS,
+    *options.READING,
+    *(fail_if(SCORE, "edges_found < 95%"), options.JOBS, CONFIG),
+)
+def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
+    """Say how good a map is, by recordings or by the truth.
+
+    MAP is what map_server loads, whatever tool made it (PGM with YAML), or evidence (.npz or
+    .zarr). Recordings say how well it predicts their beams: the share whose first occupied cell is
+    within two cells of the measured range, as compare has it, and the share of hits that lie in
+    occupied cells or beside one. Use recordings that the map was not made of.
+
+    The truth, of any resolution, says which of its edges are found and which of the map's walls are
+    invented, what is free though it is occupied and the other way round, and how far walls are off.
+    In the picture edges that were missed are orange, and blue where the map calls them free; walls
+    that were invented are red.
+
+      occmap score map.yaml --log drive.mcap
+      occmap score map.yaml --truth plan.yaml --fit -o score.png
+      occmap score map.yaml --truth plan.yaml --fail-if "edges_found < 95%"
+    """
+    common, against = take(BuildOptions, values), take(Against, values)
+    if against.logs:
+        found = options.gather_logs(console, against.logs, common)
+        against = replace(against, logs=tuple(found))
+    made = score(path, against, common, console.advance)
+    return Answer(made, write_rows(list_score(made)))
+
+
+def list_score(made: MapScore) -> Iterator[Row]:
+    """Write a score in a few rows."""
+    occupied, free = count(made.occupied, "occupied cell"), count(made.free, "free one")
+    yield "map", f"{made.map}: {occupied} and {free} of {made.resolution:g} m"
+    if it := made.by_logs:
+        error = f" +- {it.share_error:.4f}" if math.isfinite(it.share_error) else ""
+        yield "logs", f"share {it.share:.4f}{error} of {count(it.beams, 'beam')}"
+        yield "", f"log-likelihood {it.log_likelihood:.3f}"
+        yield "", f"{it.agreement:.1%} of the hits lie in occupied cells or beside one"
+        stops = f"{it.stops_in_occupied:.1%} of the looks at occupied cells"
+        yield "", f"beams stop at {stops} and {it.stops_in_free:.1%} of those at free ones"
+        yield from tell_move(it.transform, "the logs fit with --transform ")
+    if found := made.by_truth:
+        near = f"within {found.within_m:g} m"
+        yield "truth", f"{found.edges_found:.1%} of the edges of {found.truth} found {near}"
+        yield "", f"{found.edges_invented:.1%} of the occupied cells invented"
+        yield "", f"{found.occupied_called_free:.1%} of the edges called free"
+        floor = f"{found.free_called_occupied:.2%} called occupied, {found.free_found:.1%} free"
+        yield "", f"of the free cells away from walls {floor}"
+        mean, most = found.wall_distance_m, found.wall_distance_95_m
+        yield "walls", f"{mean:.3f} m from those of the truth, 95 in 100 within {most:.3f} m"
+        yield from tell_move(found.transform, "the map fits moved by ")
+    yield from (("file", file) for file in made.files)
+
+
+def tell_move(moved: Transform, text: str) -> Iterator[Row]:
+    """Say by what something was moved to fit, if it was."""
+    if moved != STAY:
+        yield "fit", f"{text}{moved.x:g},{moved.y:g},{moved.yaw:g}"

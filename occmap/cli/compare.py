@@ -12,13 +12,13 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, show_progress, write_command, write_rows
-from occmap.cli.declaring import CONFIG, LIMITS, PATH, Answer, Option, command, fail_if
+from occmap.cli.console import Console, align, write_command, write_rows
+from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if
 from occmap.difference import MapDifference
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
 from occmap.report import count, label_first, write_metres
-from occmap.report.limits import COMPARE, DIFF, TUNE, Limit, parse_bound
+from occmap.report.limits import COMPARE, DIFF, TUNE
 from occmap.scoring import SMALL
 from occmap.scoring.compare import (
     DEFAULT_MODELS,
@@ -86,8 +86,7 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
     chosen = combine([Update(text) for text in values["updates"]], values.pop("model"))
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
-    with show_progress(console) as progress:
-        comparison = compare_logs(found, chosen, common, values["picture"], progress)
+    comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
     return Answer(comparison, format_comparison(comparison))
 
 
@@ -148,8 +147,7 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     """
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
-    with show_progress(console) as progress:
-        tuning = tune(found, common, progress)
+    tuning = tune(found, common, console.advance)
     return Answer(tuning, format_tuning(tuning))
 
 
@@ -237,12 +235,6 @@ def format_gain(gain: float, error: float) -> str:
     return f"{gain:.4f} +- {error:.4f}" if math.isfinite(error) else f"{gain:.4f}"
 
 
-def limit_change(text: str) -> Limit:
-    """Read how much may have changed; raises UsageError where that is not a share."""
-    bound = parse_bound(text.strip(), DIFF[0], f"--fail-above {text}")
-    return Limit(DIFF[0], ">", bound, in_percent=text.endswith("%"), option="--fail-above")
-
-
 @command(
     "diff",
     MapDifference,
@@ -253,14 +245,7 @@ def limit_change(text: str) -> Limit:
     ),
     *options.THRESHOLDS,
     options.field(options.FILES, "edits", help="Say which changes lie in the shapes in this file."),
-    Option(
-        LIMITS,
-        "--fail-above",
-        type=limit_change,
-        metavar="SHARE",
-        help="Exit with 3 if more of the known cells changed: 0.01, or 1%.",
-    ),
-    fail_if(DIFF, "changed > 1%"),
+    fail_if(DIFF, "changed > 1%", "--fail-above"),
 )
 def diff_command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
     """Say what changed between two maps, and fail above a limit.
@@ -281,8 +266,7 @@ def diff_command(_console: Console, /, before: Path, after: Path, **values: Any)
       occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
     """
     difference = compare_files(before, after, take(WriteOptions, values), values["output"])
-    limits = list(filter(None, [values["fail_above"]]))
-    return Answer(difference, write_rows(list_changes(difference)), limits=limits)
+    return Answer(difference, write_rows(list_changes(difference)))
 
 
 def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:

@@ -5,10 +5,8 @@ import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import IntEnum
-from threading import Event, Thread
 from typing import Any
 
 import click
@@ -20,16 +18,6 @@ ORDER = re.compile(r"^(\s*):(?=:)|#(?=#\w*\[)")
 """The start of what a runner of pipelines takes for a command in its log, such as `::error::`"""
 RESULT_VERSION = 1
 """The version of what --json prints: it grows when a field changes its meaning or goes"""
-
-
-class Verbosity(IntEnum):
-    """How much a command tells."""
-
-    QUIET = 0
-    """Errors, and results that were asked for as JSON."""
-    NORMAL = 1
-    VERBOSE = 2
-    """Also what helps to find a fault in occmap itself."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +47,10 @@ class PrintedError(Printed):
 class Console:
     """The two streams, and how much goes to them."""
 
-    verbosity: Verbosity = Verbosity.NORMAL
+    quiet: bool = False
+    """Only errors are told, and results that were asked for as JSON"""
+    verbose: bool = False
+    """So is what helps to find a fault in occmap itself"""
     as_json: bool = False
     """A program reads stdout: it gets one JSON object, whatever happens"""
     answered: bool = False
@@ -68,16 +59,17 @@ class Console:
     """A map goes there: all else goes to stderr"""
     announced: list[str] = field(default_factory=list)
     """What was said of the command line itself: the first notes of a result"""
+    _bar: Any = None
 
     def put(self, lines: Iterable[str]) -> None:
         """Print a result, unless the user wants quiet."""
-        if self.verbosity is Verbosity.QUIET:
+        if self.quiet:
             return
         if self.stdout_is_taken:
             for line in lines:
                 self.tell(line)
         else:
-            put_line("\n".join(clean(spell(line)) for line in lines))
+            put_on_stdout("\n".join(clean(spell(line)) for line in lines))
 
     def tell(self, text: str) -> None:
         """Print a line to stderr; where that is closed there is nobody to tell."""
@@ -95,11 +87,11 @@ class Console:
             value = {**value, "notes": [*self.announced, *value["notes"]]}
         named = {"schema": f"occmap/{kind}/{RESULT_VERSION}", **value}
         text = spell(json.dumps(named, indent=2, allow_nan=False))
-        put_line(text.replace("##", r"\u0023#"))  # the same JSON, but no command to a CI runner
+        put_on_stdout(text.replace("##", r"\u0023#"))  # equal JSON, but no command to a CI runner
 
     def note(self, *texts: str) -> None:
         """Print what is worth knowing, unless the user wants quiet."""
-        if self.verbosity > Verbosity.QUIET:
+        if not self.quiet:
             for text in texts:
                 self.tell(f"note: {text}")
 
@@ -108,8 +100,34 @@ class Console:
         self.announced += notes
         self.note(*notes)
 
+    def advance(self, scans: int, total: int) -> None:
+        """Show on a terminal that so many more scans were read, of `total` in all."""
+        if (bar := self._show_bar()) is not None:
+            bar.total = max(total, bar.n + scans)  # an index may count too few
+            bar.update(scans)
+
+    def describe(self, phase: str) -> None:
+        """Show on a terminal which phase of the work goes on."""
+        if (bar := self._show_bar()) is not None:
+            bar.set_postfix_str(phase)
+
+    def _show_bar(self) -> Any:
+        """Show how far the work is; None where nobody would see it."""
+        is_seen = not self.quiet and sys.stderr and sys.stderr.isatty()
+        if self._bar is None and is_seen:
+            from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
+
+            self._bar = tqdm(unit=" scans", leave=False, dynamic_ncols=True)
+        return self._bar
+
+    def clear(self) -> None:
+        """Take the bar away, before anything is printed where it stands."""
+        if self._bar is not None:
+            self._bar.close()
+
     def fail(self, error: OccmapError, code: int) -> int:
         """Print an error, as JSON as well where a program waits for it; return the exit code."""
+        self.clear()
         self.tell(f"error: {error}")
         if self.as_json and not self.answered:
             parts = ErrorParts(code, error.where, " ".join(error.found.split()), error.fix)
@@ -121,7 +139,7 @@ class Console:
         """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
         import traceback  # noqa: PLC0415  late: rarely needed
 
-        if self.verbosity is Verbosity.VERBOSE:
+        if self.verbose:
             for text in "".join(traceback.format_exception(error)).splitlines():
                 self.tell(text)
         home, place = os.path.dirname(os.path.dirname(__file__)), "?"  # noqa: PTH120  as in cli
@@ -139,8 +157,9 @@ def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]
         yield f"{label:<{width}}{text}".rstrip()
 
 
-def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
+def align(rows: Iterable[Sequence[str]], labels: int = 0) -> Iterator[str]:
     """Write rows with their columns under each other; the first `labels` are flush left."""
+    table = list(rows)
     sides = "<" * labels + ">" * len(table[0])
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for row in table:
@@ -148,7 +167,7 @@ def align(table: Sequence[Sequence[str]], labels: int = 0) -> Iterator[str]:
         yield "  ".join(f"{text:{side}{width}}" for text, side, width in cells)
 
 
-def put_line(text: str) -> None:
+def put_on_stdout(text: str | bytes, nl: bool = True) -> None:
     """Print to stdout; where its reader is gone, the work goes on and its exit code counts.
 
     Raises
@@ -157,7 +176,7 @@ def put_line(text: str) -> None:
         Stdout cannot be written for any other reason.
     """
     try:
-        click.echo(text)
+        click.echo(text, nl=nl)
     except BrokenPipeError:
         discard(sys.stdout)
     except OSError as error:
@@ -201,50 +220,3 @@ def discard(stream: Any) -> None:
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, stream.fileno())
     os.close(nothing)
-
-
-REDRAW_S = 0.5
-"""The clock of the bar runs on while a long step reports nothing."""
-
-
-class Bar:
-    """Shows how far the work is, where there is a terminal to show it on."""
-
-    def __init__(self, tqdm: Any = None) -> None:
-        self._tqdm = tqdm
-
-    def __call__(self, scans: int, total: int) -> None:
-        """Show that `scans` more scans were read, of `total` in all."""
-        if self._tqdm is not None:
-            self._tqdm.total = max(total, self._tqdm.n + scans)  # an index may count too few
-            self._tqdm.update(scans)
-
-    def describe(self, text: str) -> None:
-        """Show which phase of the work goes on."""
-        if self._tqdm is not None:
-            self._tqdm.set_postfix_str(text)
-
-
-@contextmanager
-def show_progress(console: Console) -> Iterator[Bar]:
-    """Show a bar while the block runs, unless nobody would see it."""
-    if console.verbosity is Verbosity.QUIET or sys.stderr is None or not sys.stderr.isatty():
-        yield Bar()
-        return
-    from tqdm import tqdm  # noqa: PLC0415  late: only who sees a bar waits for it
-
-    with tqdm(unit=" scans", leave=False, dynamic_ncols=True) as bar:
-        done = Event()
-        clock = Thread(target=redraw, args=(bar, done), daemon=True)
-        clock.start()
-        try:
-            yield Bar(bar)
-        finally:
-            done.set()
-            clock.join()
-
-
-def redraw(bar: Any, done: Event) -> None:
-    """Draw a bar anew, with what time it is, until all is done."""
-    while not done.wait(REDRAW_S):
-        bar.refresh()

@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 
 import click
 
-from occmap.cli import COMMANDS, cli
-from occmap.cli.console import Console, Verbosity
+from occmap.cli import COMMANDS
+from occmap.cli.console import Console
 from occmap.errors import OccmapError, UsageError
+from occmap.options import FLAGS
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
-from occmap.report.limits import Failed, Limit, Measures, judge, parse_limit
+from occmap.report.limits import Failed, Limit, Measures, judge, parse_bound, parse_limit
 
 SHORT_EQUALS = re.compile("-[a-z]=")
 LIMIT_BROKEN = 3
@@ -52,8 +53,8 @@ class Option(click.Option):
 class Command(click.Command):
     """A command whose --help lists its options by section, in the order of their declaration."""
 
-    printed: type[Printed]
-    """What it prints with --json"""
+    printed: Sequence[type[Printed]]
+    """What it prints with --json: the fields of these types, one after the other"""
     usual: frozenset[str] = frozenset()
     """The options that --help lists, where it leaves the others to --help-all; none: all"""
 
@@ -94,10 +95,9 @@ def show_all(ctx: click.Context, _param: click.Parameter, is_wanted: bool) -> No
         ctx.exit()
 
 
-def choose_verbosity(ctx: click.Context, param: click.Parameter, is_wanted: bool) -> None:
-    """Choose the verbosity that an option is called after."""
-    if is_wanted:
-        ctx.ensure_object(Console).verbosity = Verbosity[str(param.name).upper()]
+def tell_console(ctx: click.Context, param: click.Parameter, is_wanted: bool) -> None:
+    """Let the console know how it is to talk."""
+    setattr(ctx.ensure_object(Console), str(param.name), is_wanted)
 
 
 def flag(section: str, *names: str, text: str, **settings: Any) -> Option:
@@ -105,10 +105,10 @@ def flag(section: str, *names: str, text: str, **settings: Any) -> Option:
     return Option(section, *names, is_flag=True, help=text, **settings)
 
 
-LOUDNESS: dict[str, Any] = {"expose_value": False, "callback": choose_verbosity}
-QUIET = flag(RUN, "-q", "--quiet", text="Print errors only, and what --json asks for.", **LOUDNESS)
-VERBOSE = flag(RUN, "-v", "--verbose", text="Print the traceback of a fault in occmap.", **LOUDNESS)
-JSON = flag(RUN, "--json", "as_json", text="Print the result as JSON.")
+TOLD: dict[str, Any] = {"expose_value": False, "callback": tell_console}
+QUIET = flag(RUN, "-q", "--quiet", text="Print errors only, and what --json asks for.", **TOLD)
+VERBOSE = flag(RUN, "-v", "--verbose", text="Print the traceback of a fault in occmap.", **TOLD)
+JSON = flag(RUN, "--json", "as_json", text="Print the result as JSON.", **TOLD)
 WHOLE: dict[str, Any] = {"expose_value": False, "callback": show_all, "is_eager": True}
 HELP_ALL = flag(RUN, "--help-all", text="Show all options and exit.", **WHOLE)
 
@@ -122,8 +122,6 @@ class Answer(NamedTuple):
     """The same for people"""
     failure: Exception | None = None
     """What ends the command with an exit code of its own, once all is printed"""
-    limits: Sequence[Limit] = ()
-    """Those that are set beside --fail-if"""
 
 
 @dataclass(frozen=True)
@@ -134,14 +132,27 @@ class Limited(Printed):
     """The limits of `limits` that the result does not keep to; any of them makes the exit code 3"""
 
 
-def fail_if(measures: Measures, example: str) -> Option:
-    """Declare the option that sets limits on what a command measures."""
+def fail_if(measures: Measures, example: str, *others: str) -> Option:
+    """Declare the option that sets limits on what a command measures.
+
+    Parameters
+    ----------
+    others
+        Flags that are followed by the number alone, above which the first measure fails.
+    """
+
+    def read(text: str) -> Limit:
+        if others and not re.search("[<>=]", text):
+            bound = parse_bound(text.strip(), measures[0], f"{others[0]} {text}")
+            return Limit(measures[0], ">", bound, text.endswith("%"), others[0])
+        return parse_limit(text, measures)
+
     text = f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. May repeat.'
+    text += "".join(f" {each} SHARE is short for {measures[0].name} > SHARE." for each in others)
     return Option(
         LIMITS,
-        "--fail-if",
-        "limits",
-        type=lambda text: parse_limit(text, measures),
+        *("--fail-if", *others, "limits"),
+        type=read,
         multiple=True,
         metavar='"NAME > NUMBER"',
         help=f"{text} Names: {', '.join(measure.name for measure in measures)}.",
@@ -173,13 +184,14 @@ def command(
 
     def decorate(function: Callable[..., Answer]) -> Command:
         @click.pass_obj
-        def run(console: Console, /, as_json: bool, **values: Any) -> None:
+        def run(console: Console, /, **values: Any) -> None:
             console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
-            failed = judge([*answer.limits, *(limits or ())], answer.result)
+            console.clear()
+            failed = judge(limits or (), answer.result)
             console.note(*getattr(answer.result, "notes", ()))
-            if as_json:
+            if console.as_json:
                 added = {} if limits is None else Limited(failed).to_json()
                 console.put_json(name, answer.result.to_json() | added)
             else:
@@ -194,7 +206,9 @@ def command(
         text = describe(function) or COMMANDS[name]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
         made = cls(name, params=own, callback=run, help=text)
-        made.printed, made.usual = printed, frozenset([*usual, "help_all"] if usual else ())
+        has_limits = any(param.name == "limits" for param in params)
+        made.printed = [printed, Limited] if has_limits else [printed]
+        made.usual = frozenset([*usual, "help_all"] if usual else ())
         return made
 
     return decorate
@@ -208,8 +222,6 @@ def describe(function: Callable[..., Any]) -> str:
 NAME = "occmap.toml"
 BESIDE = frozenset({"edits", "ground", "poses"})
 """Options that may name a file beside the file of options: it is looked for there first"""
-OTHER_COMMANDS = ("build", "compare")
-"""Between them they have the options that a file beside logs may hold."""
 
 
 class ConfigOption(Option):
@@ -229,7 +241,9 @@ class ConfigOption(Option):
         """
         path = None if ctx.resilient_parsing else find_config(opts)
         if path is not None:
-            own = list_options(ctx.command)
+            options = [each for each in ctx.command.params if isinstance(each, click.Option)]
+            flags = {flag: each for each in options for flag in each.opts}
+            own = {flag[2:]: each for flag, each in flags.items() if flag.startswith("--")}
             stated = read_config(path, ctx.command.name or "", own)
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
             for name in BESIDE.intersection(taken):
@@ -237,7 +251,7 @@ class ConfigOption(Option):
                 if PosingOptions(poses=beside).files:  # a topic in it may follow, as of poses
                     taken[name] = beside
             ctx.default_map = {
-                str(own[name].name): convert(f"{path}: {name}", own[name], value, ctx)
+                str(own[name].name): convert(path, own[name], value, ctx)
                 for name, value in taken.items()
             }
             told = [f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items()]
@@ -298,8 +312,7 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
         fix = suggest(name, list(COMMANDS), "occmap --help")
         raise UsageError(f"no command is called {name!r}", where=f"{path}: [{name}]", fix=fix)
     common = {name: value for name, value in values.items() if name not in tables}
-    others = (cli.get_command(click.Context(cli), name) for name in OTHER_COMMANDS)
-    known = {*own, *(name for each in others for name in list_options(each))} - {"config"}
+    known = {*own, *(flag[2:] for flag in FLAGS.values())} - {"config"}
     for name in chain(common, *tables.values()):
         if name not in known:
             fix = guess(name.replace("_", "-"), known) or "see `occmap build --help`"
@@ -308,31 +321,27 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
     return {name: value for name, value in stated.items() if name in own}
 
 
-def list_options(command: click.Command | None) -> dict[str, click.Option]:
-    """List the options of a command by their long names, without the dashes."""
-    options = [each for each in command.params if isinstance(each, click.Option)] if command else []
-    return {name[2:]: each for each in options for name in each.opts if name.startswith("--")}
-
-
-def convert(where: str, option: click.Option, value: Any, ctx: click.Context) -> Any:
+def convert(path: Path, option: click.Option, value: Any, ctx: click.Context) -> Any:
     """Turn a value of a file of options into what is typed; raises UsageError if it cannot be."""
+    place = f"{path}: {option.opts[-1]}"
     if option.is_flag:
         if not isinstance(value, bool):
-            raise UsageError(f"is {value!r}", where=where, fix="write true or false")
-        return value
+            raise UsageError(f"is {value!r}", where=place, fix="write true or false")
+        return option.flag_value if value else option.get_default(ctx)
     several = as_list(value)
-    if not option.multiple or (several and all(isinstance(each, int | float) for each in several)):
+    if not option.multiple or (several and isinstance(several[0], int | float)):
         several = [several]  # one sector, not many
     words = [",".join(map(str, as_list(each))) for each in several]
     if any("\0" in word for word in words):  # as on a command line, which nothing behind it expects
-        raise UsageError("holds a null character", where=where, fix="take it out")
+        raise UsageError("holds a null character", where=place, fix="take it out")
     typed = words if option.multiple else words[0]
     try:
         option.type_cast_value(ctx, typed)
     except UsageError as error:
+        where = f"{path}: {error.where}".removesuffix(": ")
         raise UsageError(error.found, where=where, fix=error.fix) from None
     except click.UsageError as error:
-        raise UsageError(error.message.rstrip("."), where=where) from None
+        raise UsageError(error.message.rstrip("."), where=place) from None
     return typed
 
 

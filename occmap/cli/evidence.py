@@ -1,6 +1,5 @@
 """`occmap merge`, `render` and `explain`: saved evidence added up, made a map, and asked about."""
 
-import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,14 @@ import click
 
 from occmap.choices import take
 from occmap.cli import options
-from occmap.cli.console import Console, align, show_progress, write_rows
-from occmap.cli.declaring import PATH, Answer, Command, Option, command, fail_if, flag
+from occmap.cli.console import Console, align, write_rows
+from occmap.cli.declaring import NUMBER, PATH, Answer, Command, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits, add_up
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.report import count, join_names, label_first, write_box, write_time
+from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.scans.logs import keep_stdin
@@ -117,13 +116,13 @@ def put_out(
     return Answer(report, write_rows(rows))
 
 
-MOST_SCANS = 12
-"""More are cut out of the middle of the list"""
-MOST_BUILDS = 6
-
-NUMBER = r"(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?"
-NEGATIVE = re.compile(f"-{NUMBER}")
-POINT = re.compile(f"-?{NUMBER},-?{NUMBER}")
+MOST_SCANS, MOST_BUILDS = 12, 6
+"""Longer lists are cut: --json has all"""
+PAIRS = {
+    EvidenceKind.COUNTS: ("hits", "misses"),
+    EvidenceKind.LOG_ODDS: ("log-odds", "observations"),
+}
+"""What the two numbers of a cell are"""
 
 
 class PointCommand(Command):
@@ -133,8 +132,10 @@ class PointCommand(Command):
         """Part X,Y, and put a space before negative numbers: no option begins with one."""
         words: list[str] = []
         for word in args:
-            words += word.split(",") if POINT.fullmatch(word) else [word]
-        return super().parse_args(ctx, [f" {w}" if NEGATIVE.fullmatch(w) else w for w in words])
+            parts = word.split(",")
+            is_point = len(parts) <= 2 and all(map(NUMBER.fullmatch, parts))
+            words += [f" {x}" if x[0] == "-" else x for x in parts] if is_point else [word]
+        return super().parse_args(ctx, words)
 
 
 @command(
@@ -164,15 +165,12 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
     values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))
     question = take(Question, values | view)
-    with show_progress(console) as progress:
-        explanation = explain(evidence, question, progress)
-    rows = [*list_cell(explanation)]
-    if values["logs"]:
-        rows += list_scans(explanation)
-    return Answer(explanation, write_rows(rows))
+    explanation = explain(evidence, question, console.advance)
+    scans = list_scans(explanation) if values["logs"] else ()
+    return Answer(explanation, write_rows([*list_cell(explanation), *scans]))
 
 
-def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
+def list_cell(explanation: Explanation) -> Iterator[Row]:
     """Say where the cell is, what it is, and what is beside it."""
     cell, seen = explanation.cell, explanation.seen
     yield "cell", f"row {cell.row}, column {cell.column}: {write_box(cell.extent)}"
@@ -188,29 +186,24 @@ def list_cell(explanation: Explanation) -> Iterator[tuple[str, str]]:
         yield from list_builds(explanation)
     if explanation.ground is not None:
         yield "ground", f"{explanation.ground:.3f} m high there, as the clouds showed it"
-    if explanation.map_extent:
-        low_x, low_y, high_x, high_y = explanation.map_extent
+    if box := explanation.map_extent:
         x, y = explanation.point
-        if not (low_x <= x < high_x and low_y <= y < high_y):
-            yield "", f"it lies outside of the map: {write_box(explanation.map_extent)}"
-    else:
-        yield "", "nor any other: the evidence is empty"
-    yield from label_first("around", list(list_around(explanation)))
+        if not (box[0] <= x < box[2] and box[1] <= y < box[3]):
+            yield "", f"it lies outside of the map: {write_box(box)}"
+    yield from label_first("around", list_around(explanation))
 
 
 def list_around(explanation: Explanation) -> Iterator[str]:
     """Draw a table of what was seen in the cell and those beside it, if anything was."""
-    kind = explanation.seen.kind
     if any(each.observations for row in explanation.around for each in row):
-        names = "hits/misses" if kind is EvidenceKind.COUNTS else "log-odds/observations"
-        table = [
+        yield f"{'/'.join(PAIRS[explanation.seen.kind])} of the cells beside it, y upwards"
+        yield from align(
             ["/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row]
             for row in explanation.around
-        ]
-        yield from (f"{names} of the cells beside it, y upwards", *align(table))
+        )
 
 
-def list_builds(explanation: Explanation) -> Iterator[tuple[str, str]]:
+def list_builds(explanation: Explanation) -> Iterator[Row]:
     """Say on how many visits each build observed the cell, and when; and then all together."""
     shown = explanation.builds[:MOST_BUILDS]
     for index, build in enumerate(shown):
@@ -238,19 +231,15 @@ def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
     return f"{first:.15g}", f"{second:.15g}"
 
 
-def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
-    """Sum up the scans that observed the cell, and list the first and the last of them."""
+def list_scans(explanation: Explanation) -> Iterator[Row]:
+    """Sum up the scans that observed the cell, and list the first of them."""
     scans = explanation.scans
     used = f"of {count(explanation.scans_used, 'scan')} used"
     if not scans:
         yield "scans", f"none {used} observed the cell"
         return
-    yield "scans", f"{len(scans):,} {used}: {describe_sum(explanation)}"
-    half = MOST_SCANS // 2
-    shown = scans if len(scans) <= MOST_SCANS else (*scans[:half], *scans[-half:])
-    counts = explanation.seen.kind is EvidenceKind.COUNTS
-    names = ("hits", "misses") if counts else ("log-odds", "obs.")
-    head = ("stamp (s)", *names, "sensor at (m)", "away (m)", "from")
+    kind, unit = explanation.seen.kind, explanation.unit
+    yield "scans", f"{len(scans):,} {used}: {describe_numbers(add_up(scans), kind, unit)}"
     rows = [
         (
             f"{scan.stamp_ns / 1e9:.3f}",
@@ -259,20 +248,9 @@ def list_scans(explanation: Explanation) -> Iterator[tuple[str, str]]:
             f"{scan.distance:.3f}",
             f"{Path(scan.log).name} {scan.topic}",
         )
-        for scan in shown
+        for scan in scans[:MOST_SCANS]
     ]
-    for index, line in enumerate(align([head, *rows])):
-        if index == half + 1 and len(shown) < len(scans):
-            yield "", f"... {len(scans) - len(shown):,} more: --json lists all ..."
-        yield "", line
-
-
-def describe_sum(explanation: Explanation) -> str:
-    """Say how many scans spoke for what, and what they add up to."""
-    pairs, kind = [each.seen.numbers for each in explanation.scans], explanation.seen.kind
-    sums = describe_numbers(add_up(explanation.scans), kind, explanation.unit)
-    if kind is EvidenceKind.LOG_ODDS:
-        raised, lowered = sum(first > 0 for first, _ in pairs), sum(first < 0 for first, _ in pairs)
-        return f"{raised:,} for occupied, {lowered:,} for free; {sums}"
-    hit, cleared = sum(first > 0 for first, _ in pairs), sum(second > 0 for _, second in pairs)
-    return f"{hit:,} hit it, {cleared:,} cleared it; {sums}"
+    head = ("stamp (s)", *PAIRS[kind], "sensor at (m)", "away (m)", "from")
+    yield from (("", line) for line in align([head, *rows]))
+    if len(scans) > MOST_SCANS:
+        yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"

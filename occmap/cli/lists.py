@@ -4,7 +4,7 @@ import inspect
 import json
 import operator
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from enum import EnumType
 from functools import reduce
 from types import NoneType, UnionType
@@ -13,10 +13,10 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import click
 
 from occmap.cli import COMMANDS, cli
-from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_line, spell
-from occmap.cli.declaring import QUIET, VERBOSE, Answer, Command, Limited, command, describe
+from occmap.cli.console import RESULT_VERSION, Console, PrintedError, put_on_stdout, spell
+from occmap.cli.declaring import QUIET, VERBOSE, Answer, Command, command, describe
 from occmap.plugins import Broken, Group, load_plugins
-from occmap.report import Printed, list_printed, read_texts
+from occmap.report import Printed, list_printed, printed_as, read_texts
 
 
 @dataclass(frozen=True)
@@ -31,49 +31,19 @@ class Listed:
     """Those of a sensor model with their defaults; empty for readers and writers"""
 
 
-@dataclass(frozen=True)
-class Models(Printed):
-    """Sensor models: what occmap models prints."""
-
-    models: list[Listed]
-    """Sensor models"""
-    broken: list[Broken]
-    """Plugins that do not load"""
-
-
-@dataclass(frozen=True)
-class Readers(Printed):
-    """Log formats: what occmap readers prints."""
-
-    readers: list[Listed]
-    """Log formats"""
-    broken: list[Broken]
-    """Plugins that do not load"""
-
-
-@dataclass(frozen=True)
-class Writers(Printed):
-    """Map formats: what occmap writers prints."""
-
-    writers: list[Listed]
-    """Map formats"""
-    broken: list[Broken]
-    """Plugins that do not load"""
-
-
-KINDS: dict[str, tuple[Group, type[Models | Readers | Writers]]] = {
-    "models": ("occmap.models", Models),
-    "readers": ("occmap.readers", Readers),
-    "writers": ("occmap.writers", Writers),
-}
-"""Which plugins each of these commands lists, and what it prints"""
-
-
-def make_command(kind: str) -> click.Command:
+def make_command(kind: str, group: Group) -> click.Command:
     """Make the command that lists the plugins of a kind."""
-    group, printed = KINDS[kind]
 
-    @command(kind, printed)
+    @dataclass(frozen=True)
+    class Plugins(Printed):
+        """What is installed."""
+
+        working: list[Listed] = field(metadata=printed_as(kind))
+        """Plugins that can be used, those of occmap itself, too"""
+        broken: list[Broken]
+        """Plugins that do not load"""
+
+    @command(kind, Plugins)
     def list_plugins(_console: Console, /) -> Answer:
         loaded, broken = load_plugins(group)
         working = []
@@ -81,12 +51,14 @@ def make_command(kind: str) -> click.Command:
             parameters: Any = fields(plugin) if kind == "models" else ()
             defaults = {each.name: each.default for each in parameters}
             working.append(Listed(name, plugin.description, defaults))
-        return Answer(printed(working, broken), format_plugins(working, broken))
+        return Answer(Plugins(working, broken), format_plugins(working, broken))
 
     return list_plugins
 
 
-models_command, readers_command, writers_command = map(make_command, KINDS)
+models_command = make_command("models", "occmap.models")
+readers_command = make_command("readers", "occmap.readers")
+writers_command = make_command("writers", "occmap.writers")
 
 
 def format_plugins(working: Sequence[Listed], broken: Sequence[Broken]) -> Iterator[str]:
@@ -126,23 +98,15 @@ def print_schema(name: str) -> None:
       occmap schema build
       occmap schema error
     """
-    put_line(spell(json.dumps(make_schema(name, *list_printed_types(name)), indent=2)))
+    made: Any = cli.get_command(click.get_current_context(), name)
+    kinds = made.printed if made else [PrintedError]
+    put_on_stdout(spell(json.dumps(make_schema(name, *kinds), indent=2)))
 
 
 NAME = click.Argument(["name"], type=click.Choice(NAMES), metavar="COMMAND")
 schema_command = Command(
     "schema", params=[NAME, QUIET, VERBOSE], callback=print_schema, help=describe(print_schema)
 )
-
-
-def list_printed_types(name: str) -> list[Any]:
-    """List the types whose fields a command prints, one after the other."""
-    if name == "error":
-        return [PrintedError]
-    made = cli.get_command(click.get_current_context(), name)
-    assert isinstance(made, Command)
-    has_limits = any(param.name == "limits" for param in made.params)
-    return [made.printed, *([Limited] if has_limits else [])]
 
 
 def make_schema(name: str, *kinds: Any) -> Schema:

@@ -6,8 +6,6 @@ patterns, stdin and stdout.
 
 import math
 import os
-import shutil
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,35 +16,27 @@ from typing import Any
 
 import click
 
-from occmap.choices import list_options, parse_number
-from occmap.cli.console import Console, spell
+from occmap.choices import list_options
+from occmap.cli.console import Console, put_on_stdout, spell
 from occmap.cli.declaring import PATH, RUN, Option
 from occmap.clouds import CloudOptions
-from occmap.errors import OutputError, UsageError
+from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.grid.rendering import Framing
-from occmap.options import (
-    FLAGS,
-    OPTIONS,
-    BuildOptions,
-    Selection,
-    name_map,
-)
+from occmap.options import FLAGS, OPTIONS, BuildOptions, Selection, name_map
 from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
 from occmap.report.results import Report
 from occmap.scans.logs import find_inputs, keep_stdin
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
-from occmap.writers import Shade, find_writer
+from occmap.writers import find_writer
 
 BY_THEMSELVES = ("align", "shade")
-"""Options that are typed in ways of their own"""
+"""Options that are listed by themselves"""
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
-TYPES = {float: float, int: int, Path: PATH, str: None, tuple[str, ...]: None}
-"""How click reads the values of a type; those of any other are several numbers, or an enum's"""
 MAP, MODEL = "Map", "Sensor model"
 SCANS, POSES, FILES = "Which scans", "Where the scans were taken", "Files"
 
@@ -57,24 +47,23 @@ def field(section: str, name: str, *short: str, **more: Any) -> Option:
     It may have a `short` flag as well, and `more` settings, which replace these.
     """
     known = OPTIONS[name]
-    kind, default, is_many = known.kind, known.default, known.default == ()
+    kind, default = known.kind, known.default
     settings: dict[str, Any] = {
+        "type": known.read_one,
         "metavar": known.metavar or None,
-        "multiple": is_many,
-        "help": spell(known.help) + " May repeat." * is_many,
+        "multiple": known.is_many,
+        "help": spell(known.help) + " May repeat." * known.is_many,
     }
     if isinstance(kind, EnumType):
         settings["type"] = click.Choice(list(map(str, kind)))
         settings["callback"] = lambda _ctx, _param, value: kind(value)
         settings |= {"default": default.value, "show_default": True}
     elif kind is bool:
-        settings["is_flag"] = True
-    elif known.form:
-        settings["type"] = known.parse
-    else:
-        settings["type"] = TYPES[kind]
-        if isinstance(default, int | float):
-            settings |= {"default": default, "show_default": math.isfinite(default)}
+        settings |= {"is_flag": True, "type": None}
+    elif kind is Path:
+        settings["type"] = PATH
+    elif isinstance(default, int | float):
+        settings |= {"default": default, "show_default": math.isfinite(default)}
     return Option(section, *short, known.flag, name, **settings | more)
 
 
@@ -110,33 +99,17 @@ def one_output(name: str, metavar: str, text: str) -> Option:
     return Option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
 
 
-def parse_align(text: str) -> float | None:
-    """Read an angle in degrees, or the word that leaves it to the scans; raises UsageError."""
-    word = OPTIONS["align"].none[0]
-    form = f"write degrees such as 12.5, or {word}"
-    return None if text == word else parse_number(text, f"--align {text}", form)
-
-
 LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
 RESOLUTION = field(MAP, "resolution", "-r")
 MAX_CELLS = field(MAP, "max_cells", type=click.IntRange(min=1))
 MIN_PASSES = field(MAP, "min_passes")
 ALIGN = field(
-    MAP,
-    "align",
-    bare=OPTIONS["align"].none[0],
-    type=parse_align,
-    default="0",
-    metavar="[DEG]",
-    show_default="not turned",
+    MAP, "align", bare=OPTIONS["align"].none[0], metavar="[DEG]", show_default="not turned"
 )
 LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
 FRAMING = group(MAP, Framing)
 RANGES_READ = group("What a range means", ReturnOptions)
-SCANS_READ = [
-    *group(SCANS, Selection, ReaderOptions, CloudOptions),
-    *group(POSES, PosingOptions),
-]
+SCANS_READ = [*group(SCANS, Selection, ReaderOptions, CloudOptions), *group(POSES, PosingOptions)]
 READING = [*RANGES_READ, *SCANS_READ]
 THRESHOLDS = fields(FILES, "occupied_thresh", "free_thresh")
 WRITING = [
@@ -150,14 +123,7 @@ WRITING = [
     ),
     *fields(FILES, "edits", "georeference", "mode"),
     *THRESHOLDS,
-    Option(
-        FILES,
-        FLAGS["shade"],
-        "shade",
-        is_flag=True,
-        callback=lambda _ctx, _param, is_light: Shade("light" if is_light else "dark"),
-        help=OPTIONS["shade"].help,
-    ),
+    field(FILES, "shade", is_flag=True, type=str, flag_value="light", show_default=False),
 ]
 JOBS = field(RUN, "jobs", show_default="one for each core")
 
@@ -218,9 +184,9 @@ def gather_logs(
     """
     given = click.get_current_context().with_resource(keep_stdin(paths))
     others = [*outputs, *options.posing.files]
-    found = find_inputs(given, options.reading, others)
-    console.announce(*found.notes)
-    return found.logs
+    recordings, notes = find_inputs(given, options.reading, others)
+    console.announce(*notes)
+    return recordings
 
 
 def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tuple[Path, ...]:
@@ -230,14 +196,28 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
     ----------
     first
         The first input, after which a map in a folder is called.
+
+    Raises
+    ------
+    UsageError
+        More is meant for stdout than one file, or a format that is a folder.
     """
     placed = tuple(
         path / f"{name_map(str(first))}.pgm" if os.path.isdir(path) and not path.suffix else path  # noqa: PTH112  a name may be too long
         for path in outputs
     )
-    if all(path.stem != STDOUT for path in placed):
+    sent = [path for path in placed if path.stem == STDOUT]
+    if not sent:
         return placed
-    return click.get_current_context().with_resource(send_to_stdout(console, placed))
+    if len(sent) > 1 or console.as_json:
+        raise UsageError("stdout takes one map and nothing else", fix="give another name to -o")
+    suffix = sent[0].suffix or ".pgm"
+    if find_writer(sent[0].with_suffix(suffix)).is_folder:
+        found = f"a {suffix} is a folder, which stdout cannot take"
+        raise UsageError(found, where=sent[0], fix=f"name the folder, such as -o map{suffix}")
+    console.stdout_is_taken = True
+    saved = click.get_current_context().with_resource(send_to_stdout(f"stdout{suffix}"))
+    return tuple(saved if path in sent else path for path in placed)
 
 
 def hide_sent(report: Report) -> Report:
@@ -247,32 +227,10 @@ def hide_sent(report: Report) -> Report:
 
 
 @contextmanager
-def send_to_stdout(console: Console, outputs: Sequence[Path]) -> Iterator[tuple[Path, ...]]:
-    """Write an output to a file while the command runs, and then to stdout.
-
-    Raises
-    ------
-    UsageError
-        More is meant for stdout than one file, or a format that is a folder.
-    """
-    name, *others = (path for path in outputs if path.stem == STDOUT)
-    if others or console.as_json:
-        raise UsageError("stdout takes one map and nothing else", fix="give another name to -o")
-    file_name = name.with_suffix(name.suffix or ".pgm")
-    if find_writer(file_name).is_folder:
-        found = f"a {name.suffix} is a folder, which stdout cannot take"
-        raise UsageError(found, where=name, fix=f"name the folder, such as -o map{name.suffix}")
-    console.stdout_is_taken = True
+def send_to_stdout(name: str) -> Iterator[Path]:
+    """Give a file to write to while a command runs, and then send it to stdout."""
     with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
-        saved = Path(folder) / f"stdout{file_name.suffix}"
-        yield tuple(saved if path == name else path for path in outputs)
+        saved = Path(folder) / name
+        yield saved
         if saved.exists():
-            try:
-                with saved.open("rb") as file:
-                    shutil.copyfileobj(file, sys.stdout.buffer)
-                sys.stdout.buffer.flush()
-            except BrokenPipeError:  # its reader has seen enough
-                raise
-            except OSError as error:
-                found = f"cannot be written ({error.strerror})"
-                raise OutputError(found, where="stdout") from None
+            put_on_stdout(saved.read_bytes(), nl=False)

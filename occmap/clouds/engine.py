@@ -4,19 +4,27 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
-from threading import Lock
 
 import numpy as np
 
-from occmap.cells import Ground, Slices
+from occmap.cells import Ground
 from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import Cloud, find_reach, list_clouds
-from occmap.clouds.kernels.tracing import COUNTS, SECTORS, Band, Canvas, lay_ground, trace_cloud
+from occmap.clouds.kernels.tracing import (
+    COUNTS,
+    SECTORS,
+    Band,
+    Canvas,
+    lay_ground,
+    make_room,
+    trace_cloud,
+)
 from occmap.grid import CellBox, Lattice
+from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, mark_observed, unite, view_tiles
+from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 SLACK_M = 0.096
@@ -37,11 +45,15 @@ class Sheet:
         self.lattice, self.blocks, self.height = lattice, blocks, height
         table = np.full(box.shape, -2, np.int32)
         self.canvas = allocate(table, np.array(box[:2], np.int64), FIRST_TILES)
-        self.used = 0
         self.number = 0
         """The slice of time of what it holds"""
         self.counts = np.zeros(COUNTS, np.int64)
-        self.touched = np.zeros(0, np.int32)
+        self.room = make_room(0, 0)
+
+    @property
+    def used(self) -> int:
+        """How many tiles it has."""
+        return int(self.canvas.used[0])
 
     def reach(self, origins: Float64, metres: float) -> None:
         """Lay out the tiles up to so far from places (N, 3)."""
@@ -49,64 +61,59 @@ class Sheet:
         table, corner = self.canvas.table, self.canvas.corner
         low = np.maximum(np.array(box[:2]) - corner, 0)
         high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
-        inside = np.concatenate([low, high])
-        resolution = self.lattice.resolution
-        while True:
-            used = lay_ground(self.blocks, self.height, self.canvas, inside, resolution, self.used)
-            if used >= 0:
-                self.used = used
-                return
-            self.used = -1 - used
+        inside, heights = np.concatenate([low, high]), np.empty(TILE * TILE, np.int32)
+        where = inside, self.lattice.resolution, heights
+        while not lay_ground(self.blocks, self.height, self.canvas, *where):
             grown = allocate(table, corner, 2 * self.used)
-            for layer in ("places", "counts", "state", "ground", "base"):
-                getattr(grown, layer)[: self.used] = getattr(self.canvas, layer)
+            for layer in ("places", "base", "ground", "state", "counts", "used"):
+                old = getattr(self.canvas, layer)
+                getattr(grown, layer)[: len(old)] = old
             self.canvas = grown
 
     def observe(self, clouds: Sequence[Cloud], band: Band) -> None:
         """Observe the cells of some clouds."""
-        farthest = min(max(map(find_reach, clouds)), band.farthest)
+        farthest = min(max(map(find_farthest, clouds)), band.farthest)
         self.reach(np.array([cloud.origin for cloud in clouds]), farthest)
-        cells = int(farthest / self.lattice.resolution) + 2
-        most = max(len(cloud.points) for cloud in clouds) + SECTORS * 2 * cells
-        room = min(most, self.used * TILE * TILE) + 1
-        if len(self.touched) < room:
-            self.touched = np.empty(room, np.int32)
+        points = max(len(cloud.points) // 3 for cloud in clouds)
+        beams = SECTORS * 2 * (int(farthest / self.lattice.resolution) + 2)
+        cells = min(points + beams, self.used * TILE * TILE)
+        if len(self.room.floor) < points or len(self.room.touched) <= cells:
+            self.room = make_room(points, cells)
         scale = self.lattice.units_per_metre
         for cloud in clouds:
-            trace_cloud(cloud, band, self.canvas, scale, self.touched, self.counts)
+            trace_cloud(cloud, band, self.canvas, scale, self.room, self.counts)
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""
-        cells = self.canvas.counts[: self.used].reshape(-1, 2, TILE, TILE)
+        cells = self.canvas.counts.reshape(-1, 2, TILE, TILE)[: self.used]
         seen = cells.any(axis=(1, 2, 3))
         places, taken = self.canvas.places[: self.used][seen], cells[seen]
         cells[seen] = 0
         return places, taken
 
 
+def find_farthest(cloud: Cloud) -> float:
+    """How far from the sensor no point of a cloud is (m)."""
+    return find_reach(cloud.points) + math.dist(cloud.poses[0, :, 3], cloud.origin)
+
+
 def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
     """Make a canvas with room for so many tiles."""
-    size = TILE * TILE
-    return Canvas(
-        table,
-        corner,
-        np.zeros((tiles, 2), np.int64),
-        np.zeros((tiles, 2, size), np.int32),
-        np.zeros((tiles, size), np.uint8),
-        np.zeros((tiles, size), np.int16),
-        np.zeros(tiles, np.int32),
-    )
+    places, size = np.zeros((tiles, 2), np.int64), tiles * TILE * TILE
+    ground, state = np.zeros(size, np.int16), np.zeros(size, np.uint8)
+    counts, used = np.zeros(2 * size, np.int32), np.zeros(1, np.int64)
+    return Canvas(table, corner, places, np.zeros(tiles, np.int32), ground, state, counts, used)
 
 
-class CloudEngine:
-    """Adds up what clouds observe over the ground; any number of threads may call `add`.
+class CloudEngine(Engine):
+    """Adds up what clouds observe over the ground.
 
     Parameters
     ----------
     limits
         Points between these distances from the sensor count (m).
     slice_ns
-        It keeps what each slice of time observed, if they are so long; None: it keeps none.
+        As of `Engine`.
     """
 
     def __init__(
@@ -117,7 +124,7 @@ class CloudEngine:
         limits: tuple[float, float],
         slice_ns: int | None = None,
     ) -> None:
-        self.grid = TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT)
+        super().__init__(TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT), slice_ns)
         self.ground = ground
         blocks = index_blocks(ground.blocks)
         # A table of its own for each thread, of tiles around all ground.
@@ -131,58 +138,40 @@ class CloudEngine:
         margin = options.range_margin
         level = SLACK_M / margin if margin else math.inf
         self._band = Band(low, high, margin * 1000, level, nearest, farthest)
-        self._slice_ns = slice_ns
-        self._slices: list[Slices] = []
-        self._idle: list[Sheet] = []
-        self._lock = Lock()
 
     def add(self, posed: PosedScans) -> None:
         """Observe the cells of some clouds."""
         clouds = list(list_clouds(posed))
-        numbers = (posed.batch.stamp_ns // (self._slice_ns or 1 << 62)).tolist()
+        numbers = self._number(posed.batch.stamp_ns).tolist()
         with self._lock:
             sheet = self._idle.pop() if self._idle else self._make_sheet()
         for number, some in groupby(range(len(clouds)), numbers.__getitem__):
             if sheet.number != number:
-                self._fold(sheet)
+                self._empty(sheet)
                 sheet.number = number
             sheet.observe([clouds[i] for i in some], self._band)
         with self._lock:
             self._idle.append(sheet)
 
-    def _fold(self, sheet: Sheet) -> None:
-        """Add what a sheet holds to the whole, and empty it."""
+    def _empty(self, sheet: Sheet) -> None:
         places, cells = sheet.empty()
-        if not len(places):
-            return
-        grid = TileGrid(self.grid.lattice, EvidenceKind.COUNTS, NEAR_WEIGHT)
-        grid.add(view_tiles(places, cells), int(cells.max()))
-        seen = None if self._slice_ns is None else mark_observed(grid, sheet.number)
-        with self._lock:
-            self.grid.merge(grid)
-            self._slices += [] if seen is None else [seen]
+        if len(places):
+            self._keep(view_tiles(places, cells), int(cells.max()), sheet.number)
 
     @property
     def points(self) -> dict[str, int]:
-        """What became of all points so far, by kind."""
+        """As of `Engine`."""
         counts = sum((sheet.counts for sheet in self._idle), np.zeros(COUNTS, np.int64))
         return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
 
     @property
     def bytes_held(self) -> int:
-        """How much memory holds what was observed so far, about."""
-        tiles = sum(sheet.used for sheet in self._idle) + len(self.grid.tiles)
-        return tiles * TILE_BYTES
+        """As of `Engine`, and what the sheets take."""
+        tiles: int = sum(sheet.used for sheet in self._idle)
+        return super().bytes_held + tiles * TILE_BYTES
 
     def finish(self) -> TileGrid:
         """Give the evidence; more may be added later."""
         for sheet in self._idle:
-            self._fold(sheet)
+            self._empty(sheet)
         return self.grid
-
-    def read_slices(self) -> tuple[Slices, ...]:
-        """Which cells each slice observed of what `finish` gave; none where none are kept."""
-        if self._slice_ns is None:
-            return ()
-        self._slices = [unite(self._slices)]
-        return tuple(self._slices)

@@ -16,7 +16,18 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import BIN_MM, EMPTY, FAR_M, WIDE, Cloud, Histogram, list_clouds
+from occmap.clouds.kernels.heights import (
+    BIN_MM,
+    EMPTY,
+    FAR_M,
+    ROOM,
+    SOME,
+    WIDE,
+    Cloud,
+    Histogram,
+    count_heights,
+    list_clouds,
+)
 from occmap.errors import MapError
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
@@ -25,18 +36,15 @@ POINTS_A_CLOUD = 25_000
 LEAST_SHARE = 0.25
 FEWEST_CLOUDS = 100
 """About so many clouds of a build are counted at least, if it has them."""
-LEAST_DEPTH, MOST_DEPTH = 100, 3000
+DEPTHS = 100, 3000
 """The ground lies so far below a sensor (mm)."""
-BESIDE, UNDER = (7, 20, 40), 2
-"""Columns beside the path that the ground grows from, and those that the robot stands on; it is
-looked for farther away only where nearer ones hold too few points"""
+BESIDE, BY, UNDER = (7, 20, 40), 27, 2
+"""Columns beside the path that the ground grows from, that the robot passes by, and that it stands
+on; ground is looked for farther away only where nearer columns hold too few points"""
 FEWEST_SEEDS = 100
-STEP_MM = 80
-"""The ground of a column is at most this far from the mean of what is beside it."""
-ALIKE_MM = 90
-"""Peaks this far apart are one surface, for a step as high as the clearance is none"""
 KNOWN_POINTS = 1000
 """Points that are taken to show ground that is known"""
+NO_PEAKS = Peaks(*np.zeros((4, 0), np.int32))
 REACHES = (1, 2, 4, 8, 16)
 """How far the ground reaches over columns without points (columns), one after the other"""
 PASSES = 2
@@ -102,9 +110,12 @@ class GroundFinder:
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(1 << 14)
         path, sample = [], []
+        place, listed = np.empty((3, SOME)), np.empty((2, SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start = 0
-            while (start := heights.count_heights(cloud, table, start)) < len(cloud.points):
+            while 3 * (start := count_heights(cloud, table, start, place, listed)) < len(
+                cloud.points
+            ):
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
@@ -120,7 +131,7 @@ class GroundFinder:
         for other in self._idle[1:]:
             size = 1 << (2 * int(table.used[0] + other.used[0])).bit_length()
             table = grow_table(table, max(size, len(table.keys)))
-            heights.add_histogram(other.keys, other.counts, table)
+            heights.add_histogram(other, table)
         self._idle = [table]
         path = thin_path(np.array(self._path).reshape(-1, 3))
         return Counted(table, path, np.concatenate([np.zeros((0, 3)), *self._sample]))
@@ -150,17 +161,19 @@ class GroundFinder:
 
 def sample_points(cloud: Cloud) -> Float64:
     """Place some points (N, 3) of a cloud, those that are finite (m)."""
-    points, pose = pose_points(cloud, max(len(cloud.points) // UPRIGHT_POINTS, 1))
+    points, pose = pose_points(cloud, UPRIGHT_POINTS)
     with np.errstate(invalid="ignore"):
         place = np.einsum("nij,nj->ni", pose[:, :, :3], points) + pose[:, :, 3]
     return np.asarray(place[np.isfinite(place).all(axis=1)])
 
 
-def pose_points(cloud: Cloud, every: int) -> tuple[Float64, Float64]:
-    """Take every n-th point (N, 3) of a cloud, and the pose (N, 3, 4) of each."""
-    points = cloud.points[::every].astype(np.float64)
-    which = cloud.which[::every] if cloud.which.size else np.zeros(len(points), np.int64)
-    return points, cloud.poses[which]
+def pose_points(cloud: Cloud, about: int) -> tuple[Float64, Float64]:
+    """Take about so many points (N, 3) of a cloud, and the pose (N, 3, 4) of each."""
+    points = cloud.points.reshape(-1, 3)
+    every = max(len(points) // about, 1)
+    some = points[::every].astype(np.float64)
+    which = cloud.which[::every] if cloud.which.size else np.zeros(len(some), np.int64)
+    return some, cloud.poses[which]
 
 
 def make_table(size: int) -> Histogram:
@@ -172,7 +185,7 @@ def make_table(size: int) -> Histogram:
 def grow_table(table: Histogram, size: int) -> Histogram:
     """Copy a table to one with room for more."""
     grown = make_table(size)
-    heights.add_histogram(table.keys, table.counts, grown)
+    heights.add_histogram(table, grown)
     return grown
 
 
@@ -204,51 +217,83 @@ def find_ground(
         No ground is found.
     """
     columns = read_columns(table, path, known)
-    blocks, peaks, filled = columns
-    depth, spread, beside = measure_depth(columns, path, options.sensor_height)
+    blocks = columns.blocks
+    depths = measure_depth(columns, path, options.sensor_height)
     if options.ground == FLAT:
-        return make_flat(path, depth), []
-    span = np.array([beside, UNDER, depth - spread, depth + spread], np.int64)
-    shown, level = peaks, np.empty_like(peaks.first)
-    grown = []
-    for _ in range(PASSES):
-        found = grow(columns._replace(peaks=shown), path, span, known)
-        grown.append(found)
-        growth.drop_raised(blocks, found, level)
-        raised = np.flatnonzero(level != found.height)
-        shown = lower(shown, raised, level[raised], found.weight[raised])
-    growth.restore_levels(blocks, grown[0], level)
-    base = np.empty_like(level)
-    growth.smooth_ground(blocks, shown, level, ALIKE_MM, base)
-    lay_known(blocks, known, found._replace(height=base))
-    measured = base != NO_GROUND
+        return make_flat(path, depths.ground), []
+    height = grow(columns, path, depths, known)
+    measured = height != NO_GROUND
     if not measured.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-    growth.fill_ground(blocks, base, FILLED)
-    plane = fit_plane(blocks, base, measured)
+    fill(blocks, height, FILLED)
+    plane = fit_plane(blocks, height, measured)
     if plane is not None:
-        beyond = base == NO_GROUND
-        growth.fill_ground(blocks, base, LEVEL_FILLED - FILLED)
-        beyond &= base != NO_GROUND
-        base[beyond] = plane[beyond]
+        beyond = height == NO_GROUND
+        fill(blocks, height, LEVEL_FILLED - FILLED)
+        beyond &= height != NO_GROUND
+        height[beyond] = plane[beyond]
     note = (
-        f"the sensor is {depth / 1000:.2f} m above the ground, which was found for "
-        f"{np.count_nonzero(measured):,} of {filled:,} columns of 0.15 m"
+        f"the sensor is {depths.ground / 1000:.2f} m above the ground, which was found for "
+        f"{np.count_nonzero(measured):,} of {columns.filled:,} columns of 0.15 m"
     )
-    return pack_ground(blocks, base, measured), [note, *list_storeys(path)]
+    return pack_ground(blocks, height, measured), [note, *list_storeys(path)]
 
 
-def grow(columns: Columns, path: Int64, span: Int64, known: Ground | None) -> Found:
-    """Let the ground grow from under the path."""
+class Depths(NamedTuple):
+    """How far below the sensor the ground lies (mm)."""
+
+    ground: int
+    spread: int
+    """By how much that differs"""
+    beside: int
+    """So far beside the path this was seen (columns)"""
+
+
+def grow(columns: Columns, path: Int64, depths: Depths, known: Ground | None) -> Int32:
+    """Let the ground grow from under the path, without what is low and stands on it (C,)."""
     blocks, peaks, _ = columns
-    height = np.full_like(peaks.first, NO_GROUND)
+    height, queue = np.empty_like(peaks.first), np.empty((2, len(peaks.first)), np.int64)
+    reach, (depth, spread, _) = (depths.beside, BY, UNDER), depths
+    grown = []
+    for _ in range(PASSES):
+        found = look_beside(columns, path, reach, (depth - spread, depth + spread))[0]
+        lay_known(blocks, known, found)
+        for apart in REACHES:
+            if growth.grow_ground(blocks, peaks, found, apart, height.size, queue) and apart > 1:
+                growth.grow_ground(blocks, peaks, found, 1, height.size, queue)
+        growth.drop_raised(blocks, found, height)
+        raised = np.flatnonzero(height != found.height)
+        peaks = lower(peaks, raised, height[raised], found.weight[raised])
+        columns = columns._replace(peaks=peaks)
+        grown.append(found)
+    growth.restore_levels(blocks, grown[0], height)
+    smooth = np.empty_like(height)
+    growth.smooth_ground(blocks, peaks, height, smooth)
+    lay_known(blocks, known, found._replace(height=smooth))
+    return smooth
+
+
+def fill(blocks: Blocks, height: Int32, rounds: int) -> None:
+    """Fill columns without ground (C,) by the mean of those beside them, one ring a round."""
+    found = Found(height, np.zeros_like(height), np.zeros(0, np.uint8))
+    growth.grow_ground(blocks, NO_PEAKS, found, 1, rounds, np.empty((2, len(height)), np.int64))
+
+
+def look_beside(
+    columns: Columns, path: Int64, reach: tuple[int, int, int], band: tuple[int, int]
+) -> tuple[Found, Int64]:
+    """Take as ground what lies so deep below the sensor, beside its path.
+
+    Returns
+    -------
+    found, depths
+        The ground, and how many peaks lie in each `BIN_MM` of the band.
+    """
+    height = np.full_like(columns.peaks.first, NO_GROUND)
     found = Found(height, np.zeros_like(height), np.zeros(len(height), np.uint8))
-    growth.seed_ground(blocks, peaks, path, span, found)
-    lay_known(blocks, known, found)
-    for reach in REACHES:
-        if growth.grow_ground(blocks, peaks, found, STEP_MM, reach) and reach > 1:
-            growth.grow_ground(blocks, peaks, found, STEP_MM, 1)
-    return found
+    depths = np.zeros((band[1] - band[0]) // BIN_MM + 1, np.int64)
+    growth.look_beside(columns.blocks, columns.peaks, path, reach, band, found, depths)
+    return found, depths
 
 
 def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
@@ -318,19 +363,21 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns
     kept = np.flatnonzero(table.keys != EMPTY)
     kept = kept[np.argsort(table.keys[kept])]
     keys, counts = table.keys[kept], table.counts[kept]
-    room = 8 * len(keys) + 8
-    column, level = np.empty(room, np.int64), np.empty(room, np.int32)
-    weight = np.empty(room, np.int32)
-    many = heights.list_peaks(keys, counts, column, level, weight)
     every = np.unique(keys >> heights.PIECE_BITS)
+    many = np.zeros(len(every), np.int32)
+    level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
+    found = heights.list_peaks(keys, counts, np.empty(ROOM, np.int64), many, level, weight)
+    level, weight = level[:found].copy(), weight[:found].copy()
     start = path[:1, 1::-1] // COLUMN_MM - WIDE // 2
     packed = np.stack([every >> 21, every % WIDE], axis=1)
-    blocks = make_blocks(start + (packed - start) % WIDE, known)
-    size = len(blocks.places) << 2 * BLOCK_BITS
-    none = np.zeros(size, np.int32)
-    peaks = Peaks(none, none.copy(), level[:many].copy(), weight[:many].copy())
-    growth.index_peaks(blocks, column[:many], peaks)
-    return Columns(blocks, peaks, len(every))
+    places = start + (packed - start) % WIDE
+    blocks = make_blocks(places, known)
+    row, col = places.T
+    block = blocks.table[tuple(((places >> BLOCK_BITS) - blocks.corner).T)].astype(np.int64)
+    at = (block << 2 * BLOCK_BITS) | ((row % BLOCK) << BLOCK_BITS) | (col % BLOCK)
+    first, of_column = np.zeros((2, len(blocks.places) << 2 * BLOCK_BITS), np.int32)
+    first[at], of_column[at] = np.cumsum(many) - many, many
+    return Columns(blocks, Peaks(first, of_column, level, weight), len(every))
 
 
 def make_blocks(columns: Int64, known: Ground | None) -> Blocks:
@@ -351,12 +398,8 @@ def index_blocks(places: Int64) -> Blocks:
     return Blocks(table, corner, places)
 
 
-def measure_depth(
-    columns: Columns, path: Int64, sensor_height: float | None
-) -> tuple[int, int, int]:
-    """Measure how far below the sensor the ground lies, and how much that differs (mm).
-
-    It is the median of the lowest peaks beside the path; how far beside it comes third (columns).
+def measure_depth(columns: Columns, path: Int64, sensor_height: float | None) -> Depths:
+    """Measure how far below the sensor the ground lies: the median of peaks beside the path.
 
     Raises
     ------
@@ -366,24 +409,21 @@ def measure_depth(
     if not len(path):
         fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
         raise MapError("no cloud that is asked for has points and a pose", fix=fix)
-    depths = np.zeros(MOST_DEPTH // BIN_MM + 1, np.int64)
     for beside in BESIDE:
-        depths[:] = 0
-        span = np.array([beside, LEAST_DEPTH, MOST_DEPTH], np.int64)
-        growth.count_depths(columns.blocks, columns.peaks, path, span, depths)
+        _, depths = look_beside(columns, path, (beside, 0, 0), DEPTHS)
         if depths.sum() >= FEWEST_SEEDS:
             break
     if sensor_height is not None:
-        return round(sensor_height * 1000), 150, beside
+        return Depths(round(sensor_height * 1000), 150, beside)
     if not depths.any():
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-    middle = np.arange(len(depths)) * BIN_MM + BIN_MM // 2
+    middle = DEPTHS[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2
     half = depths.sum() / 2
     depth = int(middle[np.searchsorted(np.cumsum(depths), half)])
     off = np.abs(middle - depth)
     order = np.argsort(off, kind="stable")
     deviation = int(off[order][np.searchsorted(np.cumsum(depths[order]), half)])
-    return depth, int(np.clip(4 * deviation + 60, 100, 450)), beside
+    return Depths(depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
 
 
 def lay_known(blocks: Blocks, known: Ground | None, found: Found) -> None:
@@ -480,7 +520,7 @@ def list_levers(
         (P, 3) where the robot stood, and how far below it the ground was found too low (m).
     """
     for cloud in list_clouds(posed):
-        some, pose = pose_points(cloud, max(len(cloud.points) // POINTS, 1))
+        some, pose = pose_points(cloud, POINTS)
         turned = np.einsum("nij,nj->ni", pose[:, :, :3], some)
         place = turned + pose[:, :, 3]
         distance = np.linalg.norm((place - cloud.origin)[:, :2], axis=1)

@@ -19,7 +19,6 @@ from occmap.cells import Box, CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.grid import CellBox
-from occmap.grid.tiles import MAX_CELLS
 from occmap.store import as_blocks, identify, open_saved
 from occmap.store.publishing import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
@@ -157,7 +156,7 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     saved = open_saved(path)
     made = open_map(as_blocks(saved), read_model(saved))
     x, y, *_ = made.extent
-    classes = classify_blocks(made, thresholds, MAX_CELLS)
+    classes = classify_blocks(made, thresholds)
     return ClassMap(path, classes, Place(made.resolution, x, y), evidence=identify(saved))
 
 

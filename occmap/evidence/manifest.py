@@ -194,8 +194,12 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
     names = {Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
-    for name in names.get(Update(manifest.update), ()):
-        values = {str(b["options"][name]) for b in manifest.builds if name in b["options"]}
+    of_builds = [
+        {"level": [0.0, 0.0]} | build["options"]["posing"] | build["options"]
+        for build in manifest.builds
+    ]
+    for name in (*names.get(Update(manifest.update), ()), "level"):
+        values = {str(options[name]) for options in of_builds if name in options}
         if len(values) > 1:
             yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
     if manifest.subtracted:

@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap import pipeline, writers
-from occmap.cells import Manifest
 from occmap.errors import require
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
@@ -38,7 +37,7 @@ from occmap.scans.tracing import BuildGround, Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
-from occmap.writers.atomic import follow_links, publish_folder, refuse_unwritable
+from occmap.writers.atomic import make_folder, refuse_unwritable
 
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
@@ -126,15 +125,15 @@ class Fleet:
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
                 manifest = manifests.plan_manifest(options, [made])
-                store = open_target(work, output, manifest)
-                jobs = [replace(job, store=store) for job in work.reductions]
-                records = work.cluster.run("reduce", tasks.store_block, jobs)
-            with tally.time("render"):
-                facts = paint_blocks(work, store, records)
-            with tally.time("write"):
-                finish_store(store, manifest, records, work.setting.keep.ground)
-                with refuse_unwritable(output):
-                    publish_folder(store, follow_links(output))
+            with make_folder(output) as store:
+                with tally.time("fold"):
+                    create_store(store, manifest, [job.block for job in work.reductions])
+                    jobs = [replace(job, store=store) for job in work.reductions]
+                    records = work.cluster.run("reduce", tasks.store_block, jobs)
+                with tally.time("render"):
+                    facts = paint_blocks(work, jobs, records)
+                with tally.time("write"):
+                    finish_store(store, manifest, records, work.setting.keep.ground)
         remarks.notes += [*unaligned, *manifests.list_doubts(manifest)]
         remarks.notes += list_notes(paths, options, [output], tally, facts)
         return replace(pipeline.make_report(options, tally, remarks, facts), files=(str(output),))
@@ -150,7 +149,7 @@ class Fleet:
         OccmapError
             As `observe`.
         """
-        tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
+        tally = Tally(recorder=keep.make_recorder(0, 1))
         remarks = Remarks([str(path) for path in paths])
         with (
             open_cluster(self.address, options.jobs, self.describe) as cluster,
@@ -193,10 +192,7 @@ class Fleet:
                 tally.add(log.tally)
                 for block, pieces in log.pieces.items():
                     blocks[block] += pieces
-            reductions = [
-                replace(BlockJob.of(setting, block), pieces=tuple(pieces))
-                for block, pieces in sorted(blocks.items())
-            ]
+            reductions = [BlockJob.of(setting, *each) for each in sorted(blocks.items())]
             yield Work(cluster, setting, jobs, tally, remarks, reductions)
 
 
@@ -251,33 +247,15 @@ def open_scratch(
         scratch.rmdir()
 
 
-def open_target(work: Work, output: Path, manifest: Manifest) -> Path:
-    """Create a store that only a rename puts in its place, or find the one that was begun."""
-    target, folder = follow_links(output), work.setting.folder
-    begun = folder / "store.begun"
-    is_near = folder.stat().st_dev == target.parent.stat().st_dev
-    store = (folder if is_near else target.parent) / f".occmap-{folder.name}.tmp"
-    if not (begun.exists() and store.exists()):
-        shutil.rmtree(store, ignore_errors=True)
-        for done in folder.glob(f"*.{tasks.store_block.__name__}"):
-            done.unlink()
-        create_store(store, manifest, [job.block for job in work.reductions])
-        begun.touch()
-    return store
-
-
-def paint_blocks(work: Work, store: Path, records: Sequence[BlockRecord]) -> MapFacts:
+def paint_blocks(work: Work, jobs: list[BlockJob], records: Sequence[BlockRecord]) -> MapFacts:
     """Paint the pictures of all blocks, and sum up what the report tells of them.
 
     Blocks beside those that are written are looked at, too: hits speak for the cells around them.
     """
-    written = {record.block for record in records}
-    around = {block for record in records for block in list_blocks(record.reach.grow(1))}
-    jobs = [
-        replace(BlockJob.of(work.setting, block), paints=block in written, store=store)
-        for block in sorted(around)
-    ]
-    measured = work.cluster.run("paint", tasks.measure_block, jobs)
+    beside = {block for record in records for block in list_blocks(record.reach.grow(1))}
+    beside -= {job.block for job in jobs}
+    around = [replace(BlockJob.of(work.setting, block), store=jobs[0].store) for block in beside]
+    measured = work.cluster.run("paint", tasks.measure_block, [*jobs, *around])
     reaches, cells, hits = zip(*measured, strict=True)
     box = reduce(CellBox.join, filter(None, reaches))
     agreeing, met = np.sum(hits, axis=0).tolist()

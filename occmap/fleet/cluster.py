@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.tasks import AnyJob, Result
+from occmap.fleet.tasks import AnyJob, Job, Result
 from occmap.plugins import need_extra
 from occmap.report import count
 
@@ -71,12 +71,26 @@ class Cluster:
         OccmapError
             Of the first job that failed, or its workers died, or the scheduler did.
         """
-        from distributed.comm.core import CommClosedError  # noqa: PLC0415  late: an extra
+        from distributed import as_completed  # noqa: PLC0415  late: an extra
+        from distributed.comm.core import CommClosedError  # noqa: PLC0415  likewise
 
+        results: dict[Any, Result] = {}
         try:
             if self._client.status != "running":  # it would be waited for for ever
                 raise CancelledError
-            return self._follow(phase, task, jobs, tell)
+            # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
+            futures = self._client.map(task, jobs, pure=False, retries=0)
+            for done, future in enumerate(as_completed(futures), start=1):
+                if future.status != "finished":
+                    break  # what comes later does not matter any more; what comes earlier may fail
+                results[future] = future.result()
+                tell(results[future])
+                future.release()
+                self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
+            return [
+                results[future] if future in results else self._wait_for(job, future)
+                for job, future in zip(jobs, futures, strict=True)
+            ]
         except (CancelledError, CommClosedError):  # maybe it was lost while a result was fetched
             folder = jobs[0].setting.folder
             done = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
@@ -84,42 +98,22 @@ class Cluster:
             fix = f"start it again, and type the same command: it goes on from {folder}"
             raise FleetError(found, where=self._address, fix=fix) from None
 
-    def _follow(
-        self,
-        phase: str,
-        task: Callable[[AnyJob], Result],
-        jobs: Sequence[AnyJob],
-        tell: Callable[[Result], None],
-    ) -> list[Result]:
-        """Hand out jobs and take their results; raises as `run`, or what closed connections do."""
-        from distributed import KilledWorker, as_completed  # noqa: PLC0415  late: an extra
+    def _wait_for(self, job: Job, future: Any) -> Any:
+        """Wait for the result of a job.
 
-        # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
-        futures = self._client.map(task, jobs, pure=False, retries=0)
-        places = {future: place for place, future in enumerate(futures)}
-        results: dict[int, Result] = {}
-        failed: dict[int, BaseException] = {}
-        for done, future in enumerate(as_completed(futures), start=1):
-            place = places[future]
-            if future.status == "finished":
-                results[place] = future.result()
-                tell(results[place])
-            elif future.status == "cancelled" and not failed:
-                raise CancelledError
-            elif future.status == "error":
-                failed[place] = future.exception()
-                # What comes later does not matter any more; what comes earlier may fail, too.
-                self._client.cancel([each for each in futures[place + 1 :] if not each.done()])
-            future.release()
-            self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
-        if failed:
-            place, error = min(failed.items(), key=lambda each: each[0])
-            if not isinstance(error, KilledWorker):
-                raise error
+        Raises
+        ------
+        OccmapError
+            The job failed, or killed its workers.
+        """
+        from distributed import KilledWorker  # noqa: PLC0415  late: an extra
+
+        try:
+            return future.result()
+        except KilledWorker as error:
             limit = f", which had {self.memory >> 20} MiB of memory" if self.memory else ""
             found = f"killed its workers {error.allowed_failures + 1} times{limit}"
-            raise FleetError(found, where=jobs[place].where, fix="give workers more memory")
-        return [results[place] for place in range(len(jobs))]
+            raise FleetError(found, where=job.where, fix="give workers more memory") from None
 
     def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
         """Ask every worker; an error is an answer."""

@@ -15,20 +15,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
 import zstandard
 
-from occmap.cells import Slices
+from occmap.cells import Evidence, Slices
 from occmap.errors import MapError, name_log
-from occmap.evidence.manifest import describe_files
+from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid import CellBox
 from occmap.grid.rendering import count_agreeing
 from occmap.grid.tiles import TileGrid, stack_tiles, unite, view_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
-from occmap.scans import choose_engine, make_grid
+from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import Keep, count_ground, trace_logs
-from occmap.store.layout import Block, BlockContent, BlockRecord, split_blocks
+from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_logs
+from occmap.store.layout import Block, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
 from occmap.writers.atomic import open_atomic
@@ -86,17 +86,16 @@ class BlockJob(Job):
     """A block of the map to be added up, written or painted."""
 
     block: Block
-    pieces: tuple[Piece, ...] = ()
-    """All that was observed in it"""
-    paints: bool = True
-    """Whether its pictures are painted: not those of a block that lies beside others"""
+    pieces: tuple[Piece, ...]
+    """All that was observed in it; none of a block that only lies beside others"""
     store: Path = Path()
     """Where it is written"""
 
     @classmethod
-    def of(cls, setting: Setting, block: Block) -> Self:
-        """Make a job of a block of which nothing is known yet."""
-        return cls(setting, f"block{block.row}_{block.col}", f"block {tuple(block)}", block)
+    def of(cls, setting: Setting, block: Block, pieces: Iterable[Piece] = ()) -> Self:
+        """Make a job of a block."""
+        name, where = f"block{block.row}_{block.col}", f"block {tuple(block)}"
+        return cls(setting, name, where, block, tuple(pieces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +161,7 @@ def trace_log(job: Job) -> Traced:
     setting, options = job.setting, replace(job.setting.options, jobs=1)
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
-    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs, options.returns))
+    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs))
     runs = RunWriter(job)
     _, ((_, notes),) = trace_logs([log], options, runs.begin, tally)
     with name_log(log.path):
@@ -193,10 +192,7 @@ class RunWriter:
 
     def _renew(self) -> None:
         setting = self._job.setting
-        keep = setting.keep
-        self._engine = choose_engine(
-            setting.options, keep.slices, keep.ground, setting.window_cells
-        )
+        self._engine = choose_engine(setting.options, setting.keep, setting.window_cells)
 
     def add(self, seen: Any) -> None:
         """Observe rays, or posed clouds."""
@@ -207,7 +203,8 @@ class RunWriter:
     def flush(self) -> None:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
         self.points.update(self._engine.points)
-        parts = split_blocks(self._engine.finish().tiles, self._engine.read_slices())
+        plan = plan_manifest(self._job.setting.options)
+        parts = split_blocks(plan, self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
         for block, piece in write_run(self._job.setting.folder, name, parts).items():
             self.pieces.setdefault(block, []).append(piece)
@@ -216,7 +213,7 @@ class RunWriter:
 
 
 def write_run(
-    folder: Path, name: str, parts: Iterable[tuple[Block, BlockContent]]
+    folder: Path, name: str, parts: Iterable[tuple[Block, Evidence]]
 ) -> dict[Block, Piece]:
     """Write a run file; say where each block lies in it.
 
@@ -235,7 +232,7 @@ def write_run(
     return pieces
 
 
-def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[BlockContent]:
+def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
     """Read parts of blocks, one after the other.
 
     Raises
@@ -271,10 +268,10 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[S
     return grid, (unite(layers),) if setting.keep.slices else ()
 
 
-def add_up_block(job: BlockJob) -> BlockContent:
+def add_up_block(job: BlockJob) -> Evidence:
     """Add up all that was observed in a block; raises MapError as `add_up`."""
     grid, slices = add_up(job.setting, job.pieces)
-    return BlockContent(*stack_tiles(grid.tiles), slices)
+    return Evidence(plan_manifest(job.setting.options), *stack_tiles(grid.tiles), slices)
 
 
 @once
@@ -290,9 +287,8 @@ def reduce_block(job: BlockJob) -> Piece:
     return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
 
 
-@once
 def store_block(job: BlockJob) -> BlockRecord:
-    """Add up a block, and write it to the store.
+    """Add up a block, and write it to the store; if a worker died at that, it is done anew.
 
     Raises
     ------
@@ -314,7 +310,7 @@ def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]
         They cannot be written.
     """
     box = job.block.box
-    grid, made = paint_block(job.store, job.block, keep=job.paints)
+    grid, made = paint_block(job.store, job.block, keep=bool(job.pieces))
     reach = CellBox.around(made.observed, box.row, box.col)
     writing = job.setting.options.writing
     cells = count_cells(writing.edit(made), writing)

@@ -4,14 +4,14 @@ Kernels write to windows, one for each combination of update and evidence. A win
 scans at hand with room to spare, so that it is emptied into the sparse tiles only when the scans
 leave it. What its arrays hold is the business of its kernels.
 
-An engine that keeps slices of time has an ordinary engine for each of them.
+Where slices of time are kept, a window is emptied when its slice is over, too.
 """
 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from functools import partial
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -47,13 +47,13 @@ def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
 
 
 class Window(ABC):
-    """A box of whole tiles being written to."""
+    """A box of whole tiles being written to, in a slice of time."""
 
     most_cells_times = 1
     """Such a window may have so many times the cells of others"""
 
-    def __init__(self, spec: GridSpec, box: CellBox) -> None:
-        self.spec, self.box = spec, box.align(TILE)
+    def __init__(self, spec: GridSpec, box: CellBox, number: int = 0) -> None:
+        self.spec, self.box, self.number = spec, box.align(TILE), number
         self.touched: CellBox | None = None
         self.observations = 0
         self.allocate(*self.box.shape)
@@ -263,8 +263,6 @@ ROOMY_CELLS = 1 << 22
 """Only the scans at hand make a window larger than this, never the room for scans to come."""
 ROOMY_CELLS_OF_SLICE = 1 << 18
 """Windows have hardly more room than a slice takes, since each is made and read for one slice."""
-MOST_OPEN = 2
-"""Slices that wait for more of their scans: batches of several threads share slices."""
 MOST_PARTS = 64
 """A batch that needs more windows than this lies far apart: it is halved until it fits or one scan
 is left."""
@@ -273,34 +271,93 @@ MARGIN = 4
 traced only where its box is this many times too large; otherwise when its tiles are counted."""
 
 
-class GridEngine:
-    """Adds up what rays observe.
+class Engine(ABC):
+    """Adds up what scans observe, and keeps which slice of time observed what, if asked to.
 
     Any number of threads may call `add`: each writes to a window of its own, and integers add up to
     the same sum in any order.
+
+    Parameters
+    ----------
+    grid
+        Empty.
+    slice_ns
+        How long slices of time are; None: none are kept.
+    """
+
+    def __init__(self, grid: TileGrid, slice_ns: int | None) -> None:
+        self.grid = grid
+        self._slice_ns = slice_ns
+        self._slices: list[Slices] = []
+        self._idle: list[Any] = []
+        """What no thread is writing to"""
+        self._lock = Lock()
+
+    @abstractmethod
+    def add(self, scans: Any) -> None:
+        """Observe cells."""
+
+    @abstractmethod
+    def _empty(self, window: Any) -> None:
+        """Keep what was observed in a window."""
+
+    def _number(self, stamp_ns: Int64) -> Int64:
+        """The slices of time (S,) of some stamps."""
+        return np.zeros_like(stamp_ns) if self._slice_ns is None else stamp_ns // self._slice_ns
+
+    def _keep(self, tiles: Mapping[Key, Tile], bound: int, number: int) -> None:
+        """Add what was observed in a slice of time to the whole; no value is above the bound."""
+        seen = [] if self._slice_ns is None else [mark_observed(self.grid.like(tiles), number)]
+        with self._lock:
+            self.grid.add(tiles, bound)
+            self._slices += seen
+
+    @property
+    def points(self) -> dict[str, int]:
+        """What became of all points so far, by kind; rays have none."""
+        return {}
+
+    @property
+    def bytes_held(self) -> int:
+        """About what is held in memory, without what windows still hold."""
+        of_tiles = len(self.grid.tiles) * 2 * TILE * TILE * 4  # nearly all are 32 bits wide
+        return of_tiles + sum(slices.nbytes for slices in self._slices)
+
+    def finish(self) -> TileGrid:
+        """Empty all windows and give the evidence; more may be added later."""
+        while self._idle:
+            self._empty(self._idle.pop())
+        return self.grid
+
+    def read_slices(self) -> tuple[Slices, ...]:
+        """Which cells each slice observed of what `finish` gave; none where none are kept."""
+        if self._slice_ns is None:
+            return ()
+        self._slices = [unite(self._slices)]
+        return tuple(self._slices)
+
+
+class GridEngine(Engine):
+    """Adds up what rays observe.
 
     A map of more than `max_cells` is refused as soon as what was observed shows it, and a single
     scan that would make one much larger before it is traced. Nearly always a `Reach` has refused it
     before, in words that do not depend on threads.
     """
 
-    points: Mapping[str, int] = {}
-    """What became of points: rays have none"""
-
     def __init__(
         self,
         spec: GridSpec,
         window_cells: int = WINDOW_CELLS,
         max_cells: int = MAX_CELLS,
-        roomy_cells: int = ROOMY_CELLS,
+        slice_ns: int | None = None,
     ) -> None:
+        super().__init__(TileGrid(spec.lattice, spec.kind, spec.unit), slice_ns)
         self.spec = spec
-        self.grid = TileGrid(spec.lattice, spec.kind, spec.unit)
         self._window_cells = window_cells
         self._max_cells = max_cells
+        roomy_cells = ROOMY_CELLS if slice_ns is None else ROOMY_CELLS_OF_SLICE
         self._roomy_cells = min(roomy_cells, window_cells)
-        self._idle: list[Window] = []
-        self._lock = Lock()
 
     def add(self, rays: Rays) -> None:
         """Observe the cells that these rays cross.
@@ -311,8 +368,14 @@ class GridEngine:
             A sensor is too far away or a beam too long for the resolution, or one scan has too
             many beams or makes too large a map.
         """
-        if rays.kind.size:
+        if not rays.kind.size:
+            return
+        if self._slice_ns is None:
             self._add_prepared(prepare(rays, self.spec))
+            return
+        numbers = self._number(rays.stamp_ns)
+        for number in np.unique(numbers):
+            self._add_prepared(prepare(rays.take(numbers == number), self.spec))
 
     def _add_prepared(self, rays: Rays) -> None:
         """Trace rays in one window, else in halves, else a part of the window at a time."""
@@ -345,13 +408,15 @@ class GridEngine:
     def _trace(self, beams: Beams, best: type[Window], *others: type[Window]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
-            window = self._idle.pop() if self._idle else None
-        if window and not (isinstance(window, (best, *others)) and window.has_room(beams)):
+            window: Window | None = self._idle.pop() if self._idle else None
+        number = int(self._number(beams.rays.stamp_ns[:1])[0])
+        fits = window and window.number == number and window.has_room(beams)
+        if window and not (fits and isinstance(window, (best, *others))):
             self._empty(window)
             window = None
         if window is None:
             most = best.most_cells_times * self._roomy_cells
-            window = best(self.spec, add_room(beams.box, most))
+            window = best(self.spec, add_room(beams.box, most), number)
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -361,97 +426,14 @@ class GridEngine:
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
             refuse_large(beams.box, self.spec.lattice, self._max_cells)
         for part in split_box(beams.box, best.most_cells_times * self._window_cells):
-            window = best(self.spec, part)
+            window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))
             window.observe(beams)
             self._empty(window)
 
     def _empty(self, window: Window) -> None:
-        tiles = window.read()
+        self._keep(window.read(), window.observations * self.spec.tables.largest, window.number)
         with self._lock:
-            self.grid.add(tiles, window.observations * self.spec.tables.largest)
             self.grid.refuse_outgrown(self._max_cells)
-
-    @property
-    def bytes_held(self) -> int:
-        """About what is held in memory, without scans that windows or open slices still hold."""
-        return len(self.grid.tiles) * 2 * TILE * TILE * 4  # nearly all are 32 bits wide
-
-    def finish(self) -> TileGrid:
-        """Empty all windows and give the evidence; more may be added later."""
-        while self._idle:
-            self._empty(self._idle.pop())
-        return self.grid
-
-    def read_slices(self) -> tuple[Slices, ...]:
-        """No slices of time: this engine keeps none."""
-        return ()
-
-
-class SlicedEngine(GridEngine):
-    """Adds up what rays observe, and keeps which slice of time observed what.
-
-    Each thread takes an engine of the slice for itself. When a slice is over, its evidence is added
-    to the whole and its bits are kept. If scans of it come later, it is opened anew.
-    """
-
-    def __init__(
-        self,
-        spec: GridSpec,
-        slice_ns: int,
-        window_cells: int = WINDOW_CELLS,
-        max_cells: int = MAX_CELLS,
-    ) -> None:
-        super().__init__(spec, window_cells, max_cells)
-        self._slice_ns = slice_ns
-        self._make_engine = partial(GridEngine, spec, window_cells, max_cells, ROOMY_CELLS_OF_SLICE)
-        self._slices: list[Slices] = []
-        self._open: list[tuple[int, GridEngine]] = []
-
-    def add(self, rays: Rays) -> None:
-        """Observe the cells that these rays cross, slice by slice; errors as of `GridEngine`."""
-        numbers = rays.stamp_ns // self._slice_ns
-        for number in np.unique(numbers).tolist():
-            engine = self._take(number)
-            engine.add(rays.take(numbers == number))
-            with self._lock:
-                self._open.append((number, engine))
-                over = self._open.pop(0) if len(self._open) > MOST_OPEN else None
-            if over:
-                self._fold(*over)
-
-    def _take(self, number: int) -> GridEngine:
-        """An engine of a slice that no other thread uses."""
-        with self._lock:
-            for place, (other, engine) in enumerate(self._open):
-                if other == number:
-                    del self._open[place]
-                    return engine
-        return self._make_engine()
-
-    def _fold(self, number: int, engine: GridEngine) -> None:
-        """Add a slice to the whole."""
-        grid = engine.finish()
-        observed = mark_observed(grid, number)
-        with self._lock:
-            self.grid.merge(grid)
-            self._slices.append(observed)
-            self.grid.refuse_outgrown(self._max_cells)
-
-    @property
-    def bytes_held(self) -> int:
-        """As of `GridEngine`, and what the slices take."""
-        return super().bytes_held + sum(slices.nbytes for slices in self._slices)
-
-    def finish(self) -> TileGrid:
-        """Fold all slices and give the evidence; more may be added later."""
-        while self._open:
-            self._fold(*self._open.pop())
-        return self.grid
-
-    def read_slices(self) -> tuple[Slices, ...]:
-        """Which cells each slice observed of what `finish` gave."""
-        self._slices = [unite(self._slices)]
-        return tuple(self._slices)
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:

@@ -129,7 +129,7 @@ class Framing:
         "Cover exactly this box (m), to whole cells; by default what was observed. An .npz holds "
         "everything in any case.",
         metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
-        form=make_box_form("(0, 0, 5, 4)"),
+        form=make_box_form("0,0,5,4"),
     )
     margin: float = option(
         0.0, "Add unknown space around what was observed.", unit="m", bounds=(0, FARTHEST_M)

@@ -18,18 +18,17 @@ from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import Extent, Survey, TopicSurvey
+from occmap.inspection.survey import Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Log, Role, Stream, open_log
+from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.logs import choose_topics
-from occmap.scans.mounts import estimate_agreement, warn_of_misfit
+from occmap.scans.logs import look_ahead
+from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tracing import find_ground
-from occmap.sensor.models import Spreading
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
@@ -214,17 +213,17 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         yield Concern("no range value is a measurement")
 
 
-def list_clock_faults(topic: ScanFindings) -> Iterator[str]:
+def list_clock_faults(topic: ScanFindings) -> list[str]:
     """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
     times = topic.times
-    if topic.poses.stated:
-        return
-    if times.all_equal:
-        yield "all stamps are equal"
-    if times.jumps_back:
-        yield f"stamps jump back {count(times.jumps_back, 'time')}"
-    if abs(times.drift_s) > DRIFT_S:
-        yield f"stamps drift by {times.drift_s:.3g} s against the record times"
+    faults = {
+        "all stamps are equal": times.all_equal,
+        f"stamps jump back {count(times.jumps_back, 'time')}": times.jumps_back,
+        f"stamps drift by {times.drift_s:.3g} s against the record times": (
+            abs(times.drift_s) > DRIFT_S
+        ),
+    }
+    return [] if topic.poses.stated else [text for text, holds in faults.items() if holds]
 
 
 __all__ = ["Inspection", "inspect"]
@@ -252,19 +251,18 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     try:
         log = open_log(path, options.reading)
         known = replace(known, streams=tuple(log.streams), notes=tuple(log.notes))
-        posing = poses.prepare(log, choose_topics(log, options.selection.topics), options)
+        posing = prepare(log, look_ahead(log, options), options)
     except OccmapError as error:
         return replace(known, problem=str(error.placed(path)))
     return inspect_log(log, posing, options)
 
 
-def inspect_log(log: Log, posing: poses.Posing, options: BuildOptions) -> LogFindings:
+def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and sum up."""
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
-    streams = {stream.topic: stream for stream in reversed(log.streams)}
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
-    scans = tuple(sum_up(log, streams[it.topic], it, posing, options) for it in seen if it.shapes)
+    scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
@@ -304,13 +302,9 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     survey, problem
         And why the log cannot be read to its end, "" where it can.
     """
-    topics = choose_topics(log, options.selection.topics)
-    drive, problem = Drive(log, topics, poser, options), ""
-    model, lattice = options.model, Lattice(options.resolution)
-    spreads = isinstance(model, Spreading) and model.spread > 0
-    aside = options.hit_offset * options.resolution, options.resolution if spreads else 0.0
+    drive, problem = Drive(log, poser, options), ""
     for _ in range(2):
-        survey = Survey(drive, options, Extent(lattice, *aside))
+        survey = Survey(drive)
         try:
             survey.survey()
         except LogError as error:
@@ -320,18 +314,16 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     return survey, problem
 
 
-def sum_up(
-    log: Log, stream: Stream, topic: TopicSurvey, posing: poses.Posing, options: BuildOptions
-) -> ScanFindings:
+def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     return ScanFindings(
-        topic=topic.topic,
-        type=stream.type,
+        topic=topic.stream.topic,
+        type=topic.stream.type,
         frames=tuple(topic.frames),
-        is_of_clouds=stream.role is Role.CLOUD,
+        is_of_clouds=topic.stream.role is Role.CLOUD,
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),

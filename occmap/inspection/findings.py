@@ -4,26 +4,13 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from occmap import report
 from occmap.cells import Box
 from occmap.grid import CellBox
 from occmap.posing import Concern, Stamps
 from occmap.posing.frames import Source
 from occmap.readers import Stream
-from occmap.report import (
-    DATES_S,
-    HIDDEN,
-    Finite,
-    Noted,
-    Printed,
-    Row,
-    Share,
-    count,
-    label_first,
-    write_box,
-    write_counts,
-    write_duration,
-    write_span,
-)
+from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
 from occmap.report.results import hint_at_tune
 from occmap.scans.tally import count_wanted
 
@@ -332,11 +319,11 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
     scans = f"{topic.topic}: {left}{topic.scans:,} in {times.duration_s:.6g} s"
     yield title, f"{scans}, {times.rate_hz:.3g} a second, frame {', '.join(topic.frames)}"
     if topic.left_out:
-        yield "dropped", write_counts(topic.left_out)
+        yield "dropped", report.write_counts(topic.left_out)
     if not topic.is_of_clouds:
-        yield from label_first("shape", list_shapes(topic))
-        yield from label_first("ranges", list_ranges(topic.ranges))
-    yield "stamps", write_span(times.start_ns, times.end_ns)
+        yield from report.label_first("shape", list_shapes(topic))
+        yield from report.label_first("ranges", list_ranges(topic.ranges))
+    yield "stamps", report.write_span(times.start_ns, times.end_ns)
     yield "", describe_times(times)
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
@@ -383,30 +370,29 @@ def describe_times(times: TimeFindings) -> str:
 
     CSV has none. Those of CARMEN count from the start of the recording, and stamps are dates.
     """
-    parts = ["simulated time"] if times.simulated else []
-    is_comparable = (times.offset_s or times.drift_s) and times.offset_s < DATES_S.start
-    if is_comparable and not times.simulated:
-        side = "after" if times.offset_s > 0 else "before"
-        offset = f"{write_duration(abs(times.offset_s))} {side} the record times"
-        parts.append(f"{offset}, drift {times.drift_s:.2g} s")
-    parts.append(f"largest gap {write_duration(times.largest_gap_s)}")
-    if times.time_increment_s:
-        parts.append(f"{1e3 * times.time_increment_s:.3g} ms between beams")
-    if times.jumps_back:
-        jumps = count(times.jumps_back, "jump")
-        parts.append(f"{jumps} back, up to {times.largest_jump_back_s:.3g} s")
-    if times.duplicates:
-        parts.append(f"{count(times.duplicates, 'scan')} with the stamp of the one before")
-    if times.all_equal:
-        parts.append("all zero" if times.all_zero else "all equal")
-    return ", ".join(parts)
+    has_both = (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start
+    apart = report.write_duration(abs(times.offset_s))
+    side = "after" if times.offset_s > 0 else "before"
+    jumps = f"{count(times.jumps_back, 'jump')} back, up to {times.largest_jump_back_s:.3g} s"
+    parts = {
+        "simulated time": times.simulated,
+        f"{apart} {side} the record times, drift {times.drift_s:.2g} s": (
+            has_both and not times.simulated
+        ),
+        f"largest gap {report.write_duration(times.largest_gap_s)}": True,
+        f"{1e3 * times.time_increment_s:.3g} ms between beams": times.time_increment_s,
+        jumps: times.jumps_back,
+        f"{count(times.duplicates, 'scan')} with the stamp of the one before": times.duplicates,
+        "all zero" if times.all_zero else "all equal": times.all_equal,
+    }
+    return ", ".join(part for part, holds in parts.items() if holds)
 
 
 def describe_poses(topic: ScanFindings) -> str:
     """Say how many scans have a pose, and where it comes from."""
     poses = topic.poses
     way = "stated beside the scans" if poses.stated else " > ".join(poses.chain)
-    lost = write_counts(poses.dropped)
+    lost = report.write_counts(poses.dropped)
     share = f"{poses.posed:,} of {count(topic.kept, 'scan')}"
     given = f" with `sensor_pose=({poses.assumed})`" if poses.assumed else ""
     return f"{share}{given}" + (f", {way}" if way else "") + (f"; {lost}" if lost else "")
@@ -442,7 +428,7 @@ def describe_map(grid: MapFindings) -> str:
     """Say how large the map would be."""
     return (
         f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m, "
-        f"{write_box(grid.extent)}; {write_bytes(grid.file_bytes)} as PGM, "
+        f"{report.write_box(grid.extent)}; {write_bytes(grid.file_bytes)} as PGM, "
         f"{write_bytes(grid.memory_bytes)} of memory at most"
     )
 

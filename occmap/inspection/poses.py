@@ -6,14 +6,13 @@ The floor that clouds see says whether a mount, or the poses' up, is wrong.
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from occmap.cells import Ground
 from occmap.choices import format_mount
 from occmap.clouds.mounting import find_seat
-from occmap.errors import MountError, PoseError
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
 from occmap.inspection.survey import TopicSurvey
 from occmap.options import BuildOptions
@@ -23,69 +22,14 @@ from occmap.posing.chain import Status, Transforms
 from occmap.posing.sources import Sources
 from occmap.readers import Log
 from occmap.scans import mounts
-from occmap.scans.logs import (
-    choose_topics,
-    count_scans,
-    read_poser,
-    refuse_part,
-    refuse_shared_mount,
-    take_first,
-)
+from occmap.scans.logs import count_scans, read_poser
+from occmap.scans.mounts import Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
-from occmap.types import IDENTITY, Float64, Pose, PosedScans
+from occmap.types import Float64, Pose, PosedScans
 
 WELL_POSED = 0.9
 """If a smaller share of the scans has poses, the other of the two times is tried."""
-
-
-@dataclass(frozen=True)
-class Posing:
-    """How the scans of a log are posed, with the options given or with those that would help."""
-
-    poser: Poser
-    faults: dict[str, PoseError] = field(default_factory=dict)
-    """By frame: why its scans have no pose with the options given"""
-    assumed: Pose | None = None
-    """The mount that the poser uses though the user did not give it"""
-    is_guess: bool = False
-    """The assumed mount is a place holder, since the scans do not tell the right one"""
-
-
-def prepare(log: Log, topics: Sequence[str], options: BuildOptions) -> Posing:
-    """Find the way to every frame of a log's scans; where it lacks the mount, guess that.
-
-    Raises
-    ------
-    PoseError, LogError
-        The trajectory that the user chose cannot be used.
-    UsageError
-        As `refuse_shared_mount`.
-    """
-    first = take_first(log, topics)
-    refuse_shared_mount(log, first, options.posing)
-    poser = read_poser(log, options.posing)
-    frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
-    faults = poser.find_chains(frames)
-    if faults and poser.fixed is None:
-        refuse_part(log.path)
-    if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
-        return Posing(poser, faults)
-    at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
-    if at_body.find_chains(frames):  # more than the mount is missing
-        return Posing(poser, faults)
-    # Read the scans as if the sensor were the body, and find the mount that suits them best.
-    guess = mounts.guess_place(at_body, mounts.sample_scans(log, topics, at_body, options), options)
-    if guess is not None:  # the error says that the mount is missing, and names the likely one
-        found = format_mount(guess.mount), guess.why
-        faults = {
-            frame: fault.named(*found) if isinstance(fault, MountError) else fault
-            for frame, fault in faults.items()
-        }
-    mount = guess.mount if guess else IDENTITY
-    posing = replace(options.posing, sensor_pose=mount)
-    poser = Poser(at_body.sources, posing, notes=list(at_body.sources.notes))
-    return Posing(poser, faults, mount, is_guess=guess is None)
 
 
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
@@ -147,7 +91,7 @@ def describe_mount(
     topic: TopicSurvey, posing: Posing, options: BuildOptions
 ) -> MountFindings | None:
     """Say how the sensor of a topic sits; None where no scan has a pose."""
-    stance = posing.poser.find_stance(topic.topic)
+    stance = posing.poser.find_stance(topic.stream.topic)
     if stance is None:
         return None
     better = mounts.find_better(posing.poser, topic.sample.parts, options.returns)
@@ -177,8 +121,7 @@ def list_floor_concerns(
 
     share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
     seen: defaultdict[str, list[PosedScans]] = defaultdict(list)
-    topics = choose_topics(log, options.selection.topics)
-    drive = Drive(log, topics, poser, options)  # which knows by now what leaps away
+    drive = Drive(log, poser, options)  # which knows by now what leaps away
     for _, posed, _ in drive.read(Tally(), lambda ns, _: draw(ns) < share):
         if posed is not None:
             seen[posed.batch.topic].append(posed)

@@ -8,51 +8,32 @@ whether beams without return lead through walls.
 import math
 from array import array
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from occmap import sensor
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
-from occmap.options import BuildOptions
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
-from occmap.scans.logs import count_messages
-from occmap.scans.mounts import Sample, encode_cells, expect_scans
+from occmap.readers import Stream
+from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
-from occmap.sensor import (
-    DOMINANCE,
-    MIN_READINGS,
-    MIN_VALUES,
-    SICK_CODES,
-    NoReturn,
-    ReturnOptions,
-    interpret,
-    read_limits,
-)
-from occmap.types import Bool, Cloud, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
+from occmap.sensor import NoReturn, ReturnOptions, interpret
+from occmap.sensor.models import Spreading
+from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
 
 REPEATED_SHARE = 0.01
 NEIGHBOURHOOD_M = 0.1
-"""A value is suspicious if one finite range in a hundred has it, and ten times as many (DOMINANCE)
-as have any other value within this distance. Ranges to a wall spread by their noise, even if
-nothing moves."""
+"""A value is suspicious if one finite range in a hundred has it, and ten times as many as have any
+other value within this distance (`sensor.DOMINANCE`). Ranges to a wall spread by their noise, even
+if nothing moves."""
 
-MEANINGS = {
-    "+inf": "did not come back (REP 117)",
-    "= range_max": "the driver's way to say that nothing came back",
-    "> range_max": "the driver's way to say that nothing came back",
-    "-inf": "too close to measure (REP 117)",
-    "nan": "not measured (REP 117)",
-    "zero": "no return or too close: drivers differ",
-    "negative": "an error code",
-    "< range_min": "too close to trust",
-}
-"""The kinds of ranges that are not plain measurements, and what drivers mean by them"""
 NO_RETURNS = ("+inf", "= range_max", "> range_max")
 """The kinds that `no_return` decides about; all others are skipped."""
 
@@ -81,11 +62,28 @@ SIDES = np.arange(8) * math.pi / 4
 """Directions in which the sides of the octagon around all hits face (rad)"""
 
 
+def tell_kinds(it: Float32, low: Float32, high: Float32) -> Iterator[tuple[str, str, Bool]]:
+    """Tell which ranges are no plain measurements, kind by kind, and what drivers mean by them.
+
+    The nearest and the farthest range are those that the scans state.
+    """
+    nothing = "the driver's way to say that nothing came back"
+    yield "+inf", "did not come back (REP 117)", it == np.inf
+    yield "= range_max", nothing, (it == high) & (it < np.inf)
+    yield "> range_max", nothing, (it > high) & (it < np.inf)
+    yield "-inf", "too close to measure (REP 117)", it == -np.inf
+    yield "nan", "not measured (REP 117)", np.isnan(it)
+    yield "zero", "no return or too close: drivers differ", it == 0
+    yield "negative", "an error code", (it < 0) & (it > -np.inf)
+    yield "< range_min", "too close to trust", (it > 0) & (it < low)
+
+
 class RangeCensus:
     """Counts the range values of one topic by kind, batch by batch."""
 
     def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[tuple[str, str]] = Counter()
+        """How many ranges are of each kind, and what drivers mean by it"""
         self.total = 0
         self.limit = 0.0
         """The largest range_max that the scans state (m)"""
@@ -95,23 +93,12 @@ class RangeCensus:
     def add(self, batch: ScanBatch) -> None:
         """Count the values of a batch."""
         ranges = batch.ranges
-        low, high = np.float32(batch.range_min), np.float32(batch.range_max)
-        finite = np.isfinite(ranges)
-        positive = finite & (ranges > 0)
-        masks = {
-            "+inf": ranges == np.inf,
-            "-inf": ranges == -np.inf,
-            "nan": np.isnan(ranges),
-            "zero": ranges == 0,
-            "negative": finite & (ranges < 0),
-            "< range_min": positive & (ranges < low),
-            "= range_max": finite & (ranges == high),
-            "> range_max": finite & (ranges > high),
-        }
-        self.counts.update({name: int(np.count_nonzero(mask)) for name, mask in masks.items()})
+        low, high = as_float32(batch.range_min), as_float32(batch.range_max)
+        for name, meaning, mask in tell_kinds(ranges, low, high):
+            self.counts[name, meaning] += int(np.count_nonzero(mask))
         self.total += ranges.size
         self.limit = max(self.limit, batch.range_max)
-        measured = ranges[positive & (ranges >= low) & (ranges < high)]
+        measured = ranges[(ranges > 0) & (ranges >= low) & (ranges < high)]
         self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
 
@@ -124,7 +111,7 @@ class RangeCensus:
         """
         repeated = tuple(list_repeated(sample, self.limit))
         crossed = measure_crossing(sample, options)
-        low, high = SICK_CODES
+        low, high = sensor.SICK_CODES
         is_code = any(low <= item.value <= high for item in repeated)
         is_open = crossed is not None and crossed < MOSTLY_OPEN
         suggested = "clear" if is_open and not is_code and math.isfinite(self.limit) else "ignore"
@@ -136,8 +123,8 @@ class RangeCensus:
             largest=self.largest if measured else math.nan,
             specials=tuple(
                 Special(name, n, n / self.total, meaning, suggested if name in NO_RETURNS else "")
-                for name, meaning in MEANINGS.items()
-                if (n := self.counts[name])
+                for (name, meaning), n in self.counts.items()
+                if n
             ),
             repeated=repeated,
             crossed=crossed,
@@ -154,10 +141,10 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
     """
     ranges = np.concatenate([np.zeros(0, np.float32), *(it.batch.ranges.ravel() for it in parts)])
     values, counts = np.unique(ranges[np.isfinite(ranges) & (ranges > 0)], return_counts=True)
-    if len(values) < MIN_VALUES:
+    if len(values) < sensor.MIN_VALUES:
         return
     total = int(counts.sum())
-    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, MIN_READINGS))
+    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, sensor.MIN_READINGS))
     ranked = frequent[np.argsort(-counts[frequent], kind="stable")]
     low = np.searchsorted(values, values[ranked] - np.float32(NEIGHBOURHOOD_M))
     high = np.searchsorted(values, values[ranked] + np.float32(NEIGHBOURHOOD_M), side="right")
@@ -165,7 +152,7 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
     found = [
         k
         for k, a, b in places
-        if counts[k] >= DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
+        if counts[k] >= sensor.DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
     ]
     for value, number in zip(values[found].tolist(), counts[found].tolist(), strict=True):
         yield Repeated(value, number / total, value >= limit)
@@ -315,23 +302,19 @@ class Extent:
         end = rays._replace(distance=rays.distance + hit * np.float32(self.behind)).end
         one_viewpoint = rays.origin.shape[1] == 1
         begun = used.any(axis=1, keepdims=True) if one_viewpoint else used
-        self._take(rays.origin[begun])
-        self._take(end[used])
-        self._take(end[hit], self.around)
         self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self.behind)
-
-    def _take(self, places: Float64, around: float = 0.0) -> None:
-        """Take in places (N, 2)."""
-        if len(places):
-            box = self.lattice.enclose(places, around)
-            self.box = box.join(self.box) if self.box else box
+        places = (rays.origin[begun], 0.0), (end[used], 0.0), (end[hit], self.around)
+        for some, around in places:
+            if len(some):
+                box = self.lattice.enclose(some, around)
+                self.box = box.join(self.box) if self.box else box
 
 
 @dataclass
 class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
-    topic: str
+    stream: Stream
     sample: Sample
     is_sampled: bool = True
     stamps: StampLog = field(default_factory=StampLog)
@@ -345,8 +328,13 @@ class TopicSurvey:
     stated: bool = True
     """Every scan so far had its pose beside it"""
 
-    def see(self, some: Recorded) -> None:
-        """Take note of one scan or cloud, or of all scans of a run."""
+    def see(self, some: Recorded, reason: LeftOut | None) -> None:
+        """Take note of scans; those that nobody asked for are only counted."""
+        self.read += some.scans
+        if reason is not None:
+            self.left_out[reason] += 1
+        if reason in NOT_ASKED_FOR:
+            return
         self.stamps.add(some)
         first = some.first
         self.stated &= first.pose is not None
@@ -355,7 +343,7 @@ class TopicSurvey:
             self.shapes[Shape(0, 0.0, math.tau, 0.0, math.inf, scans=0)] += 1
             return
         angles = first.angle_min, first.angle_increment
-        shape = Shape(len(first.ranges), *angles, *read_limits(first), scans=0)
+        shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
             self.shapes[shape] += some.scans
 
@@ -363,12 +351,15 @@ class TopicSurvey:
 class Survey(Selector):
     """Takes note of all scans of a log while it says which of them a build would use."""
 
-    def __init__(self, drive: Drive, options: BuildOptions, extent: Extent) -> None:
+    def __init__(self, drive: Drive) -> None:
+        options = drive.options
         super().__init__(options.selection, options.posing.stamps)
         self.drive = drive
-        self.options = options
-        self.extent = extent
         self.topics: dict[str, TopicSurvey] = {}
+        spreads = isinstance(options.model, Spreading) and options.model.spread > 0
+        behind = options.hit_offset * options.resolution
+        around = options.resolution if spreads else 0.0
+        self.extent = Extent(Lattice(options.resolution), behind, around)
 
     def survey(self) -> None:
         """Read all scans once, holding no more than a batch of each topic."""
@@ -380,26 +371,18 @@ class Survey(Selector):
                 survey.posed += len(posed.batch.stamp_ns)
                 if survey.is_sampled:
                     survey.sample.take(posed)
-                rays, _ = interpret(posed, self.options.returns)
+                rays, _ = interpret(posed, self.drive.options.returns)
                 self.extent.add(rays)
 
-    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
-        """As any selector; scans that nobody asked for are only counted."""
-        for some, reason in super().judge(scans):
-            survey = self._find(some.first.topic)
-            survey.read += some.scans
-            if reason not in NOT_ASKED_FOR:
-                survey.see(some)
-            if reason is not None:
-                survey.left_out[reason] += 1
-            yield some, reason
-
-    def _find(self, topic: str) -> TopicSurvey:
+    def see(self, some: Recorded, reason: LeftOut | None) -> None:
+        """Count scans, and take note of what their topic has."""
+        super().see(some, reason)
+        topic = some.first.topic
         if topic not in self.topics:
-            expected = count_messages(self.drive.log, self.drive.topics)
-            sample = Sample(expect_scans(expected, self.options.selection))
-            self.topics[topic] = TopicSurvey(topic, sample, len(self.topics) < SAMPLED_TOPICS)
-        return self.topics[topic]
+            stream = next(each for each in self.drive.log.streams if each.topic == topic)
+            is_sampled = len(self.topics) < SAMPLED_TOPICS
+            self.topics[topic] = TopicSurvey(stream, Sample(self.drive), is_sampled)
+        self.topics[topic].see(some, reason)
 
     def list_notes(self) -> Iterator[str]:
         """Say where there are so many topics that only some are sampled."""

@@ -1,27 +1,223 @@
 """Pages: what a command found, as one HTML file that opens anywhere, with no network.
 
-Here is the writer that the suffix .html asks for, and comparisons with a picture of what was found:
-a PNG, or a page where the name ends in .html.
+Here is the document, of texts, tables and plots, and the page of `check`; the writer that the
+suffix .html asks for; and comparisons with a picture of what was found: a PNG, or a page where the
+name ends in .html.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import reduce
+from importlib.metadata import version
 from pathlib import Path
+from platform import python_version
+from typing import Any, Literal
 
 import numpy as np
 
 from occmap.cells import OccupancyMap, keep_largest
 from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
+from occmap.evidence.manifest import describe_files
 from occmap.grid import CellBox
-from occmap.options import BuildOptions
-from occmap.page.document import write_page
+from occmap.inspection import findings
+from occmap.inspection.findings import Inspection, LogFindings
+from occmap.options import BuildOptions, spell_flags
 from occmap.plugins import need_extra
+from occmap.readers import Role
+from occmap.report import Noted, count, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import ScoredVariant, Variant, VariantComparison, compare
 from occmap.types import UInt8
 from occmap.writers import Product, WriteOptions, Writer, check_picture, refuse_input
+from occmap.writers.atomic import open_atomic
+
+HERE = Path(__file__).parent
+MOST_NAMES = 3
+"""Logs that a title names at most"""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A part of a section; one that holds nothing is not shown."""
+
+    kind: Literal["facts", "table", "list", "code", "plot"]
+    rows: Sequence[Sequence[Any]] = ()
+    """The rows of a table, or names and values"""
+    head: Sequence[str] = ()
+    """Names of the columns of a table; one that begins with # holds numbers"""
+    texts: Sequence[str] = ()
+    """Items of a list, or lines of code"""
+    tone: Literal["", "warning", "problem"] = ""
+    title: str = ""
+    plot: Any = None
+    """A Bokeh figure"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A card of the page."""
+
+    title: str
+    blocks: Sequence[Block]
+    wide: bool = True
+    """Whether it is as wide as the page"""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Maps to look at, beside what there is under the pointer."""
+
+    plots: Sequence[Any]
+    """Bokeh figures, which are called map-0, map-1 ..."""
+    titles: Sequence[str]
+    posters: Sequence[str]
+    """A PNG of each, in base 64, that stands for it until it is drawn"""
+    data: dict[str, Any]
+    """What the script knows of them; see page.js"""
+    note: str = ""
+    """What of the map is not shown as it is"""
+
+
+@dataclass(frozen=True)
+class Page:
+    """What is on a page."""
+
+    title: str
+    subtitle: str
+    sections: Sequence[Section]
+    stage: Stage | None = None
+
+
+def write_page(path: Path, page: Page) -> None:
+    """Write a page.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    with open_atomic(path) as (file,):
+        file.write(compose(page).encode("utf-8", "replace"))
+
+
+def compose(page: Page) -> str:
+    """Compose the HTML; whatever logs and files are called, it is text and nothing else."""
+    from bokeh.embed import components  # noqa: PLC0415  an extra, and late: it takes long to load
+    from bokeh.resources import Resources  # noqa: PLC0415  likewise
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415  likewise
+
+    of_sections = [b.plot for each in page.sections for b in each.blocks if b.kind == "plot"]
+    figures = [*(page.stage.plots if page.stage else ()), *of_sections]
+    script, divs = components(figures) if figures else ("", ())
+    of_stage = len(page.stage.plots) if page.stage else 0
+    resources = Resources("inline", components=["bokeh"], minified=True)
+    environment = Environment(
+        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["spell"] = spell_flags
+    html = environment.get_template("page.html").render(
+        page=page,
+        maps=divs[:of_stage],
+        plots=iter(divs[of_stage:]),
+        bokeh=resources.render() + script if figures else "",
+        style=(HERE / "page.css").read_text(),
+        script=(HERE / "page.js").read_text(),
+        data=to_script(page.stage.data if page.stage else {}),
+    )
+    return name_stdin(html)
+
+
+def to_script(value: Any) -> str:
+    """Write JSON, of dataclasses too, that ends no script, whatever names are in it."""
+    text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=vars)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def name_logs(names: Iterable[str]) -> str:
+    """Name logs in a title; of a folder, the inputs are called folder/file."""
+    distinct = dict.fromkeys(name.partition("/")[0] for name in names)
+    return join_names(distinct, MOST_NAMES)
+
+
+def describe_maker(inputs: Iterable[Mapping[str, Any]]) -> Section:
+    """Say which command made the page, with which versions, of which files."""
+    blocks = []
+    program = Path(sys.argv[0])
+    if "occmap" in {program.stem, program.parent.name}:  # else a program of somebody else's
+        blocks.append(Block("code", texts=[shlex.join(["occmap", *sys.argv[1:]])]))
+    versions = ", ".join(f"{name} {version(name)}" for name in ("occmap", "numpy", "bokeh"))
+    blocks.append(Block("facts", rows=[("versions", f"{versions}, Python {python_version()}")]))
+    files = [(each["name"], f"{each['bytes']:,}", each["sha256"]) for each in inputs]
+    blocks.append(Block("table", files, ("file", "#bytes", "SHA-256")))
+    return Section("How it was made", blocks)
+
+
+MOST_LOGS = 20
+"""With all that is found in them; warnings and problems are those of all logs."""
+
+
+def write_inspection(path: Path, inspection: Inspection) -> None:
+    """Write the page of an inspection.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    logs = [Path(log.path) for log in inspection.logs]
+    names = name_logs(log.name for log in logs)
+    verdict = "can be mapped" if inspection.buildable else "cannot be mapped as it is"
+    sections = list(tell_findings(inspection))
+    if inspection.map is not None:
+        facts = [("size", findings.describe_map(inspection.map))]
+        sections.append(Section("The map that they would make", [Block("facts", facts)]))
+    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
+    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
+    write_page(path, page)
+
+
+def tell_findings(found: Inspection) -> Iterator[Section]:
+    """Say what `check` finds in logs."""
+    nothing = [] if found.problems or found.warnings else ["No problems, no warnings."]
+    blocks = [
+        Block("list", texts=found.problems, tone="problem"),
+        Block("list", texts=found.warnings, tone="warning"),
+        Block("list", texts=nothing),
+    ]
+    if found.command:
+        blocks.append(Block("code", title="Recommended", texts=[shlex.join(found.command)]))
+    yield Section("What check finds", blocks)
+    for log in found.logs[:MOST_LOGS]:
+        yield Section(f"In {log.path}", list(list_log(log)))
+    if others := len(found.logs[MOST_LOGS:]):
+        rest = [Block("list", texts=[f"{count(others, 'more log')}: see `occmap check`"])]
+        yield Section("And", rest)
+
+
+def list_log(log: LogFindings) -> Iterator[Block]:
+    """All about one log."""
+    yield Block("list", title="Damage", texts=log.damage, tone="problem")
+    yield Block("list", title="Notes", texts=log.other_notes)
+    streams = [
+        (each.topic, each.type, f"{each.count:,}", each.role.replace(Role.OTHER, ""))
+        for each in log.streams
+    ]
+    yield Block("table", streams, ("topic", "type", "#messages", "used as"), title="Topics")
+    for topic in log.scans:
+        yield Block("facts", list(findings.list_facts(topic)), title=f"Scans on {topic.topic}")
+    yield Block("list", title="Pose sources", texts=list(findings.list_sources(log.coverage)))
+
+
+def tell_notes(result: Noted) -> Section:
+    """Say what the command said beside its numbers."""
+    others = result.other_notes if result.notes else ["Nothing: no damage and no warnings."]
+    blocks = [Block("list", texts=result.damage, tone="problem"), Block("list", texts=others)]
+    return Section("What the command said", blocks)
+
 
 LARGEST_PX, SMALLEST_PX = 1000, 360
 """The longer side of a panel."""

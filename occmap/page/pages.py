@@ -11,39 +11,12 @@ from bokeh.models import Range1d
 from bokeh.palettes import Category10_10
 from bokeh.plotting import figure
 
+from occmap import page
 from occmap.cells import Evidence
 from occmap.difference import COLOURS, NEITHER, MapDifference
 from occmap.evidence.manifest import describe_files, list_inputs
 from occmap.grid import CellBox
-from occmap.page.document import (
-    Block,
-    Page,
-    Section,
-    Stage,
-    describe_maker,
-    name_logs,
-    tell_findings,
-    tell_notes,
-    write_page,
-)
-from occmap.page.raster import (
-    CLASS_COLOURS,
-    EDITED,
-    MOST_BYTES,
-    MOST_CELLS,
-    Layer,
-    Layers,
-    Raster,
-    Seen,
-    add_drawing,
-    add_scan,
-    add_way,
-    make_raster,
-    name_layers,
-    pack,
-    set_out,
-    thin,
-)
+from occmap.page import Block, Page, Section, Stage, raster
 from occmap.report import write_box
 from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
@@ -74,49 +47,49 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
         sections += [
             Section("The map", [Block("facts", [*made, *names])], wide=False),
             Section("Scans and beams", [Block("facts", scans)], wide=False),
-            tell_notes(report),
+            page.tell_notes(report),
         ]
     if product.inspect:
-        sections += tell_findings(product.inspect())
-    sections.append(describe_maker(entry for build in builds for entry in build["inputs"]))
+        sections += page.tell_findings(product.inspect())
+    inputs = (entry for build in builds for entry in build["inputs"])
+    sections.append(page.describe_maker(inputs))
     stage = stage_map(product, evidence, options)
-    return Page(f"Map of {name_logs(logs)}", subtitle, sections, stage)
+    return Page(f"Map of {page.name_logs(logs)}", subtitle, sections, stage)
 
 
 def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> Stage:
     """Set out a map, and what was recorded over it."""
     grid = replace(product.grid, decision=options.decide(product.grid.decision))
-    seen = Seen.of(evidence)
-    raster = make_raster(grid, seen)
-    note = " ".join(list_losses(raster, product, evidence))
-    stage = set_out([raster], name_layers([raster], seen), grid.extent, note=note)
+    seen = raster.Seen.of(evidence)
+    made = raster.make_raster(grid, seen)
+    note = " ".join(list_losses(made, product, evidence))
+    stage = raster.set_out([made], raster.name_layers([made], seen), grid.extent, note=note)
     for shape in options.shapes:
         for ring in shape.rings:
             closed = ring if shape.width else [*ring, ring[0]]
-            stage.plots[0].line(*np.transpose(closed), line_width=2, color=EDITED, name="edits")
-    add_drawing(stage.plots[0])
+            style = {"line_width": 2, "color": raster.EDITED}
+            stage.plots[0].line(*np.transpose(closed), name="edits", **style)
+    raster.add_drawing(stage.plots[0])
     stage.data["changes"] = list(Change)
     journey = product.journey
     if journey and journey.trajectories:
-        stage.data["journey"] = add_way(stage.plots[0], journey.trajectories)
+        stage.data["journey"] = raster.add_way(stage.plots[0], journey.trajectories)
         if journey.scans:
-            add_scan(stage.plots[0])
+            raster.add_scan(stage.plots[0])
             stage.data["journey"] |= pack_scans(journey)
     return stage
 
 
-def list_losses(raster: Raster, product: Product, evidence: Evidence) -> list[str]:
+def list_losses(made: raster.Raster, product: Product, evidence: Evidence) -> list[str]:
     """Say what the page does not show as it is."""
     losses = []
-    if raster.step > 1:
+    if made.step > 1:
         losses.append(
-            f"The map is too large for a page: of each {raster.step} x {raster.step} cells the one "
+            f"The map is too large for a page: of each {made.step} x {made.step} cells the one "
             "most likely occupied is shown."
         )
-    if raster.rounding:
-        losses.append(
-            f"So that the page stays small, counts are off by up to {raster.rounding:.0%}."
-        )
+    if made.rounding:
+        losses.append(f"So that the page stays small, counts are off by up to {made.rounding:.0%}.")
     if product.journey is None:
         losses.append("This map is of saved evidence, which does not keep where the robot went.")
     elif len(evidence.manifest.builds) > 1:
@@ -137,7 +110,7 @@ def pack_scans(journey: Journey) -> dict[str, Any]:
         "x": [round(each.origin[0], 3) for each in scans],
         "y": [round(each.origin[1], 3) for each in scans],
         "hits": [
-            pack(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
+            raster.pack(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
             for axis, low in zip(hits, origin, strict=True)
         ],
     }
@@ -161,11 +134,11 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
         tell_verdict(comparison),
         Section("Scores", [tell_scores(comparison)]),
         Section("Do probabilities mean what they say?", [tell_reliability(results)]),
-        tell_notes(comparison),
-        describe_maker(entry for log in logs for entry in describe_files(log)),
+        page.tell_notes(comparison),
+        page.describe_maker(entry for log in logs for entry in describe_files(log)),
     ]
-    title = f"Comparison of maps of {name_logs(log.name for log in logs)}"
-    write_page(path, Page(title, subtitle, sections, stage_variants(results)))
+    title = f"Comparison of maps of {page.name_logs(log.name for log in logs)}"
+    page.write_page(path, Page(title, subtitle, sections, stage_variants(results)))
 
 
 def tell_verdict(comparison: VariantComparison) -> Section:
@@ -222,14 +195,15 @@ def tell_reliability(results: Sequence[ScoredVariant]) -> Block:
 
 def stage_variants(results: Sequence[ScoredVariant]) -> Stage:
     """Set out the maps side by side; what one shows, all show."""
-    share = MOST_BYTES // len(results)
-    rasters = [make_raster(result.map, None, share) for result in results]
+    share = raster.MOST_BYTES // len(results)
+    rasters = [raster.make_raster(result.map, None, share) for result in results]
     low_x, low_y, high_x, high_y = zip(*(result.map.extent for result in results), strict=True)
     box = min(low_x), min(low_y), max(high_x), max(high_y)
-    coarse = max(raster.step for raster in rasters)
+    coarse = max(each.step for each in rasters)
     note = f"Large maps are shown thinned, up to one of {coarse} x {coarse} cells."
     titles = [f"share {each.score.share:.3f} \u2013 {each.name}" for each in results]
-    return set_out(rasters, name_layers(rasters), box, titles, note if coarse > 1 else "")
+    layers = raster.name_layers(rasters)
+    return raster.set_out(rasters, layers, box, titles, note if coarse > 1 else "")
 
 
 CLASSES = ("unknown", "free", "occupied")
@@ -257,9 +231,9 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
         facts.append(("largest", f"{blob.cells:,} connected cells, {write_box(blob.extent)}"))
     blocks = [Block("facts", facts), Block("table", rows, ("what changed", "#cells"))]
     inputs = [entry for each in maps for entry in describe_files(each)]
-    sections = [Section("Changes", blocks), describe_maker(inputs)]
+    sections = [Section("Changes", blocks), page.describe_maker(inputs)]
     title = f"From {before.name} to {after.name}"
-    write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
+    page.write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
 
 
 def stage_changes(difference: MapDifference) -> Stage:
@@ -267,34 +241,34 @@ def stage_changes(difference: MapDifference) -> Stage:
     table = np.zeros((3, 3), np.uint8)
     for code, pair in enumerate(COLOURS):
         table[pair] = code
-    layers: Layers = {
+    layers: raster.Layers = {
         "change": table[difference.before, difference.after],
         "before": difference.before,
         "after": difference.after,
     }
     step = 1
-    while layers["change"].size > MOST_CELLS * step**2:
+    while layers["change"].size > raster.MOST_CELLS * step**2:
         step *= 2
     place = difference.place
-    shown = thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
-    packed = {name: pack(shown[name]) for name in layers}
-    raster = Raster(place.x, place.y, place.resolution * step, step, packed)
+    shown = raster.thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
+    packed = {name: raster.pack(shown[name]) for name in layers}
+    made = raster.Raster(place.x, place.y, place.resolution * step, step, packed)
     box = place.measure(CellBox(0, 0, *difference.before.shape))
     note = f"Of each {step} x {step} cells the one that changed most is shown."
-    return set_out([raster], list_change_layers(), box, note=note if step > 1 else "")
+    return raster.set_out([made], list_change_layers(), box, note=note if step > 1 else "")
 
 
-def list_change_layers() -> list[Layer]:
+def list_change_layers() -> list[raster.Layer]:
     """How changes and classes are coloured."""
     names = [
         CLASSES[now] if was == now else f"{CLASSES[was]} to {CLASSES[now]}" for was, now in COLOURS
     ]
-    of_classes = [CLASS_COLOURS[0], CLASS_COLOURS[1], CLASS_COLOURS[3]]
+    of_classes = [raster.CLASS_COLOURS[0], raster.CLASS_COLOURS[1], raster.CLASS_COLOURS[3]]
     changed = [
         "#{:02x}{:02x}{:02x}".format(*rgb) for (was, now), rgb in COLOURS.items() if was != now
     ]
     return [
-        Layer("change", "change", "classes", [*of_classes, *changed], names),
-        Layer("before", "before", "classes", of_classes, CLASSES),
-        Layer("after", "after", "classes", of_classes, CLASSES),
+        raster.Layer("change", "change", "classes", [*of_classes, *changed], names),
+        raster.Layer("before", "before", "classes", of_classes, CLASSES),
+        raster.Layer("after", "after", "classes", of_classes, CLASSES),
     ]

@@ -14,17 +14,8 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
+from bokeh import palettes
 from bokeh.models import BasicTicker, ColumnDataSource, HoverTool, Range1d, WheelZoomTool
-from bokeh.palettes import (
-    Blues256,
-    Cividis256,
-    Greys256,
-    Oranges256,
-    Plasma256,
-    Purples256,
-    Viridis256,
-    linear_palette,
-)
 from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
@@ -33,7 +24,7 @@ from occmap.cells import Box, Evidence, Ground, OccupancyMap, Slices, keep_large
 from occmap.evidence import make_empty
 from occmap.grid import CellBox, tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
-from occmap.page.document import Stage
+from occmap.page import Stage
 from occmap.types import Bool, Int64, Trajectory
 from occmap.writers.images import encode_png
 
@@ -96,27 +87,21 @@ class Seen(NamedTuple):
     """Those of all builds, in order"""
     slice_s: float
     """How long each of them is (s)"""
+    first: int
+    """The first of them, from which the layer of last sights counts"""
     ground: Ground | None
     """What clouds were traced over"""
+    lowest_cm: int
+    """The lowest ground, from which its layer counts (cm)"""
 
     @classmethod
     def of(cls, evidence: Evidence) -> "Seen":
         """Make evidence ready."""
         grid = make_empty(evidence.manifest).like(tiles.view_tiles(evidence.tiles, evidence.cells))
-        slices, slice_s = tiles.unite(evidence.slices), evidence.manifest.pass_gap_s
-        return cls(grid, slices, slice_s, evidence.ground)
-
-    @property
-    def first(self) -> int:
-        """The first slice, from which the layer of last sights counts."""
-        return int(self.slices.numbers.min()) if self.slices.numbers.size else 0
-
-    @property
-    def lowest_cm(self) -> int:
-        """The lowest ground, from which its layer counts (cm)."""
-        if self.ground is None or not self.ground.measured.any():
-            return 0
-        return int(self.ground.height_mm[self.ground.measured].min()) // 10
+        slices, ground = tiles.unite(evidence.slices), evidence.ground
+        heights = ground.height_mm[ground.measured] if ground else np.zeros(0)
+        first, lowest = (int(each.min()) if each.size else 0 for each in (slices.numbers, heights))
+        return cls(grid, slices, evidence.manifest.pass_gap_s, first, ground, lowest // 10)
 
 
 def make_raster(grid: OccupancyMap, seen: Seen | None, most_bytes: int = MOST_BYTES) -> Raster:
@@ -295,29 +280,30 @@ class Layer:
 def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Layer]:
     """Say what the layers of maps are, which all have the same ones."""
     tops = {key: max(each.layers[key].largest for each in rasters) for key in rasters[0].layers}
-    unit = seen.grid.unit if seen else 1
-    counts = {"none": 0, "scale": 1 / unit, "digits": 1 if unit > 1 else 0}
-    times: dict[str, Any] = {"none": 0}
-    heights: dict[str, Any] = {"none": 0, "scale": 0.01, "digits": 2}
-    if seen:
-        times |= {"scale": seen.slice_s, "start": seen.first * seen.slice_s}
-        heights["start"] = (seen.lowest_cm - 1) / 100
 
     def shade(key: str, label: str, kind: Kind, palette: tuple[str, ...], **more: Any) -> Layer:
-        colours = linear_palette(palette, SHADES)
-        return Layer(key, label, kind, colours, **{"top": max(tops.get(key, 1), 1)} | more)
+        colours = palettes.linear_palette(palette, SHADES)
+        usual = {"none": 0, "top": max(tops.get(key, 1), 1)}
+        return Layer(key, label, kind, colours, **usual | more)
 
     percent = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
-    layers = (
+    layers = [
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
-        shade("p", "probability", "ramp", Greys256[::-1], **percent),
-        shade("hits", "hits", "log", Oranges256[::-1], **counts),
-        shade("misses", "misses", "log", Blues256[::-1], **counts),
-        shade("looks", "looks", "log", Blues256[::-1], **counts),
-        shade("visits", "visits", "ramp", Purples256[::-1], none=0),
-        shade("last", "last seen", "time", Viridis256, **times),
-        shade("ground", "ground (m)", "ramp", Cividis256, **heights),
-    )
+        shade("p", "probability", "ramp", palettes.Greys256[::-1], **percent),
+    ]
+    if seen is None:
+        return layers
+    counts = {"scale": 1 / seen.grid.unit, "digits": 1 if seen.grid.unit > 1 else 0}
+    times = {"scale": seen.slice_s, "start": seen.first * seen.slice_s}
+    heights = {"scale": 0.01, "digits": 2, "start": (seen.lowest_cm - 1) / 100}
+    layers += [
+        shade("hits", "hits", "log", palettes.Oranges256[::-1], **counts),
+        shade("misses", "misses", "log", palettes.Blues256[::-1], **counts),
+        shade("looks", "looks", "log", palettes.Blues256[::-1], **counts),
+        shade("visits", "visits", "ramp", palettes.Purples256[::-1]),
+        shade("last", "last seen", "time", palettes.Viridis256, **times),
+        shade("ground", "ground (m)", "ramp", palettes.Cividis256, **heights),
+    ]
     return [layer for layer in layers if layer.key in tops]
 
 
@@ -349,7 +335,7 @@ def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
 
 
 UNKNOWN_COLOUR = "#d5d9de"
-WAY_COLOURS = Plasma256[20:165]
+WAY_COLOURS = palettes.Plasma256[20:165]
 """Without the lightest: floors are white, and undecided cells yellow."""
 MOST_STEPS = 5000
 """Pieces of a way: more cannot be told apart on a screen"""

@@ -7,36 +7,19 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Self, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, DropReason, PosingOptions
-from occmap.posing.chain import (
-    Chain,
-    Status,
-    Transforms,
-    choose_deskewed,
-    list_moments,
-    place_beams,
-)
+from occmap.posing import Concern, Deskew, DropReason, PosingOptions, chain
+from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
-from occmap.posing.sources import Sources, gather, resolve
+from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
-from occmap.types import (
-    IDENTITY,
-    Attached,
-    Float64,
-    Int64,
-    Moments,
-    Pose,
-    PoseBatch,
-    PoseSample,
-    ScanBatch,
-)
+from occmap.types import IDENTITY, Attached, Float64, Int64, Pose, ScanBatch
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
@@ -71,7 +54,7 @@ class Poser:
     options: PosingOptions
     fixed: str | None = None
     """The frame of the map; known when the first frame is resolved."""
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(init=False)
     """What a user should know of decisions and of what was left out; grows, each sentence once."""
     chains: dict[str, Chain | None] = field(default_factory=dict)
     """By scan frame; None where no chain leads to it."""
@@ -81,33 +64,9 @@ class Poser:
     """Stamps, by the clock of the poses, of the scans that leap away."""
 
     def __post_init__(self) -> None:
+        self.notes = list(self.sources.notes)
         self._offset_ns = round(self.options.time_offset_s * 1e9)  # to the clock of the poses
-        self._is_settled = False
         self._above = place_logs(self.options).then(tilt(self.options.level or (0.0, 0.0)))
-
-    @classmethod
-    def build(
-        cls,
-        samples: Iterable[PoseSample | PoseBatch],
-        options: PosingOptions,
-        moments: Moments | None = None,
-    ) -> Self:
-        """Read all samples of a log once, in any order.
-
-        Parameters
-        ----------
-        moments
-            The times of the scans of a log that holds nothing else, for a trajectory without times.
-
-        Raises
-        ------
-        PoseError
-            The chosen trajectory is neither a file nor a topic with poses.
-        LogError
-            The trajectory file cannot be read.
-        """
-        sources = gather(samples, options, moments)
-        return cls(sources, options, notes=list(sources.notes))
 
     def find_chains(self, frames: Iterable[str]) -> dict[str, PoseError]:
         """Find the chains to these scan frames, all from the same fixed frame.
@@ -133,15 +92,15 @@ class Poser:
     def _try_frames(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
         failures = {}
         for frame in frames:
+            search = Search(self.sources, self.options, frame.strip("/"), alone)
             try:
-                found = resolve(self.sources, self.options, frame, self.fixed, alone)
+                self.fixed, way = search.resolve(self.fixed)
             except PoseError as error:
                 failures[frame] = error
                 continue
-            self.fixed, chain, notes = found
-            self.chains[frame] = chain
-            self._note(*notes)
-            if not chain.interval_s and self.sources.tree.moves and frame != self.fixed:
+            self.chains[frame] = way
+            self._note(*search.notes)
+            if not way.interval_s and self.sources.tree.moves and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
 
@@ -163,21 +122,18 @@ class Poser:
 
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
-        tracks = (course.build() for course in self.courses.values())
-        return any(has_leap(track, self.options.max_speed) for track in tracks if track)
+        max_speed = self.options.max_speed
+        return any(has_leap(course.build(), max_speed) for course in self.courses.values())
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
 
-        From then on those that leap away are left out, and no others are looked for.
+        From then on those that leap away are left out.
         """
-        if self._is_settled:
-            return True
-        self._is_settled = True
         max_speed = self.options.max_speed
         for laser, course in sorted(self.courses.items()):
             track = course.build()
-            if track is None or not (outliers := find_outliers(track, max_speed)).any():
+            if not (outliers := find_outliers(track, max_speed)).any():
                 continue
             outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
             if max_speed < math.inf:
@@ -190,12 +146,13 @@ class Poser:
 
     def _convert(self, stamp_ns: Int64) -> Int64:
         """Convert stamps of scans (S,) to the clock of the poses."""
-        return np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        moved = np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
+        return np.clip(moved, -MAX_STAMP_NS, MAX_STAMP_NS)
 
     def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
         """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
         if batch.pose is not None and self.sources.trajectory is None:
-            yield self._keep(batch, self._read_stated(batch.pose))
+            yield self._keep(batch, self._read_stated(batch.pose), None, None)
             return
         if batch.frame not in self.chains:
             self.find_chains([batch.frame])
@@ -209,14 +166,14 @@ class Poser:
             return
         # A cloud takes long, and its points say when they were measured.
         deskew = Deskew.AUTO if batch.clouds else self.options.deskew
-        deskewed, notes = choose_deskewed(batch, deskew, way)
+        deskewed, notes = chain.choose_deskewed(batch, deskew, way)
         self._note(*notes)
         if deskewed.any():
             part = batch.take(deskewed)
-            moment_ns = stamp_ns[deskewed, None] + list_moments(part)
-            yield self._keep(part, way.at(moment_ns.ravel()), way)
+            moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
+            yield self._keep(part, way.at(moment_ns.ravel()), way, None)
         if not deskewed.all():
-            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way)
+            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way, None)
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -238,11 +195,7 @@ class Poser:
         return None
 
     def _keep(
-        self,
-        batch: ScanBatch,
-        found: Transforms,
-        way: Chain | None = None,
-        seen_from: Transforms | None = None,
+        self, batch: ScanBatch, found: Transforms, way: Chain | None, seen_from: Transforms | None
     ) -> Attached:
         """Keep the scans (S) that have a pose at all of their K moments; count the others.
 
@@ -267,7 +220,7 @@ class Poser:
         }
         if not kept.any():
             return Attached(batch, None, dropped)
-        posed = place_beams(batch, kept, self._above.then(found))
+        posed = chain.place_beams(batch, kept, self._above.then(found))
         if seen_from is not None:
             posed = replace(posed, origin=self._above.then(seen_from).position[kept])
         self.courses.setdefault(laser, Course(way)).see(posed, stamp_ns[kept])
@@ -275,8 +228,8 @@ class Poser:
 
     def find_stance(self, topic: str) -> Stance | None:
         """Find how the sensor of a topic sat; None where no scan had a pose."""
-        tracks = [each.build() for (name, _), each in self.courses.items() if name == topic]
-        return next((Stance.measure(track) for track in tracks if track), None)
+        courses = (each for (name, _), each in self.courses.items() if name == topic)
+        return next((Stance.measure(each.build()) for each in courses), None)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.
@@ -293,8 +246,7 @@ class Poser:
         jumped = None
         yield from self._list_twins()
         for (topic, _), course in sorted(self.courses.items()):
-            if (track := course.build()) is None:
-                continue
+            track = course.build()
             if stands(track):
                 self._note(f"{topic}: {STANDS}")
             if not course.is_of_clouds:
@@ -311,12 +263,12 @@ class Poser:
         """Say which topics hold the scans of another one, such as those that were filtered."""
         known: dict[str, tuple[str, Int64]] = {}
         for (topic, frame), course in sorted(self.courses.items()):
-            if track := course.build():
-                other, stamp_ns = known.setdefault(frame, (topic, track.stamp_ns))
-                if topic != other and np.isin(track.stamp_ns, stamp_ns).mean() > TWIN_SHARE:
-                    found = f"has the frame and the stamps of {other}, and both count"
-                    why = "if one is filtered from the other, choose with `topics`"
-                    yield topic, Concern(f"{found}: {why}")
+            mine = course.build().stamp_ns
+            other, stamp_ns = known.setdefault(frame, (topic, mine))
+            if topic != other and np.isin(mine, stamp_ns).mean() > TWIN_SHARE:
+                found = f"has the frame and the stamps of {other}, and both count"
+                why = "if one is filtered from the other, choose with `topics`"
+                yield topic, Concern(f"{found}: {why}")
 
     def _note(self, *sentences: str) -> None:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]
@@ -326,12 +278,7 @@ def _list_idle(options: PosingOptions) -> Iterator[str]:
     """Say whose poses stand beside the scans, and which options change nothing about them."""
     if options.sensor_pose is not None:
         yield POSES_OF_BODY
-    given = {
-        "`map_frame`": options.map_frame is not None,
-        "`base_frame`": options.base_frame is not None,
-        "`time_offset_s`": options.time_offset_s != 0,
-        "`deskew=on`": options.deskew is Deskew.ON,
-    }
-    for option, is_given in given.items():
-        if is_given:
-            yield f"{option} does nothing: the poses stand beside the scans"
+    usual = PosingOptions()
+    for name in ("map_frame", "base_frame", "time_offset_s", "deskew"):
+        if getattr(options, name) != getattr(usual, name):
+            yield f"`{name}` does nothing: the poses stand beside the scans"

@@ -12,18 +12,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing import Concern, Stamps
+from occmap.posing import Concern, Stamps, tracks
 from occmap.posing.chain import Chain, Moving, Status, make_chain
 from occmap.posing.frames import Edge, Source
-from occmap.posing.tracks import (
-    Track,
-    TrackBuilder,
-    differ,
-    list_poses,
-    measure_turn,
-    rotate_by,
-)
-from occmap.types import Float64, Int64, PoseBatch, PosedScans
+from occmap.posing.tracks import Track, TrackBuilder
+from occmap.types import Float64, Int64, PosedScans
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
@@ -73,13 +66,13 @@ class Jump(NamedTuple):
     @property
     def radians(self) -> float:
         """How far it turned."""
-        return float(measure_turn(np.eye(3), self.rotation))
+        return float(tracks.measure_turn(np.eye(3), self.rotation))
 
     def is_undone_by(self, later: Self) -> bool:
         """Whether a later jump leads back to where this one came from."""
         back = later.after + later.rotation @ (self.after - later.before)
         apart = float(np.linalg.norm(back - self.before))
-        askew = float(measure_turn(later.rotation.T, self.rotation))
+        askew = float(tracks.measure_turn(later.rotation.T, self.rotation))
         return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
 
 
@@ -126,8 +119,7 @@ def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]
     scans = [first]
     for jump, following in zip(found, others, strict=True):
         if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
-            jumps.pop()
-            scans.pop()
+            del jumps[-1], scans[-1]
             scans[-1] += following
         else:
             jumps.append(jump)
@@ -244,13 +236,13 @@ class Course:
         Of de-skewed scans, those of their first beams count.
         """
         self.is_of_clouds = posed.batch.clouds is not None
-        pose = list_poses(posed)
-        seen = PoseBatch(stamp_ns, stamp_ns, pose, "", "", static=False, topic="")
-        self._poses.add(seen, Stamps.HEADER)
+        self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
 
-    def build(self) -> Track | None:
-        """Put all that was seen in the order of time; None where no scan had a pose."""
-        return self._poses.build()
+    def build(self) -> Track:
+        """Put all that was seen, at least one scan, in the order of time."""
+        track = self._poses.build()
+        assert track is not None
+        return track
 
     def warn_of_mixed(self) -> Concern | None:
         """Say if a track holds poses of two times, or of two nodes, among each other."""
@@ -275,7 +267,7 @@ class Course:
 
 def stands(track: Track) -> bool:
     """Whether a sensor never moved, though there were scans enough to see it move."""
-    moves = differ(track.position, track.quaternion, STILL_M, STILL_RAD)
+    moves = tracks.differ(track.position, track.quaternion, STILL_M, STILL_RAD)
     return len(track) >= STILL_SCANS and not moves
 
 
@@ -293,7 +285,7 @@ class Stance(NamedTuple):
     @classmethod
     def measure(cls, track: Track) -> Self:
         """Measure how a sensor sat."""
-        ahead, _, up = rotate_by(track.quaternion)[:, 2].T
+        ahead, _, up = tracks.rotate_by(track.quaternion)[:, 2].T
         return cls(
             upside_down=bool(np.median(up) < 0),
             tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),

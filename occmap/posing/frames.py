@@ -89,14 +89,6 @@ class FrameTree:
         top = {e.child for e in driven if children.isdisjoint(self.list_ancestors(e.parent))}
         return sorted(top)
 
-    @cached_property
-    def namesakes(self) -> dict[str, list[str]]:
-        """The frames that share the last part of their names, by that part."""
-        found = defaultdict(list)
-        for frame in self.frames:
-            found[last_part(frame)].append(frame)
-        return dict(found)
-
     def list_ancestors(self, frame: str) -> list[str]:
         """List a frame and those above it, nearest first."""
         found = [frame]
@@ -145,10 +137,15 @@ class FrameTree:
             if name in self:
                 return [name]
         for name in BASE_NAMES:
-            if namesakes := self.namesakes.get(name, []):
+            if namesakes := [each for each in self.frames if last_part(each) == name]:
                 space = frame.rpartition("/")[0]
                 return [each for each in namesakes if each.rpartition("/")[0] == space] or namesakes
         return self.bodies
+
+    def find_base(self, frame: str) -> str:
+        """Find the frame that a sensor is mounted on; "" where that is not clear."""
+        bases = self.list_bases(frame)
+        return bases[0] if len(bases) == 1 else ""
 
     def find_body(self, frame: str) -> str:
         """Find the body that carries a frame: the lowest above it that moves, or the root.

@@ -15,17 +15,9 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import MountError, PoseError
-from occmap.posing import RECORDING, PosingOptions, Stamps
+from occmap.posing import RECORDING, PosingOptions, Stamps, frames
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import (
-    BASE_NAMES,
-    FIXED_NAMES,
-    Edge,
-    FrameTree,
-    Source,
-    find_moving,
-    last_part,
-)
+from occmap.posing.frames import Edge, FrameTree, Source, find_moving, last_part
 from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
 from occmap.report import count, join_names
@@ -76,7 +68,7 @@ def gather(
         The trajectory file cannot be read.
     """
     every, unusable, changes = _build_edges(samples, options.stamps)
-    recording, topic = options.recording or (None, "")
+    recording, _ = options.recording or (None, "")
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
     edges = [edge for edge in every if edge not in others]
     given = [
@@ -86,15 +78,16 @@ def gather(
     if not any(edge.child for edge in [*given, *edges]):
         edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
-    stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
-    poses = sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
+    poses = _rank(edges)
     of_file: list[str] = []
-    trajectory: Edge | None = None
-    if recording is not None:
-        chosen = _choose_beside(others, f"{recording}:{topic}", tree)
-        trajectory = replace(chosen, parent=options.map_frame or chosen.parent)
-    elif options.poses:
-        trajectory = _find_trajectory(options, poses, of_file, moments)
+    trajectory = None
+    if options.poses:
+        named = _rank(others) if recording else poses
+        trajectory = _find_trajectory(options, named, of_file, moments)
+    if trajectory and recording:
+        frame = options.map_frame or trajectory.parent
+        body = trajectory.child if trajectory.child in tree else ""  # it may have another name
+        trajectory = replace(trajectory, parent=frame, child=body)
     notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
@@ -109,7 +102,9 @@ def _build_edges(
     """
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
-        builders[item.topic, item.parent, item.child, item.static].add(item, stamps)
+        builder = builders[item.topic, item.parent, item.child, item.static]
+        stamp_ns = stamps.choose(item.stamp_ns, item.record_ns)
+        builder.add(stamp_ns, item.record_ns, item.pose)
     edges: list[Edge] = []
     unusable: list[str] = []
     changed: dict[str, list[str]] = defaultdict(list)
@@ -135,10 +130,18 @@ def _build_edges(
     return edges, unusable, changes
 
 
+def _rank(edges: Iterable[Edge]) -> list[Edge]:
+    """List the topics of poses, the one with the most of them first."""
+    stated = (edge for edge in edges if edge.source is Source.ODOMETRY)
+    return sorted(stated, key=lambda edge: (-len(edge.track), edge.topic))
+
+
 def _name_body(edge: Edge) -> Edge:
     """Name the body of odometry that names none, in a log without other frames, as REP 105 does."""
-    is_odometry = last_part(edge.parent) == FIXED_NAMES[1] and not _is_intention(edge.topic)
-    return replace(edge, child=BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
+    is_odometry = last_part(edge.parent) == frames.FIXED_NAMES[1] and not _is_intention(edge.topic)
+    return (
+        replace(edge, child=frames.BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
+    )
 
 
 def _is_intention(topic: str) -> bool:
@@ -160,9 +163,10 @@ def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTre
 def _find_trajectory(
     options: PosingOptions, poses: Sequence[Edge], notes: list[str], moments: Moments | None
 ) -> Edge:
-    """Take the chosen trajectory: from a file where there is one of that name, else by topic."""
+    """Take the chosen trajectory: from a file, or by topic; the best where that is not named."""
     name = options.poses or ""
-    if Path(name).is_file():
+    recording, topic = options.recording or (None, name)
+    if recording is None and Path(name).is_file():
         samples = read_trajectory(Path(name), notes, moments)
         edges, unusable, _ = _build_edges(samples, Stamps.HEADER)
         notes.extend(unusable)
@@ -170,37 +174,18 @@ def _find_trajectory(
             raise PoseError("holds no usable pose: none is finite", where=name)
         frame = options.map_frame or TRAJECTORY_FRAME
         return replace(edges[0], parent=frame, topic=name)
+    wanted = f"{recording}:{topic}" if recording else name
     for edge in poses:
-        if edge.topic.strip("/") == name.strip("/"):
+        if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
     if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
-    if Path(name).suffix or RECORDING.fullmatch(name):  # no topic has such a name
+    if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no such topic
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
-    topics = ", ".join(sorted({edge.topic for edge in poses}))
-    found = "neither a file nor a topic with poses"
-    fix = f"topics with poses: {topics}" if topics else "the log has no topic with poses"
-    raise PoseError(found, where=name, fix=fix)
-
-
-def _choose_beside(others: Sequence[Edge], name: str, tree: FrameTree) -> Edge:
-    """Choose a topic of poses of another recording: the one of a name, or that has the most.
-
-    Parameters
-    ----------
-    name
-        The recording and the topic, as in "slam.bag:/path"; "slam.bag:" names no topic.
-    """
-    usable = [edge for edge in others if len(edge.track) > 1]
-    if not name.endswith(":"):
-        usable = [edge for edge in usable if edge.topic == name]
-    if not usable:
-        fix = f"topics with poses: {join_names(sorted({edge.topic for edge in others}))}"
-        raise PoseError("holds no such topic of poses", where=name.rstrip(":"), fix=fix)
-    chosen = max(usable, key=lambda edge: len(edge.track))
-    # Its name for the body may be another.
-    return chosen if chosen.child in tree else replace(chosen, child="")
+    found = "holds no such topic of poses" if recording else "neither a file nor a topic with poses"
+    topics = join_names(sorted({edge.topic for edge in poses}))
+    raise PoseError(found, where=name, fix=f"topics with poses: {topics}")
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
@@ -221,7 +206,10 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
     several = [f"{child} ({', '.join(up)})" for child, up in parents.items() if len(up) > 1]
     if several:
         yield f"frames that have several parents: {join_names(several)}; the shortest way counts"
-    yield from _list_loops(parents)
+    try:
+        TopologicalSorter(parents).prepare()
+    except CycleError as error:
+        yield f"the transforms {' -> '.join(error.args[1])} form a loop: the shortest way counts"
 
 
 def _disagree(same: Sequence[Edge]) -> bool:
@@ -232,66 +220,17 @@ def _disagree(same: Sequence[Edge]) -> bool:
     return differ(positions, np.concatenate([edge.track.quaternion for edge in same]))
 
 
-def _list_loops(parents: dict[str, list[str]]) -> Iterator[str]:
-    """Name a loop, if there is one."""
-    try:
-        TopologicalSorter(parents).prepare()
-    except CycleError as error:
-        yield f"the transforms {' -> '.join(error.args[1])} form a loop: the shortest way counts"
-
-
 GIVE_POSES = "give a trajectory: `poses=FILE`"
 Way: TypeAlias = tuple[str, list[Edge]]
 """A fixed frame, and the steps from it to the sensor."""
 
 
-def resolve(
-    sources: Sources,
-    options: PosingOptions,
-    frame: str,
-    fixed: str | None = None,
-    alone: bool = True,
-) -> tuple[str, Chain, list[str]]:
-    """Find the way to a scan's frame.
+@dataclass(slots=True)
+class Search:
+    """The search for the way to a scan's frame; gathers notes as it decides.
 
     Where the user names a trajectory, it carries the scans. Else the tree of tf does, which
     odometry fills where tf says nothing; else, where nothing in the tree moves, a topic of poses.
-
-    Parameters
-    ----------
-    sources, options
-        What the log knows and what the user chose.
-    frame
-        The scan's.
-    fixed
-        The frame that other scans are mapped in already.
-    alone
-        No other laser of the log is mapped.
-
-    Returns
-    -------
-    fixed, chain, notes
-        The frame that its scans are mapped in, the way from there, and what a user should know of
-        how it was chosen.
-
-    Raises
-    ------
-    PoseError
-        There is no way; says what is missing, and which option mends it.
-    """
-    search = _Search(sources, options, frame.strip("/"), alone)
-    poses = sources.trajectory or (None if sources.tree.frames else sources.unnamed_body)
-    name, steps = search.go_by_poses(poses) if poses else search.go_by_tree(fixed)
-    if fixed is not None and name != fixed:
-        found = f"{frame!r} maps in {name!r} while other scans map in {fixed!r}"
-        fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
-        raise PoseError(found, fix=fix)
-    return name, make_chain(steps, options.max_pose_gap_s), search.notes
-
-
-@dataclass(slots=True)
-class _Search:
-    """The search for one frame's way; gathers notes as it decides.
 
     A way leads down to the anchor. That is the scan's frame or, where the user gives the sensor's
     pose, the body that the sensor is on; one more step then leads from there to the sensor.
@@ -303,6 +242,27 @@ class _Search:
     alone: bool
     """No other laser of the log is mapped."""
     notes: list[str] = field(default_factory=list)
+
+    def resolve(self, fixed: str | None) -> tuple[str, Chain]:
+        """Find the frame that the scans are mapped in, and the way from there.
+
+        Parameters
+        ----------
+        fixed
+            The frame that other scans are mapped in already.
+
+        Raises
+        ------
+        PoseError
+            There is no way; says what is missing, and which option mends it.
+        """
+        poses = self.sources.trajectory or (None if self.tree.frames else self.sources.unnamed_body)
+        name, steps = self.go_by_poses(poses) if poses else self.go_by_tree(fixed)
+        if fixed is not None and name != fixed:
+            found = f"{self.frame!r} maps in {name!r} while other scans map in {fixed!r}"
+            fix = f"join the two: `static_transforms={fixed},{name},X,Y,Z,ROLL,PITCH,YAW`"
+            raise PoseError(found, fix=fix)
+        return name, make_chain(steps, self.options.max_pose_gap_s)
 
     @property
     def tree(self) -> FrameTree:
@@ -326,7 +286,7 @@ class _Search:
         if not find_moving(self._find_path(usual, anchor)):
             if self.sources.unnamed_body:
                 return self.go_by_poses(self.sources.unnamed_body)
-            if not (self.options.map_frame or fixed or last_part(usual) in FIXED_NAMES):
+            if not (self.options.map_frame or fixed or last_part(usual) in frames.FIXED_NAMES):
                 raise self._miss_motion(usual)
         name = self.options.map_frame or fixed or usual
         steps = self._find_path(name, anchor)
@@ -365,8 +325,7 @@ class _Search:
             return self.tree.find_body(self.frame)
         if not self.options.sensor_pose:
             return self.frame
-        bases = self.tree.list_bases(self.frame)
-        return bases[0] if len(bases) == 1 else "base_link"
+        return self.tree.find_base(self.frame) or frames.BASE_NAMES[0]
 
     def _find_base(self) -> str:
         """Find the frame that the given sensor pose is measured from."""
@@ -374,11 +333,11 @@ class _Search:
         if wanted and wanted not in self.tree:
             fix = f"`base_frame` takes {join_names(self.tree.frames)}"
             raise PoseError(f"no frame {wanted!r} in the log", fix=fix)
-        bases = [wanted] if wanted else self.tree.list_bases(self.frame)
-        if len(bases) == 1:
-            return bases[0]
+        if base := wanted or self.tree.find_base(self.frame):
+            return base
+        example = next(iter(self.tree.list_bases(self.frame)), "FRAME")
         found = f"which frame the laser is mounted on is not clear ({self.known})"
-        raise PoseError(found, fix=f"name it: `base_frame={bases[0] if bases else 'FRAME'}`")
+        raise PoseError(found, fix=f"name it: `base_frame={example}`")
 
     def _mount_on(self, anchor: str) -> list[Edge]:
         """Make the step from the body to a sensor whose pose the user gave."""
@@ -407,15 +366,12 @@ class _Search:
     def _miss_mount(self) -> PoseError:
         """Say that nothing tells where the laser sits, and how to give that."""
         found = f"no transform to the laser's frame {self.frame!r} ({self.known})"
-        bases = self.tree.list_bases(self.frame)
-        base = bases[0] if len(bases) == 1 else ""
-        mount = f"`sensor_pose=({MountError.UNKNOWN})`"
-        if not self.alone:  # a sensor pose would be that of every laser
-            given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
-            return PoseError(found, fix=f"give its mount: `static_transforms={given}`")
-        if not base:
-            return PoseError(found, fix=f"give its mount: {mount} `base_frame=FRAME`")
-        return MountError(found, fix=f"give its mount on {base}: {mount}")
+        base = self.tree.find_base(self.frame)
+        if base and self.alone:  # else a sensor pose would be that of every laser
+            mount = f"`sensor_pose=({MountError.UNKNOWN})`"
+            return MountError(found, fix=f"give its mount on {base}: {mount}")
+        given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
+        return PoseError(found, fix=f"give its mount: `static_transforms={given}`")
 
     def _miss_motion(self, root: str) -> PoseError:
         """Say that nothing moves on the way from a root to the laser, and how to mend that."""

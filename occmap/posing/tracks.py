@@ -4,14 +4,14 @@ Rotations are vectorised: quaternions as (N, 4) rows of x, y, z, w; matrices as 
 """
 
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from occmap.posing import Stamps
-from occmap.types import Bool, Float64, Int64, Pose, PoseBatch, PosedScans, PoseSample
+from occmap.types import Bool, Float64, Int64, Pose, PosedScans
 
 STRAIGHT_RAD = 1e-6
 """Below this angle a great arc and its chord differ by less than 1e-12: no sine is divided by."""
@@ -177,22 +177,15 @@ class TrackBuilder:
         self.unusable = 0
         """Samples left out: not usable (`find_usable`), or with a stamp that is damage."""
 
-    def add(self, some: PoseSample | PoseBatch, stamps: Stamps) -> None:
-        """Take a sample, or many, dated by one of their two times."""
-        if isinstance(some, PoseBatch):
-            stamp_ns = stamps.choose(some.stamp_ns, some.record_ns)
-            times = np.stack([stamp_ns, some.record_ns], axis=1)
-            sound = ((times >= -MAX_STAMP_NS) & (times <= MAX_STAMP_NS)).all(axis=1)
-            self.unusable += int(np.count_nonzero(~sound))
-            self._times.frombytes(times[sound].tobytes())
-            self._values.frombytes(some.pose[sound].tobytes())
-            return
-        stamp, record = stamps.choose(some.stamp_ns, some.record_ns), some.record_ns
-        if max(abs(stamp), abs(record)) > MAX_STAMP_NS:
-            self.unusable += 1
-        else:
-            self._times.extend((stamp, record))
-            self._values.extend(some.pose)
+    def add(
+        self, stamp_ns: int | Int64, record_ns: int | Int64, pose: Sequence[float] | Float64
+    ) -> None:
+        """Take a sample, or many (N,): when it counts, when it was recorded, and its pose (7,)."""
+        times = np.array([stamp_ns, record_ns]).reshape(2, -1).T
+        sound = (times == np.clip(times, -MAX_STAMP_NS, MAX_STAMP_NS)).all(axis=1)
+        self.unusable += int(np.count_nonzero(~sound))
+        self._times.frombytes(times[sound].tobytes())
+        self._values.frombytes(np.asarray(pose, np.float64).reshape(-1, 7)[sound].tobytes())
 
     @property
     def changes(self) -> bool:

@@ -103,21 +103,14 @@ def read_trajectory(
     LogError
         The file cannot be read or holds no poses, or a line is not a pose.
     """
-    found = False
-    for stamp_ns, pose in _read_poses(path, notes, moments):
-        yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
-        found = True
-    if not found:
+    poses = list(_read_timed(path, notes, moments))
+    if not poses:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
-
-
-def _read_poses(path: Path, notes: list[str], moments: Moments | None) -> Iterator[TimedPose]:
-    """Read the poses of a file, at the times of scans where only their order is known."""
-    poses = _read_timed(path, notes, moments)
-    if moments is None or moments.is_timed:
-        return poses
-    places = [pose for _, pose in poses]
-    return zip(_pair(path, len(places), moments), places, strict=True)
+    times = [stamp_ns for stamp_ns, _ in poses]
+    if moments is not None and not moments.is_timed:  # only the order of the scans is known
+        times = _pair(path, len(poses), moments)
+    for stamp_ns, (_, pose) in zip(times, poses, strict=True):
+        yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
 
 
 def _pair(path: Path, poses: int, moments: Moments) -> list[int]:

@@ -10,7 +10,7 @@ A probe holds the first bytes of a path, by which readers know it.
 
 import shlex
 import zlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, MutableSequence, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -188,7 +188,7 @@ class Log(Protocol):
     path: Path
 
     @property
-    def notes(self) -> Sequence[Note]:
+    def notes(self) -> MutableSequence[Note]:
         """Grows while reading; a note appears once, however often the log is read."""
 
     @property

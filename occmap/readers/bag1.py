@@ -6,36 +6,37 @@ http://wiki.ros.org/Bags/Format/2.0 says what their records are.
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from occmap.errors import LogError
 from occmap.readers.containers import Buffer, Channel, inflate
 from occmap.readers.records import (
+    CHUNK,
     DESCRIPTION,
     OTHER,
+    Bytes,
     Descriptions,
-    Inner,
-    Kind,
+    FileBytes,
     Record,
     RecordSource,
     Summary,
 )
 
-MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+MESSAGE, BAG, INDEX, CHUNK_RECORD, CHUNK_INFO, CONNECTION = range(2, 8)
 """The opcodes."""
 _INFO_ENTRY = struct.Struct("<II")
 """An entry of the record about a chunk: a connection, and how many messages it has there."""
 _ENTRY_BYTES = {INDEX: 12, CHUNK_INFO: _INFO_ENTRY.size}
 """Bytes of an entry; the header states how many there are. Behind a chunk: a time and an offset."""
-_KINDS: Mapping[int, tuple[Kind, Collection[bytes]]] = {
-    MESSAGE: (Kind.PLAIN, {b"conn", b"time"}),
-    CONNECTION: (Kind.PLAIN, {b"conn", b"topic"}),
-    CHUNK: (Kind.CHUNK, {b"compression", b"size"}),
-    INDEX: (Kind.OTHER, {b"conn", b"count"}),
-    CHUNK_INFO: (Kind.OTHER, {b"chunk_pos", b"count"}),
-    BAG: (Kind.OTHER, ()),
+_KINDS: Mapping[int, tuple[int, Collection[bytes]]] = {
+    MESSAGE: (OTHER, {b"conn", b"time"}),
+    CONNECTION: (DESCRIPTION, {b"conn", b"topic"}),
+    CHUNK_RECORD: (CHUNK, {b"compression", b"size"}),
+    INDEX: (OTHER, {b"conn", b"count"}),
+    CHUNK_INFO: (OTHER, {b"chunk_pos", b"count"}),
+    BAG: (OTHER, ()),
 }
-"""The kinds of records, and which fields the header of each must have."""
+"""What records are to `records` (a message is its channel), and the fields that each must have."""
 _LONGEST_HEADER = 1 << 12
 """Bytes of a header and its lengths, at most; it is a hundred bytes, and the name of a topic."""
 
@@ -85,42 +86,29 @@ class Bag1Source(RecordSource):
     unit = "connection"
     is_unmistakable = True
 
-    def _read_record(self, file: BinaryIO, position: int, _size: int) -> Record | None:
-        file.seek(position)
+    def _parse(self, block: Bytes, at: int) -> Record | None:
+        head = block[at : at + _LONGEST_HEADER]
+        match = _MESSAGE_HEAD.match(head)
+        if match is not None and match.end() == _MESSAGE_HEAD_SIZE:
+            connection, time, length = match.group("conn", "time", "length")
+            key, start = int.from_bytes(connection, "little"), at + _MESSAGE_HEAD_SIZE
+            return key, _read_time(time), at, start, start + int.from_bytes(length, "little")
         try:
-            header = parse_header(file.read(_LONGEST_HEADER), 0)
+            header = parse_header(head)
         except self.errors:
             return None
-        start, length = position + header.size, header.length
+        start, length = at + header.size, header.length
+        if header.opcode == MESSAGE:
+            record_ns = _read_time(header.fields[b"time"])
+            return header.number(b"conn"), record_ns, at, start, start + length
         if header.opcode in _ENTRY_BYTES:
             # There are bags whose recorder stated another length; the entries have one size.
             length = _ENTRY_BYTES[header.opcode] * header.number(b"count")
-        return Record(_KINDS[header.opcode][0], position, start, start + length)
+        return _KINDS[header.opcode][0], 0, at, at, start + length
 
-    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
-        try:
-            while at < len(block):
-                match = _MESSAGE_HEAD.match(block, at)
-                if match is not None and match.end() == at + _MESSAGE_HEAD_SIZE:
-                    start, key = match.end(), int.from_bytes(match["conn"], "little")
-                    record_ns = _read_time(match["time"])
-                    at = start + int.from_bytes(match["length"], "little")
-                else:
-                    header = parse_header(block, at)
-                    key, record_ns, start = OTHER, 0, at
-                    at += header.size + header.length
-                    if header.opcode == MESSAGE:
-                        key, record_ns = header.number(b"conn"), _read_time(header.fields[b"time"])
-                        start = at - header.length
-                    elif header.opcode == CONNECTION:
-                        key = DESCRIPTION
-                yield key, record_ns, start, at
-        except self.errors:
-            return
-
-    def _open_chunk(self, position: int, record: bytes) -> Buffer:
-        header = parse_header(record, 0)
-        data = memoryview(record)[header.size :]
+    def _open_chunk(self, position: int, record: memoryview) -> Buffer:
+        header = parse_header(record)
+        data = record[header.size :]
         block, problem = inflate(data, header.text(b"compression"), header.number(b"size"))
         if problem:
             self._note(position, problem)
@@ -129,7 +117,7 @@ class Bag1Source(RecordSource):
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         for record, position in descriptions.items():
             try:
-                header = parse_header(record, 0)
+                header = parse_header(record)
                 fields = Header(0, _parse_fields(record[header.size :]), 0)
             except self.errors:
                 self._note(position, "holds a connection that cannot be read")
@@ -144,10 +132,10 @@ class Bag1Source(RecordSource):
                 ),
             )
 
-    def _read_summary(self, file: BinaryIO) -> Summary:
+    def _read_summary(self, file: FileBytes) -> Summary:
         """Read the index at the end, which is there if the bag was closed."""
-        file.seek(len(self.magic))
-        bag = parse_header(file.read(_LONGEST_HEADER), 0)
+        start = len(self.magic)
+        bag = parse_header(file[start : start + _LONGEST_HEADER])
         if encryptor := bag.text(b"encryptor"):
             raise LogError(
                 f"the bag is encrypted with {encryptor}",
@@ -158,8 +146,8 @@ class Bag1Source(RecordSource):
             raise ValueError("the bag was not closed")
         summary, chunks = Summary(is_whole=True), 0
         descriptions: Descriptions = {}
-        for record in self._split(file, start, self._size):
-            header = parse_header(record, 0)
+        for record in self._split(file, start):
+            header = parse_header(record)
             if header.opcode == CONNECTION:
                 descriptions[record] = 0
             elif header.opcode == CHUNK_INFO:
@@ -175,33 +163,36 @@ class Bag1Source(RecordSource):
         return summary
 
 
-def parse_header(block: Buffer, at: int) -> Header:
-    """Parse the header that starts at an offset of a block.
+def parse_header(block: Buffer) -> Header:
+    """Parse the header that a block starts with.
 
     Raises
     ------
-    struct.error, LookupError
+    LookupError
         The block breaks off, or holds something else.
     """
-    (length,) = _LENGTH.unpack_from(block, at)
-    end = at + _LENGTH.size + length
-    (data_length,) = _LENGTH.unpack_from(block, end)
-    fields = _parse_fields(bytes(block[at + _LENGTH.size : end]))
-    header = Header(end + _LENGTH.size - at, fields, data_length)
+    end = _LENGTH.size + _read_length(block, 0)
+    fields = _parse_fields(bytes(block[_LENGTH.size : end]))
+    header = Header(end + _LENGTH.size, fields, _read_length(block, end))
     _, needed = _KINDS[header.opcode]
     if any(name not in fields for name in needed):
         raise LookupError("a field is missing")
     return header
 
 
+def _read_length(block: Buffer, at: int) -> int:
+    if at + _LENGTH.size > len(block):
+        raise LookupError("a header that breaks off")
+    return int(_LENGTH.unpack_from(block, at)[0])
+
+
 def _parse_fields(header: bytes) -> dict[bytes, bytes]:
     """Parse `name=value` fields, each with its length before it."""
     fields = {}
     at, size = 0, len(header)
-    unpack = _LENGTH.unpack_from
     while at < size:
         start = at + _LENGTH.size
-        at = start + unpack(header, at)[0]
+        at = start + _read_length(header, at)
         name, _, value = header[start:at].partition(b"=")
         fields[name] = value
     if at > size:
@@ -211,5 +202,5 @@ def _parse_fields(header: bytes) -> dict[bytes, bytes]:
 
 def _read_time(value: bytes) -> int:
     """Read a time in ns."""
-    seconds, nanoseconds = _TIME.unpack(value)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    seconds, nanoseconds = map(int, _TIME.unpack(value))
+    return seconds * 1_000_000_000 + nanoseconds

@@ -16,98 +16,70 @@ real logs is unreliable (it may be n * resolution), so it is not used.
 
 FLASER and RLASER imply their angles: from -90 degrees, 180 or 181 beams 1 degree apart, 360 or
 361 beams half a degree apart; the even counts lack the last beam of the half circle.
-
-Every `parse_` function takes a whole line and raises ValueError where it is malformed.
 """
 
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers import Probe, Role, Stream
+from occmap.readers import Probe, Role, Stream, decimals
+from occmap.readers.decimals import parse_number, unquote
 from occmap.readers.text_log import (
+    POSE_NAMES,
     Block,
     Line,
     LineTally,
     Pattern,
     TextLog,
-    make_planar,
     read_blocks,
-    stack_planar,
 )
 from occmap.report import count
-from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, PoseSample, Scan, ScanRun
+from occmap.types import IDENTITY, UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
-
-if TYPE_CHECKING:
-    from occmap.readers.decimals import Words
 
 FRONT, REAR = "front_laser", "rear_laser"
 
 
-class ScanLine(NamedTuple):
-    """What lines of scans hold beside their ranges."""
+class LineType(NamedTuple):
+    """What lines of one keyword hold."""
 
     frame: str
-    before: int
-    """How many numbers stand before the list of ranges; 0: the line implies its angles"""
-    behind: int
-    """How many stand between the lists and the time, the pose of the laser first; 0: it has none"""
+    """Which their pose is of"""
+    before: int = 0
+    """How many numbers stand before the first list; 0: the angles of the ranges are implied"""
+    lists: int = 1
+    """The ranges, and the remissions; each list stands behind its length"""
+    behind: int = 6
+    """How many numbers stand between the lists and the time, the pose first; 0: it has none"""
 
 
 SCAN_LINES = {
-    "FLASER": ScanLine(FRONT, 0, 6),
-    "RLASER": ScanLine(REAR, 0, 6),
-    "ROBOTLASER0": ScanLine(FRONT, 7, 11),
-    "ROBOTLASER1": ScanLine(FRONT, 7, 11),
-    "ROBOTLASER2": ScanLine(REAR, 7, 11),
-    "RAWLASER1": ScanLine(FRONT, 7, 0),
-    "RAWLASER2": ScanLine(REAR, 7, 0),
+    "FLASER": LineType(FRONT),
+    "RLASER": LineType(REAR),
+    "ROBOTLASER0": LineType(FRONT, before=7, lists=2, behind=11),
+    "ROBOTLASER1": LineType(FRONT, before=7, lists=2, behind=11),
+    "ROBOTLASER2": LineType(REAR, before=7, lists=2, behind=11),
+    "RAWLASER1": LineType(FRONT, before=7, lists=2, behind=0),
+    "RAWLASER2": LineType(REAR, before=7, lists=2, behind=0),
 }
 """The lines of scans by their keywords"""
+LINES = SCAN_LINES | {"ODOM": LineType("base_link", lists=0)}
+"""All that are parsed: a line of odometry is like one of a scan without ranges"""
 POSED = frozenset(word for word, line in SCAN_LINES.items() if line.behind)
-"""Those that state the pose of the laser"""
+"""Those of scans that state the pose of the laser"""
 USUAL_BEAMS = (180, 181, 360, 361)
 """How many beams a line has that is known to imply its angles."""
-FRONT_OFFSET = "robot_frontlaser_offset"
-
-
-class _Message(NamedTuple):
-    word: str
-    values: Float64
-    """(N,) every number between the keyword and the time"""
-    stamp_ns: int
-    record_ns: int
-
-
-def parse_odometry(text: str) -> PoseSample:
-    """Parse an ODOM line."""
-    message = split_timed(text)
-    _check_rest(message.values, 0, 6)
-    pose = make_planar(*message.values[:3].tolist())
-    if pose is UNKNOWN_POSE:
-        raise ValueError("the pose is not finite")
-    return PoseSample(
-        message.stamp_ns, "odom", "base_link", pose, topic="ODOM", record_ns=message.record_ns
-    )
-
-
-def parse_front_offset(text: str) -> PoseSample | None:
-    """Parse a PARAM line: where the front laser is on the robot, or None where it says no such."""
-    fields = text.split()
-    if fields[1:2] != [FRONT_OFFSET]:
-        return None
-    offset = float(fields[2]) if len(fields) > 2 else math.nan
-    if not math.isfinite(offset):
-        raise ValueError("the offset is not a finite number")
-    pose = Pose.planar(offset, 0.0, 0.0)
-    return PoseSample(0, "base_link", FRONT, pose, static=True, topic="PARAM")
+UNTIMED = ("FLASER", "RLASER")
+"""Lines of scans that may lack their time"""
+FRONT_OFFSET = b"robot_frontlaser_offset"
+_ANGLE_MIN, _INCREMENT, _RANGE_MAX = 2, 4, 5
+"""The words of a line that states its angles"""
 
 
 def imply_increment(beams: int) -> float:
@@ -115,82 +87,83 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def split_untimed(text: str) -> _Message:
-    """Split a FLASER or RLASER line after its poses; anything may follow in place of a time."""
-    word, *numbers = text.split()
-    if word not in {"FLASER", "RLASER"} or not numbers or not numbers[0].isdecimal():
-        raise ValueError("it is not a line of a laser with its pose")
-    size = 1 + int(numbers[0]) + 6
-    if not size <= len(numbers) <= size + 3:
-        raise ValueError(f"{len(numbers)} words where {size} numbers belong")
-    return _Message(word, _parse_numbers(" ".join(numbers[:size])), 0, 0)
+def find_list(words: Sequence[bytes], at: int, end: int) -> slice:
+    """Find the list whose length stands at an index, among the words before `end`."""
+    room = end - at - 1
+    if room < 0:
+        raise ValueError("the line announces no values where 0 follow")
+    length = parse_number(unquote(words[at]))
+    if not 0 <= length <= room:
+        raise ValueError(f"the line announces {length:g} values where {room} follow")
+    return slice(at + 1, at + 1 + int(length))
 
 
-def split_timed(text: str) -> _Message:
-    """Split a line before the time that it ends in."""
-    head, *tail = text.rsplit(None, 3)
-    words = head.split(None, 1)
-    if len(tail) < 3 or len(words) < 2:
+def find_lists(
+    words: Sequence[bytes], kind: LineType, is_timed: bool
+) -> tuple[Sequence[slice], int]:
+    """Find the lists of a line, and where the numbers behind them begin.
+
+    A time, a host and a second time follow these, or up to three words without a meaning.
+    """
+    end = len(words) - 3 if is_timed else len(words)
+    if end < 2:
         raise ValueError("the line is too short")
-    stamp_ns, logged_ns = parse_seconds(tail[0]), parse_seconds(tail[2])
-    # Converters write 0 where they know no second time.
-    return _Message(words[0], _parse_numbers(words[1]), stamp_ns, logged_ns or stamp_ns)
+    lists: list[slice] = []
+    at = 1 + kind.before
+    for _ in range(kind.lists):
+        lists.append(find_list(words, at, end))
+        at = lists[-1].stop
+    if not 0 <= end - at - kind.behind <= (0 if is_timed else 3):
+        place = "before the time " if is_timed else ""
+        raise ValueError(f"{end - at} numbers {place}where {kind.behind} belong")
+    return lists, at
 
 
-def _parse_numbers(text: str) -> Float64:
-    """Parse numbers with blanks between; of a single line, nothing is faster."""
-    try:
-        return np.fromstring(text, sep=" ")
-    except ValueError:
-        wrong = next((word for word in text.split() if not _is_number(word)), text)
-        raise ValueError(f"{shorten(wrong)} where a number belongs") from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return np.fromstring(word, sep=" ").size == 1
-    except ValueError:
+def lacks_time(words: Sequence[bytes], kind: LineType) -> bool:
+    """Whether a line states a scan and its poses, and no time, as some converters write it."""
+    with suppress(ValueError):
+        find_lists(words, kind, is_timed=True)
+        for word in (words[-3], words[-1]):
+            parse_seconds(unquote(word))
         return False
+    with suppress(ValueError):
+        find_lists(words, kind, is_timed=False)
+        return words[0].decode() in UNTIMED
+    return False
 
 
-def _find_list(values: Float64, at: int) -> slice:
-    """Find the list whose length stands at an index."""
-    room = values.size - at - 1
-    if room >= 0 and 0 <= values[at] <= room:
-        return slice(at + 1, at + 1 + int(values[at]))
-    announced = f"{values[at]:g}" if room >= 0 else "no"
-    raise ValueError(f"the line announces {announced} values where {max(room, 0)} follow")
-
-
-def _check_rest(values: Float64, at: int, size: int) -> None:
-    if values.size - at != size:
-        raise ValueError(f"{values.size - at} numbers before the time where {size} belong")
-
-
-def _make_scan(message: _Message) -> Scan:
-    line, values = SCAN_LINES[message.word], message.values
-    listed = _find_list(values, line.before)
-    end = _find_list(values, listed.stop).stop if line.before else listed.stop
-    _check_rest(values, end, line.behind)
-    ranges = as_float32(values[listed])
-    angle_min, increment, range_max = -math.pi / 2, imply_increment(ranges.size), math.inf
-    if line.before:
-        _, angle_min, _, increment, maximum, *_ = values[: line.before].tolist()
+def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
+    """Make what is the same in all scans whose lines are like one."""
+    kind = LINES[keyword]
+    angle_min, increment, range_max = -math.pi / 2, imply_increment(beams), math.inf
+    if kind.before:
+        stated = (words[at] for at in (_ANGLE_MIN, _INCREMENT, _RANGE_MAX))
+        angle_min, increment, maximum = map(parse_number, map(unquote, stated))
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
     return Scan(
-        stamp_ns=message.stamp_ns,
-        frame=line.frame,
+        stamp_ns=0,
+        frame=kind.frame,
         angle_min=angle_min,
         angle_increment=increment,
-        ranges=ranges,
+        ranges=np.zeros(0),
         range_min=0.0,
         range_max=range_max,
-        pose=make_planar(*values[end : end + 3].tolist()) if line.behind else None,
-        topic=message.word,
-        record_ns=message.record_ns,
+        pose=IDENTITY if kind.behind else None,
+        topic=keyword,
     )
+
+
+def parse_front_offset(words: Sequence[bytes]) -> PoseSample | None:
+    """Parse a PARAM line: where the front laser is on the robot, or None where it says no such."""
+    if words[1:2] != [FRONT_OFFSET]:
+        return None
+    offset = parse_number(unquote(b"".join(words[2:3])))
+    if not math.isfinite(offset):
+        raise ValueError("the offset is not a finite number")
+    pose = Pose.planar(offset, 0.0, 0.0)
+    return PoseSample(0, "base_link", FRONT, pose, static=True, topic="PARAM")
 
 
 # fmt: off
@@ -203,15 +176,12 @@ OTHER_WORDS = frozenset({
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
 MAX_WORDS = 100
 """Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
-COMMON_WORDS = ("FLASER", "RLASER", "ODOM")
-"""How most lines begin: these are told apart many at a time, by their first eight bytes."""
-MOST_LETTERS = 64
-"""How much of a line is searched for its keyword; a longer word is cut."""
+KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
+"""How a line begins; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
 """By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
 WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?![-+.\d])\S+\s+[-+.e\d]+\s*")
 """A keyword, two words or more, the name of a host, and a time."""
-NO_LINES: Int64 = np.zeros(0, np.int64)
 
 
 class CarmenReader:
@@ -253,8 +223,8 @@ class CarmenLog(TextLog):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._split: Callable[[str], _Message] | None = None
-        """Parts the numbers of a line from its time; all lines of a log have one, or none has"""
+        self._lacks_time: bool | None = None
+        """Whether its first scan states no time: then those of the same kind state none, too"""
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
         self._front_offset: PoseSample | None = None
@@ -293,70 +263,53 @@ class CarmenLog(TextLog):
             return
         tally = LineTally()
         for block in read_blocks(self.path, self.notes):
-            for line in block.get_lines(_sort_lines(block).get("ODOM", NO_LINES)):
-                if sample := self._parse(line, parse_odometry, tally):
-                    yield sample
+            lines = {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
+            for some in self._parse_block(block, lines, tally):
+                scans = some.split() if isinstance(some, ScanRun) else [some]
+                yield from map(make_sample, scans)
         tally.judge(self.path, self.notes, self.fix)
 
-    def pick_scans(self, block: Block) -> Mapping[str, Int64]:
+    def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of scans by their keywords; count all others when the log is opened."""
-        lines = _sort_lines(block)
+        lines = sort_lines(block)
         if not self._is_surveyed:
             self._survey_others(block, lines)
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
-    def parse_scan(self, text: str) -> Scan:
-        """Parse one of `SCAN_LINES`; the first shows whether all lines of the log have times."""
-        if self._split is None:
-            self._split = split_timed
-            with suppress(ValueError):
-                return _make_scan(split_timed(text))
-            with suppress(ValueError):
-                scan = _make_scan(split_untimed(text))
-                self._split = split_untimed
-                return scan
-        return _make_scan(self._split(text))
-
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common: all but times, ranges and poses.
 
-        Raises
-        ------
-        ValueError
-            The lines state no times.
+        The first scan shows whether all of its kind have times.
         """
-        from occmap.readers.decimals import NUMBER, OTHER, RANGE  # noqa: PLC0415  it brings numba
-
-        if self._split is not split_timed:
-            raise ValueError("the lines state no times")
         words = line.raw.split()
-        before = SCAN_LINES[words[0].decode()].before
-        begin = 2 + before  # behind the keyword and the length of the list
-        end = begin + int(float(words[begin - 1]))
-        kinds = np.full(len(words), NUMBER, np.uint8)
-        kinds[0] = kinds[-3:] = OTHER
-        kinds[begin:end] = RANGE
-        # The keyword, the angles, the limit and the lengths of lists, by their places in a line.
-        return Pattern(b" ", kinds, [0, 2, 4, 5, begin - 1, end] if before else [0, begin - 1])
+        keyword = words[0].decode()
+        kind = LINES[keyword]
+        if self._lacks_time is None:
+            self._lacks_time = lacks_time(words, kind)
+        is_timed = not (self._lacks_time and keyword in UNTIMED)
+        lists, behind = find_lists(words, kind, is_timed)
+        kinds = np.full(len(words), decimals.NUMBER)
+        kinds[[0, *(each.start - 1 for each in lists)]] = decimals.SAME
+        kinds[behind + kind.behind :] = decimals.OTHER
+        columns = dict(zip(POSE_NAMES, range(behind, behind + 3), strict=True))
+        if is_timed:
+            columns |= {"stamp": -3, "record": -1}
+            kinds[[-3, -1]] = decimals.SECONDS
+        if keyword == "ODOM":
+            kinds[1:4] = decimals.FINITE
+            beams = 0
+        else:
+            beams = lists[0].stop - lists[0].start
+            kinds[lists[0]] = np.arange(decimals.RANGE, decimals.RANGE + beams)
+        if kind.before:
+            kinds[[_ANGLE_MIN, _INCREMENT, _RANGE_MAX]] = decimals.SAME
+        scan = state_geometry(keyword, words, beams)
+        return Pattern(b" ", kinds, [""] * len(words), columns, {"time_increment": 0.0}, scan)
 
-    def make_run(self, first: Scan, words: "Words") -> ScanRun:
-        """Make scans of lines like the first."""
-        stamp_ns, logged_ns = words.read_times(-3, 9), words.read_times(-1, 9)
-        behind = SCAN_LINES[first.topic].behind
-        begin = len(words.numbers) - 3 - behind
-        return ScanRun(
-            first,
-            stamp_ns,
-            np.where(logged_ns, logged_ns, stamp_ns),
-            words.ranges,
-            np.zeros(len(stamp_ns)),
-            stack_planar(*words.numbers[begin : begin + 3]) if behind else None,
-        )
-
-    def _survey_others(self, block: Block, lines: Mapping[str, Int64]) -> None:
+    def _survey_others(self, block: Block, lines: Mapping[str, Sequence[int]]) -> None:
         """Count the lines that hold no scan, and find the offset of the front laser."""
-        if not block.ended and _is_cut(line := block.get_line(0)):
-            self._note_cut(line)
+        if not block.ended and _is_cut(block.get_line(0)):
+            self._note_cut(block)
             return
         for word, rows in lines.items():
             if word in SCAN_LINES:
@@ -364,9 +317,15 @@ class CarmenLog(TextLog):
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
                 self._words[word[:40] if known else "other"] += len(rows)
-        for line in block.get_lines(lines.get("PARAM", NO_LINES)):
-            if self._front_offset is None:
-                self._front_offset = self._parse(line, parse_front_offset, self._tally)
+        faults = {}
+        rows = [] if self._front_offset else lines.get("PARAM", [])
+        for row in rows:
+            try:
+                found = parse_front_offset(block.get_line(row).raw.split())
+                self._front_offset = self._front_offset or found
+            except ValueError as error:
+                faults[row] = str(error)
+        self._tally.add(block, rows, faults)
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
         topic, beams = some.first.topic, some.first.ranges.size
@@ -385,28 +344,26 @@ class CarmenLog(TextLog):
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
 
 
-def _sort_lines(block: Block) -> dict[str, Int64]:
+def make_sample(odometry: Scan) -> PoseSample:
+    """Make a pose of what is read as a scan without ranges."""
+    stamp_ns, record_ns = odometry.stamp_ns, odometry.record_ns
+    pose = odometry.pose or UNKNOWN_POSE
+    return PoseSample(stamp_ns, "odom", odometry.frame, pose, False, odometry.topic, record_ns)
+
+
+def sort_lines(block: Block) -> Mapping[str, list[int]]:
     """Find the lines of each keyword: `#` for every comment, "" for a line of blanks."""
-    text = np.frombuffer(block.text, np.uint8)
-    rows = np.flatnonzero(text[block.starts[:-1]] != ord("\n"))
-    places = block.starts[rows][:, None] + np.arange(8)
-    heads = text.take(places, mode="clip").view("<u8")[:, 0]
-    lines: dict[str, Int64] = {}
-    for word in COMMON_WORDS:
-        letters = f"{word} ".encode()
-        mask, number = (1 << 8 * len(letters)) - 1, int.from_bytes(letters, "little")
-        is_word = heads & np.uint64(mask) == number
-        lines[word] = rows[is_word]
-        rows, heads = rows[~is_word], heads[~is_word]
-    others: dict[str, list[int]] = defaultdict(list)
-    for row in rows.tolist():
-        line = block.get_line(row).raw[:MOST_LETTERS]
-        word = b"".join(line.split(None, 1)[:1]).decode("utf-8", "replace")
-        others["#" if word[:1] == "#" else word].append(row)
-    for word, more in others.items():
-        lines[word] = np.sort(np.append(lines.get(word, NO_LINES), more))
-    found = [(word, rows) for word, rows in lines.items() if rows.size]
-    return dict(sorted(found, key=lambda each: int(each[1][0])))  # in the order of appearance
+    found: defaultdict[bytes, list[int]] = defaultdict(list)
+    is_filled = np.frombuffer(block.text, np.uint8)[block.starts[:-1]] != ord("\n")
+    starts = block.starts.tolist()
+    for row in np.flatnonzero(is_filled).tolist():
+        if word := KEYWORD.match(block.text, starts[row]):
+            found[word[1]].append(row)
+    lines: defaultdict[str, list[int]] = defaultdict(list)
+    for letters, rows in found.items():
+        text = letters.decode("utf-8", "replace")
+        lines["#" if text[:1] == "#" else text] += rows
+    return lines
 
 
 def _count_lines(word: str, lines: int) -> str:

@@ -1,66 +1,55 @@
-"""Decimal numbers in lines of text, parsed many at a time.
+"""Words in lines of text, parsed many at a time: numbers, ranges and times.
 
 A number of up to 15 digits is an integer divided by a power of ten. Both are exact in the 53 bits
-of a float and their quotient is rounded once, so it is what Python's `float` gives. Every other
-word is parsed by `float` itself.
+of a float and their quotient is rounded once, so it is what Python's `float` gives. Words that are
+written in another way are left to Python.
 
 Offsets are unsigned: numba need not look whether one of them counts from the end of an array.
 """
 
+import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from occmap.jit import kernel, step
-from occmap.types import Bool, Float32, Float64, Int64, UInt8
-from occmap.values import as_float32, shorten
+from occmap.types import Float32, Float64, Int64, UInt8
+from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
 
-OTHER, NUMBER, RANGE = range(3)
-"""What a word of a line is: a number, the range of a beam, or something that is not a number."""
-NUMBER_CHARACTERS = b"+-.0123456789Ee naif"
-"""What programs write numbers with; of others, such as 1_0, Python and NumPy think differently."""
+OTHER, SAME, NUMBER, FINITE, SECONDS, NANOSECONDS, RANGE = range(7)
+"""What a word is: passed over, the same in all lines that are alike, a number, one that is neither
+infinite nor NaN, a time, or the range of a beam, whose index is added to RANGE"""
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
 MOST_WHOLE_DIGITS = 19
 """An integer of this many digits that does not fit 64 bits becomes negative where it overflows."""
+LARGEST = 2**63 - 1
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
+SCALES: Int64 = np.array([10**n for n in range(10)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = map(ord, "09.- \n")
+_TAB, _RETURN = map(ord, "\t\r")
+"""The first and the last of the other blanks, as Python splits bytes"""
 _INF, _NAN = (np.frombuffer(word, np.uint8) for word in (b"inf", b"nan"))
 _NONE, _ONE = np.uint64(0), np.uint64(1)
 
 
 class Words(NamedTuple):
-    """The words of S lines, N in each."""
+    """The words of S lines that are alike, N in each."""
 
     ranges: Float32
     """(S, B); NaN where nothing stands between two commas"""
     numbers: Float64
     """(N, S) other numbers, likewise; by word, since few words of a line are no ranges"""
-    digits: Int64
-    """(N, S) the number that all digits of a word make; a hash of a word that is no decimal"""
-    decimals: Int64
-    """(N, S) how many of the digits stand behind the dot; -1 for a word that is no decimal"""
-    is_sound: Bool
-    """(S,) whether a line has N words, and each of them can be read as what it is"""
+    times: Int64
+    """(N, S) ns"""
     left: Int64
-    """(M, 4) row, column, start and end of each word that the kernel leaves to Python"""
+    """(M, 4) row, column, start and end of words that the kernel leaves to Python"""
 
-    def refuse_others(self, columns: list[int]) -> None:
-        """Let only those lines be sound that have the same words as the first in some columns."""
-        for part in (self.digits[columns], self.decimals[columns]):
-            self.is_sound[:] &= (part == part[:, :1]).all(axis=0)
-
-    def read_times(self, column: int, places: int) -> Int64:
-        """Read times (S,) in ns, which are written in units of 10 ** `places` ns.
-
-        A line with a time that is not a plain decimal of at most 64 bits is not sound.
-        """
-        more = places - self.decimals[column]
-        scale = 10 ** np.clip(more, 0, places)
-        is_small = np.abs(self.digits[column]) <= (2**63 - 1) // scale
-        self.is_sound[:] &= is_small & (more >= 0) & (more <= places)
-        return np.asarray(self.digits[column] * scale)
+    def take(self, lines: slice | list[int]) -> "Words":
+        """Select some of the lines."""
+        return Words(self.ranges[lines], self.numbers[:, lines], self.times[:, lines], self.left)
 
 
 class Word(NamedTuple):
@@ -76,91 +65,141 @@ class Word(NamedTuple):
     """How many of the digits stand behind the dot"""
 
 
-def parse_words(text: bytes, starts: Int64, separator: bytes, kinds: UInt8) -> Words:
-    """Parse lines that begin at some places of a text.
+def parse_words(
+    text: bytes, starts: Int64, separator: bytes, kinds: Int64, names: Sequence[str]
+) -> tuple[Words, dict[int, str]]:
+    """Parse lines that begin at some places of a text: the first, and those behind it like it.
 
     Parameters
     ----------
     separator
         What stands between two words: one comma, or any number of blanks.
-    kinds
-        (N,) what each word of a line is.
-    """
-    shape = len(kinds), len(starts)
-    words = Words(
-        ranges=np.empty((len(starts), np.count_nonzero(kinds == RANGE)), np.float32),
-        numbers=np.empty(shape),
-        digits=np.empty(shape, np.int64),
-        decimals=np.empty(shape, np.int64),
-        is_sound=np.zeros(len(starts), np.bool_),
-        # With more words than this for Python, lines are parsed as quickly one by one.
-        left=np.empty((shape[0] * shape[1] // 8 + 64, 4), np.int64),
-    )
-    lefts = parse_rows(np.frombuffer(text, np.uint8), starts, ord(separator), kinds, words)
-    beams = np.cumsum(kinds == RANGE) - 1
-    for row, col, start, end in words.left[:lefts].tolist():
-        try:
-            number = _parse_number(text[start:end])
-        except ValueError:
-            words.is_sound[row] = False
-            continue
-        if kinds[col] == RANGE:
-            words.ranges[row, beams[col]] = as_float32(number)
-        else:
-            words.numbers[col, row] = number
-    return words
-
-
-@lru_cache(maxsize=64)
-def _parse_number(word: bytes) -> float:
-    """Parse a number that the kernel leaves; cached, as many logs repeat a few in every line."""
-    if word.translate(None, NUMBER_CHARACTERS):
-        raise ValueError(f"{shorten(word.decode(errors='replace'))} where a number belongs")
-    return float(word.strip() or "nan")
-
-
-@kernel
-def parse_rows(text: UInt8, starts: Int64, separator: int, kinds: UInt8, words: Words) -> int:
-    """Parse the words of lines; one that holds more or fewer words than others is not sound.
-
-    So is one for whose words `left` has no more room.
+    kinds, names
+        (N,) what each word of a line is, and how a sentence about it begins.
 
     Returns
     -------
-    int
-        How many words are left to Python.
+    words, faults
+        Of as many lines as are alike, and what is wrong with some of them.
     """
-    lefts, last = 0, len(kinds) - 1
+    starts = starts[: len(text) // len(kinds) + 1]  # no more lines can have so many words
+    shape = len(kinds), len(starts)
+    words = Words(
+        ranges=np.empty((len(starts), np.count_nonzero(kinds >= RANGE)), np.float32),
+        numbers=np.empty(shape),
+        times=np.empty(shape, np.int64),
+        # Room for all words of the first line: with many more, those behind it wait for their turn.
+        left=np.empty((len(kinds) * (1 + len(starts) // 8) + 64, 4), np.int64),
+    )
+    source = np.frombuffer(text, np.uint8)
+    alike, lefts = parse_rows(source, starts, ord(separator), kinds, words)
+    faults: dict[int, str] = {}
+    for row, col, start, end in words.left[:lefts].tolist():
+        kind = int(kinds[col])
+        try:
+            value = _parse_word(text[start:end], min(kind, RANGE))
+        except ValueError as error:
+            faults.setdefault(row, f"{names[col]}{error}")
+            continue
+        if kind >= RANGE:
+            words.ranges[row, kind - RANGE] = as_float32(value)
+        elif isinstance(value, int):
+            words.times[col, row] = value
+        else:
+            words.numbers[col, row] = value
+    return words.take(slice(alike)), {row: fault for row, fault in faults.items() if row < alike}
+
+
+@lru_cache(maxsize=64)
+def _parse_word(word: bytes, kind: int) -> float | int:
+    """Parse a word that the kernel leaves; cached, as many logs repeat a few in every line."""
+    text = unquote(word)
+    if kind in {SECONDS, NANOSECONDS}:
+        return parse_seconds(text) if kind == SECONDS else parse_nanoseconds(text)
+    number = parse_number(text or "nan") if kind != FINITE else parse_number(text)
+    if kind == FINITE and not math.isfinite(number):
+        raise ValueError(f"{number} where a finite number belongs")
+    return number
+
+
+def unquote(word: bytes) -> str:
+    """Read a word as text without its blanks and quotes; U+FFFD is what is no UTF-8."""
+    text = word.strip().decode("utf-8", "replace")
+    return text[1:-1] if len(text) > 1 and text[0] == text[-1] == '"' else text
+
+
+def parse_number(text: str) -> float:
+    """Parse a number; raises ValueError also where Python alone takes it for one, such as 1_000."""
+    try:
+        if "_" in text or not text.isascii():
+            raise ValueError
+        return float(text.encode())  # of bytes, since blanks around text may be any of Unicode's
+    except ValueError:
+        raise ValueError(f"{shorten(text)} where a number belongs") from None
+
+
+@kernel
+def parse_rows(
+    text: UInt8, starts: Int64, separator: int, kinds: Int64, words: Words
+) -> tuple[int, int]:
+    """Parse the words of lines up to the first that is not like those before it.
+
+    It holds more or fewer words, or others where they should be the same, or `left` has no more
+    room for its words.
+
+    Returns
+    -------
+    alike, lefts
+        How many lines are alike, and how many of their words, and of the next line's, are left.
+    """
+    lefts = 0
     for row in range(len(starts)):
-        at, beam = _skip_blanks(text, np.uint64(starts[row]), separator), 0
+        at = _skip_blanks(text, np.uint64(starts[row]))
         for col in range(len(kinds)):
-            word, kind = _scan_word(text, at, separator), kinds[col]
-            is_read, value = _to_float(text, word)
-            if kind == RANGE:
-                words.ranges[row, beam] = value
-                beam += 1
-            else:
-                words.numbers[col, row] = value
-                words.digits[col, row], words.decimals[col, row] = _to_whole(text, word)
-            if kind != OTHER and not is_read:
-                if lefts == len(words.left):
-                    break
+            word = _scan_word(text, at, separator)
+            if not _read_word(text, word, kinds[col], (row, col), words):
+                if kinds[col] == SAME or lefts == len(words.left):
+                    return row, lefts
                 words.left[lefts, 0], words.left[lefts, 1] = row, col
                 words.left[lefts, 2], words.left[lefts, 3] = word.start, word.end
                 lefts += 1
             at = word.end
             if text[at] != _END:
-                at = _skip_blanks(text, at + _ONE, separator)
-            if text[word.end] == _END or (separator == _BLANK and text[at] == _END):
-                words.is_sound[row] = col == last
-                break
-    return lefts
+                at = _skip_blanks(text, at + _ONE)
+            is_last = text[word.end] == _END or (separator == _BLANK and text[at] == _END)
+            if is_last != (col == len(kinds) - 1):
+                return row, lefts
+    return len(starts), lefts
 
 
 @step
-def _skip_blanks(text: UInt8, at: np.uint64, separator: int) -> np.uint64:
-    """Where the next word begins; between commas each byte is part of a word."""
-    while separator == _BLANK and text[at] == _BLANK:
+def _read_word(text: UInt8, word: Word, kind: int, place: tuple[int, int], words: Words) -> bool:
+    """Whether a word is read here as what it is, or is the same as in the first line."""
+    row, col = place
+    is_read = True
+    if kind >= RANGE:
+        is_read, words.ranges[row, kind - RANGE] = _to_float(text, word)
+    elif kind in (NUMBER, FINITE):
+        is_read, words.numbers[col, row] = _to_float(text, word)
+        is_read &= kind == NUMBER or math.isfinite(words.numbers[col, row])
+    elif kind in (SECONDS, NANOSECONDS):
+        is_read, words.times[col, row] = _to_time(text, word, 9 if kind == SECONDS else 0)
+    elif kind == SAME:
+        words.times[col, row] = _hash(text, word)
+        is_read = bool(words.times[col, row] == words.times[col, 0])
+    return is_read
+
+
+@step
+def _is_blank(byte: int) -> bool:
+    """Whether a byte stands between words, if that is no comma; the end of a line does."""
+    return byte == _BLANK or _TAB <= byte <= _RETURN
+
+
+@step
+def _skip_blanks(text: UInt8, at: np.uint64) -> np.uint64:
+    """Where the next word begins."""
+    while _is_blank(text[at]) and text[at] != _END:
         at += _ONE
     return at
 
@@ -176,7 +215,9 @@ def _scan_word(text: UInt8, start: np.uint64, separator: int) -> Word:
         at, number = _scan_digits(text, dot + _ONE, number)
         decimals = at - dot - _ONE
         digits += decimals
-    while text[at] != separator and text[at] != _END:
+    while not (
+        text[at] == separator or text[at] == _END or (separator == _BLANK and _is_blank(text[at]))
+    ):
         digits = _NONE
         at += _ONE
     return Word(start, at, number, digits, decimals)
@@ -215,15 +256,20 @@ def _is_name(text: UInt8, start: np.uint64, end: np.uint64, name: UInt8) -> bool
 
 
 @step
-def _to_whole(text: UInt8, word: Word) -> tuple[np.int64, np.int64]:
-    """Give the whole number that a word's digits make, and its decimals.
+def _to_time(text: UInt8, word: Word, places: int) -> tuple[bool, np.int64]:
+    """Whether a word is a time in units of 10 ** `places` ns that is read here, and which (ns)."""
+    more = places - np.int64(word.decimals)
+    is_whole = 0 < word.digits <= MOST_WHOLE_DIGITS and word.number >= 0 and more >= 0
+    if not is_whole or word.number > LARGEST // SCALES[more]:
+        return False, np.int64(0)
+    sign = -1 if text[word.start] == _MINUS else 1
+    return True, np.int64(sign * word.number * SCALES[more])
 
-    For what is no decimal it is a hash, by which equal words are known, and -1.
-    """
-    if 0 < word.digits <= MOST_WHOLE_DIGITS and word.number >= 0:
-        sign = -1 if text[word.start] == _MINUS else 1
-        return sign * word.number, np.int64(word.decimals)
+
+@step
+def _hash(text: UInt8, word: Word) -> np.int64:
+    """Make a number of a word, by which equal words are known."""
     number = np.int64(0)
     for at in range(word.start, word.end):
         number = number * 1_000_003 + text[at]
-    return number, np.int64(-1)
+    return number

@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Iterable, Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -20,10 +19,12 @@ from mcap.records import ChunkIndex, Footer, Schema, Statistics
 from occmap.readers import Probe
 from occmap.readers.containers import Buffer, Channel, inflate
 from occmap.readers.records import (
+    CHUNK,
     DESCRIPTION,
+    OTHER,
+    Bytes,
     Descriptions,
-    Inner,
-    Kind,
+    FileBytes,
     Record,
     RecordSource,
     Summary,
@@ -48,13 +49,12 @@ _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_HEAD = 1 << 10
 """The fields of a chunk before its records are shorter, with the name of its compression."""
-_MOST_SUMMARY = 1 << 30
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
-_DESCRIPTIONS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL})
-_KINDS = dict.fromkeys({*_DESCRIPTIONS, Opcode.MESSAGE}, Kind.PLAIN) | {Opcode.CHUNK: Kind.CHUNK}
-_OPCODES = frozenset({*range(1, 16), *range(128, 256)})
-"""Those that there are, and those that anybody may use."""
+_KINDS = {Opcode.SCHEMA: DESCRIPTION, Opcode.CHANNEL: DESCRIPTION, Opcode.CHUNK: CHUNK}
+_MESSAGE = int(Opcode.MESSAGE)
+_OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
+"""Of the other records that may be anywhere, with those that anybody may use."""
 
 
 class McapSource(RecordSource):
@@ -70,46 +70,38 @@ class McapSource(RecordSource):
         """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
         super().__init__(path)
 
-    def _read_record(self, file: BinaryIO, position: int, size: int) -> Record | None:
-        file.seek(position)
-        data = file.read(_HEAD.size)
-        if len(data) < _HEAD.size:
-            return None
-        opcode, length = _HEAD.unpack(data)
-        start, end = position + _HEAD.size, position + _HEAD.size + length
-        if opcode == Opcode.FOOTER and end == size - len(self.magic):
-            return Record(Kind.OTHER, position, start, size)
-        if opcode == Opcode.FOOTER or opcode not in _OPCODES:
-            return None
-        kind = _KINDS.get(opcode, Kind.OTHER)
-        chunk = kind is Kind.OTHER and _CHUNK_HEAD.match(file.read(_LONGEST_HEAD))
-        if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
-            kind = Kind.CHUNK  # whatever its opcode says
-        return Record(kind, position, start, end)
-
-    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
-        message, last = int(Opcode.MESSAGE), len(block) - _MESSAGE_HEAD.size
-        while at <= last:
-            opcode, length, key, _, record_ns = _MESSAGE_HEAD.unpack_from(block, at)
+    def _parse(self, block: Bytes, at: int) -> Record | None:
+        head = block[at : at + _MESSAGE_HEAD.size]
+        if len(head) == _MESSAGE_HEAD.size:
+            opcode, length, key, _, record_ns = _MESSAGE_HEAD.unpack(head)
             start, end = at + _MESSAGE_DATA, at + _HEAD.size + length
-            if opcode == message and start <= end:
-                yield key, min(record_ns, _LATEST_NS), start, end
-            elif opcode in _DESCRIPTIONS:
-                yield DESCRIPTION, 0, at, end
-            else:
-                return
-            at = end
+            if opcode == _MESSAGE and start <= end:
+                return key, min(record_ns, _LATEST_NS), at, start, end
+        if len(head) < _HEAD.size:
+            return None
+        opcode, length = _HEAD.unpack_from(head)
+        end = at + _HEAD.size + length
+        if opcode == Opcode.FOOTER and end == len(block) - len(self.magic):
+            return OTHER, 0, at, at, len(block)
+        if opcode not in _OTHER_OPCODES:
+            return None
+        kind = _KINDS.get(opcode, OTHER)
+        start = at + _HEAD.size
+        chunk = kind == OTHER and _CHUNK_HEAD.match(block[start : start + _LONGEST_HEAD])
+        if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
+            kind = CHUNK  # whatever its opcode says
+        return kind, 0, at, at, end
 
-    def _open_chunk(self, position: int, record: bytes) -> Buffer:
+    def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
-        stream = _open_body(record[:_MOST_HEAD])
+        stream = _open_body(bytes(record[:_MOST_HEAD]))
         try:  # not by Chunk.read, which gives nothing of a chunk that is cut
             _times, size = stream.read(16), stream.read8()
             crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
         except self.errors:
             self._note(position, "has no head that can be read")
             return b""
-        data = memoryview(record)[_HEAD.size + stream.count :]
+        data = record[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if not problem and record[0] != Opcode.CHUNK:
             problem = "is marked as another kind of record, and is used"
@@ -149,31 +141,29 @@ class McapSource(RecordSource):
                 ),
             )
 
-    def _read_summary(self, file: BinaryIO) -> Summary:
+    def _read_summary(self, file: FileBytes) -> Summary:
         """Read the records at the end of the file, which may have none."""
-        end = self._size - _HEAD.size - _FOOTER_BODY - len(self.magic)
-        file.seek(max(end, 0))
-        tail = file.read()
+        end = len(file) - _HEAD.size - _FOOTER_BODY - len(self.magic)
+        tail = bytes(file[max(end, 0) : len(file)])
         if end < 0 or not tail.endswith(self.magic):
             raise ValueError("the file is cut before its end")
         if tail[0] != Opcode.FOOTER:
             raise ValueError("the footer is damaged")
         footer = Footer.read(_open_body(tail))
         start = footer.summary_start or end
-        file.seek(min(start, end))
-        section = file.read(min(end - file.tell(), _MOST_SUMMARY))
+        section = file[min(start, end) : end]
         # The checksum covers the footer, too, up to the checksum itself.
         crc = zlib.crc32(tail[: _HEAD.size + _FOOTER_BODY - 4], zlib.crc32(section))
         if start > end or footer.summary_crc not in {0, crc}:
             raise ValueError("its checksum is another")
-        return self._gather(self._split(file, start, end), is_checked=footer.summary_crc != 0)
+        return self._gather(self._split(section, 0), is_checked=footer.summary_crc != 0)
 
     def _gather(self, records: Iterable[bytes], *, is_checked: bool) -> Summary:
         """Gather what the records of the summary say; an index of chunks must be checked."""
         summary, statistics = Summary(), None
         descriptions: Descriptions = {}
         for record in records:
-            if record[0] in _DESCRIPTIONS:
+            if record[0] in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 descriptions[record] = 0
             elif record[0] == Opcode.CHUNK_INDEX and is_checked:
                 index = ChunkIndex.read(_open_body(record))

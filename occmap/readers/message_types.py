@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from occmap.errors import DamageError
 from occmap.readers import Echo, Role
 from occmap.readers.cloud_messages import (
     FOXGLOVE_KINDS,
@@ -38,12 +39,19 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.messages import Parse
-from occmap.types import IDENTITY, Cloud, Pose, PoseSample, Scan
+from occmap.readers.messages import FromBytes, Locate, Parse, Rows, Stacked, read_scan_run
+from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
 from occmap.values import as_number
 
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 """From a decoded message, its topic and its record time in ns"""
+
+
+ReadMany: TypeAlias = Callable[
+    [Sequence[Stacked], Locate, FromBytes[Any]], tuple[Sequence[Any], Sequence[Stacked]]
+]
+"""From messages of one length, what finds numbers in one, and what reads one, to what is read many
+at once, and the messages that are left to be read one by one; raises DamageError"""
 
 
 class MessageType(NamedTuple):
@@ -56,6 +64,12 @@ class MessageType(NamedTuple):
     parse: Parse | None = None
     """Decodes a message, in place of a library that would take too long"""
     needs: type[Echo | Camera] | None = None
+    many: ReadMany | None = None
+    """Reads many messages that are laid out alike"""
+
+
+MOST_GROUPS = 16
+"""Messages of one length are grouped by the frames that they name, but not into more groups."""
 
 
 class PoseFields(NamedTuple):
@@ -94,6 +108,30 @@ class PoseFields(NamedTuple):
         turn = [as_number(get(rotation, name)) for name in "xyzw"]
         place = (as_number(get(position, name)) for name in "xyz")
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
+
+    def read_many(
+        self, messages: Sequence[Stacked], locate: Locate, read: FromBytes[list[PoseSample]]
+    ) -> tuple[list[PoseBatch], Sequence[Stacked]]:
+        """Read messages of one length: the samples of each pose, and the messages left over."""
+        batches: list[PoseBatch] = []
+        for _ in range(MOST_GROUPS):
+            if len(messages) < 2:
+                break
+            # Decoded first: that it could be says that all its parts lie within the message.
+            samples = read(memoryview(messages[0][0]), 0)
+            rows = Rows(messages, locate)
+            alike = rows.find_alike()
+            for at, sample in enumerate(samples):
+                _, parent, child, first, static, topic, _ = sample
+                item = f"{self.items}.{at}." if self.items else ""
+                pose = rows.read(f"{item}{self.position}.x", f"{item}{self.rotation}.w")[alike]
+                if not np.array_equal(pose[0], first, equal_nan=True):
+                    raise DamageError("has its numbers in another order")
+                stamp_ns = rows.read_stamps(f"{item}{self.stamp}")[alike]
+                times = stamp_ns, rows.record_ns[alike]
+                batches.append(PoseBatch(*times, pose, parent, child, static, topic))
+            messages = [each for each, is_read in zip(messages, alike, strict=True) if not is_read]
+        return batches, messages
 
 
 def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
@@ -184,7 +222,7 @@ _TF = PoseFields(
 _LIVOX = MessageType(Role.CLOUD, convert_livox, parse=parse_livox)
 
 TYPES = {
-    "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan),
+    "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan, many=read_scan_run),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo, needs=Echo),
     "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
@@ -196,7 +234,7 @@ TYPES = {
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
     "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
 } | {
-    name: MessageType(Role.POSE, to_poses=fields.read)
+    name: MessageType(Role.POSE, to_poses=fields.read, many=fields.read_many)
     for name, fields in {
         "tf2_msgs/msg/TFMessage": _TF,
         "tf/msg/tfMessage": _TF,

@@ -7,9 +7,8 @@ are laid out alike are taken from the bytes of many messages together.
 
 import json
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from functools import cache, lru_cache
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -22,7 +21,7 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
 from occmap.readers.containers import Channel, normalise_type
-from occmap.types import Bool, Int64, PoseBatch, PoseSample, Scan, ScanRun, UInt8
+from occmap.types import Bool, Int64, Scan, ScanRun
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -31,19 +30,20 @@ Parse: TypeAlias = Callable[[memoryview, str], Any]
 """From a message's bytes, and how they are written, to its fields."""
 
 
-class Layout(NamedTuple):
-    """How ROS lays out messages of which a log holds many: a header, or a list of transforms."""
+class Place(NamedTuple):
+    """Where a number lies in a message, or a list of numbers."""
 
-    is_cdr: bool
-    """Whether numbers are aligned; ROS 1 aligns none, and counts messages in their headers"""
-    is_list: bool
-    names_child: bool
-    """Whether a pose stands behind a second frame, the child's"""
+    start: int
+    end: int
+    kind: np.dtype[Any]
 
 
-_Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], Layout | None]
-"""From a message's bytes to its fields, what it raises on bytes that are not well formed, and how
-messages are laid out, if as ROS does"""
+Locate: TypeAlias = Callable[[bytes], Mapping[str, Place]]
+"""From a message to where its numbers lie, by their dotted names; raises DamageError"""
+
+_Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], Locate | None]
+"""From a message's bytes to its fields, what it raises on bytes that are not well formed, and what
+finds its numbers, if they lie as ROS lays them out"""
 
 # What rosbags raises on definitions and on bytes that are not well formed.
 _DEFINITION_ERRORS = (
@@ -66,31 +66,13 @@ _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types but the older of these, and of ROS 1 neither."""
-_ONE, _MOVED, _LIST = (False, False), (False, True), (True, True)
-_LAYOUTS = {
-    "cdr": {
-        "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828": _ONE,  # LaserScan
-        "10f3786d7d40fd2b54367835614bff85d4ad3b5dab62bf8bca0cc232d73b4cd8": _ONE,  # PoseStamped
-        "26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e": _ONE,  # uncertain
-        "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0": _MOVED,  # Odometry
-        "e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087": _LIST,  # TFMessage
-    },
-    "ros1": {
-        "483198ef52b200f0d8904fbf199f72919290c84f61d8ebddc7b0b1215e3e4e0e": _ONE,
-        "576be1857cf9c4af2d859f93d09be37b41aae465beccf730afad4a38fe94f160": _ONE,
-        "aea1cb8d7696cf4604347c8fd72209da4d1515283c6517f36dcb58b3f06c582d": _ONE,
-        "57f57a5b51343129742e281ee4dd27913daf43f90bbabed1a9c17c19ec5f388a": _MOVED,
-        "0d1525cc15115cd686fb5b0c69bff596832d5f7eb8dc766b0ee926b3ad5f99e2": _LIST,
-        "3a251e86098111cc45383f1ebaf07d69f5e1fd4484fabd9081da7148cf7eb5be": _LIST,  # tfMessage
-    },
-}
-"""How most messages of a log are laid out, by the hashes (REP 2016) of their types as ROS defines
-them; little-endian ones can be stacked and read many at once"""
+MAX_PLACES = 1 << 16
+"""Numbers of a message that are looked for, at most; one with more is read by itself."""
 
 
 def make_reader(
     channel: Channel, convert: Callable[[Any, str, int], T], parse_whole: Parse | None = None
-) -> tuple[FromBytes[T], Layout | None]:
+) -> tuple[FromBytes[T], Locate | None]:
     """Build the function that reads a channel's messages: decodes and converts them.
 
     Parameters
@@ -102,8 +84,8 @@ def make_reader(
 
     Returns
     -------
-    read, layout
-        By which `read_scan_run` or `read_pose_batches` can read many of the messages at once.
+    read, locate
+        By which many of the messages can be read at once, where ROS lays them out.
 
     Raises
     ------
@@ -116,7 +98,7 @@ def make_reader(
         parser = lambda data: parse_whole(data, channel.encoding), (), None
     else:
         parser = _PARSERS[channel.encoding](channel)
-    parse, errors, layout = parser
+    parse, errors, locate = parser
 
     def read(data: memoryview, record_ns: int) -> T:
         try:
@@ -125,7 +107,7 @@ def make_reader(
             raise DamageError(f"is not a {kind} ({type(error).__name__})") from error
         return convert(message, topic, record_ns)
 
-    return read, layout
+    return read, locate
 
 
 @lru_cache(maxsize=64)
@@ -145,12 +127,9 @@ def _make_ros_parser(text: str, kind: str, encoding: str) -> _Parser:
         store.get_msgdef(name)
     except _DEFINITION_ERRORS as error:
         raise _refuse(kind, error) from error
-    layout = None
-    with suppress(LookupError):  # of a type that has no hash, or one of its own
-        known = _LAYOUTS[encoding][store.hash_rihs01(name).removeprefix("RIHS01_")]
-        layout = Layout(encoding == "cdr", *known)
+    locate = partial(_locate, store.fielddefs, name, encoding == "cdr")
     deserialise = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-    return lambda data: deserialise(data, name), _DECODE_ERRORS, layout
+    return lambda data: deserialise(data, name), _DECODE_ERRORS, locate
 
 
 def _refuse(kind: str, why: Exception) -> LogError:
@@ -271,22 +250,124 @@ Stacked: TypeAlias = tuple[bytes, int]
 
 SHORTEST_RUN = 64
 """Fewer scans are read one by one, to be stacked with others of their kind."""
-MOST_GROUPS = 16
-"""Messages of one length are grouped by the frames that they name, but not into more groups."""
 _LITTLE_ENDIAN = b"\0\1"
-"""What a CDR message begins with that can be read so."""
-_STAMP = 4
-"""Where a stamp begins: after the encapsulation of CDR, or the sequence number of ROS 1."""
-_FRAME = 16
-"""Where the letters of a scan's frame begin, after their number."""
-_ANGLE_MAX, _TIME_INCREMENT, _RANGE_MIN, _RANGES = 4, 12, 20, 32
-"""Bytes from the first of the seven floats on. The largest angle and the scan time are not used."""
-_POSE = 56
-"""Bytes of a translation and a rotation."""
+"""What a CDR message begins with whose numbers are read so."""
+_OF_ALL = ("angle_min", "angle_increment", "range_min", "range_max")
+"""The numbers that are the same in all scans of a run"""
+
+
+class _Finder:
+    """Finds the numbers of a message that could be decoded, by the types that it is made of.
+
+    CDR aligns each number to its size, from behind four bytes on; ROS 1 aligns none.
+    """
+
+    def __init__(self, types: Typesdict, message: bytes, is_cdr: bool) -> None:
+        self.places: dict[str, Place] = {}
+        self._types, self._message, self._is_cdr = types, message, is_cdr
+        self._at = 4 if is_cdr else 0
+
+    def find(self, path: str, node: Nodetype, detail: Any) -> None:
+        """Pass over a part of the message, and add the places of its numbers."""
+        if node == Nodetype.NAME:
+            parts: Any = self._types[detail][1]
+            for part, inner in parts:
+                self.find(f"{path}.{part}" if path else part, *inner)
+            return
+        if node == Nodetype.BASE:
+            self._add(path, detail[0], 1)
+            return
+        inner, many = detail
+        many = many if node == Nodetype.ARRAY else self._read_count()
+        if inner[0] == Nodetype.BASE and inner[1][0] != "string":
+            self._add(path, inner[1][0], many)
+        else:
+            for index in range(many):
+                self.find(f"{path}.{index}", *inner)
+
+    def _add(self, path: str, kind: str, many: int) -> None:
+        """Pass over numbers of one kind, or the letters of a string."""
+        if kind == "string":
+            letters = self._read_count()
+            self._at += letters
+            return
+        self.places[path] = self._pass(kind, many)
+        if len(self.places) > MAX_PLACES:
+            raise DamageError(f"holds more than {MAX_PLACES} numbers")
+
+    def _pass(self, kind: str, many: int = 1) -> Place:
+        number, start = _find_dtype(kind), self._at
+        if self._is_cdr and many:
+            start += (4 - start) % number.itemsize
+        self._at = start + many * number.itemsize
+        return Place(start, self._at, number)
+
+    def _read_count(self) -> int:
+        start, end, _ = self._pass("uint32")
+        if end > len(self._message):
+            raise DamageError("ends before its numbers do")
+        return int.from_bytes(self._message[start:end], "little")
+
+
+@cache
+def _find_dtype(kind: str) -> np.dtype[Any]:
+    return np.dtype("uint8" if kind == "octet" else kind).newbyteorder("<")
+
+
+def _locate(types: Typesdict, name: str, is_cdr: bool, message: bytes) -> Mapping[str, Place]:
+    if is_cdr and not message.startswith(_LITTLE_ENDIAN):
+        raise DamageError("is not little-endian")
+    finder = _Finder(types, message, is_cdr)
+    finder.find("", Nodetype.NAME, name)
+    return finder.places
+
+
+class Rows:
+    """Messages of one length as rows, and where the first has its numbers.
+
+    Raises
+    ------
+    DamageError
+        The numbers of the first cannot be found.
+    """
+
+    def __init__(self, messages: Sequence[Stacked], locate: Locate) -> None:
+        self._places = locate(messages[0][0])
+        raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8)
+        self._raw = raw.reshape(len(messages), -1)
+        self.record_ns = np.array([record_ns for _, record_ns in messages], np.int64)
+
+    def find_alike(self, same: Collection[str] = ()) -> Bool:
+        """Say which messages (M,) are as the first but for their numbers, save some."""
+        fixed = np.ones(self._raw.shape[1], np.bool_)
+        for name, place in self._places.items():
+            fixed[place.start : place.end] = name in same
+        alike: Bool = (self._raw[:, fixed] == self._raw[0, fixed]).all(axis=1)
+        return alike
+
+    def read(self, first: str, last: str = "") -> NDArray[Any]:
+        """Read a number, a list, or numbers that lie side by side, in each message (M, B).
+
+        Raises
+        ------
+        DamageError
+            They are not there, or not so.
+        """
+        start, end = self._places.get(first), self._places.get(last or first)
+        if not start or not end or (end.end - start.start) % start.kind.itemsize:
+            raise DamageError(f"has no numbers {first}")
+        return np.ascontiguousarray(self._raw[:, start.start : end.end]).view(start.kind)
+
+    def read_stamps(self, name: str) -> Int64:
+        """Read times (M,) in ns; raises DamageError."""
+        seconds, nanoseconds = (self.read(f"{name}.{part}")[:, 0] for part in ("sec", "nanosec"))
+        if max(seconds.itemsize, nanoseconds.itemsize) > 4:
+            raise DamageError(f"has a {name} of another kind")
+        return np.asarray(seconds.astype(np.int64) * 1_000_000_000 + nanoseconds)
 
 
 def read_scan_run(
-    messages: Sequence[Stacked], layout: Layout, read: FromBytes[list[Scan]]
+    messages: Sequence[Stacked], locate: Locate, read: FromBytes[list[Scan]]
 ) -> tuple[list[ScanRun], Sequence[Stacked]]:
     """Read scans of one length that follow one another.
 
@@ -298,167 +379,21 @@ def read_scan_run(
     Returns
     -------
     runs, others
-        One run, or all messages where they are few, not little-endian, or not alike but for times
-        and ranges.
+        One run, or all messages where they are few, or not alike but for times and ranges.
 
     Raises
     ------
     DamageError
-        The first message is damaged.
+        The first message is damaged, or its numbers cannot be found.
     """
-    if len(messages) < SHORTEST_RUN or not _is_stackable(messages[0][0], layout):
+    if len(messages) < SHORTEST_RUN:
         return [], messages
     # Decoded first: that it could be says that all its parts lie within the message.
     (first,) = read(memoryview(messages[0][0]), messages[0][1])
-    raw = _stack(messages)
-    floats = _align(_FRAME + _count_at(messages[0][0], _FRAME - 4), 4, layout)
-    ranges = floats + _RANGES
-    intensities = ranges + 4 * len(first.ranges)
-    free = (
-        _span_stamp(_STAMP, layout),
-        (floats + _ANGLE_MAX, floats + _ANGLE_MAX + 4),
-        (floats + _TIME_INCREMENT, floats + _RANGE_MIN),
-        (ranges, intensities),
-        (intensities + 4, raw.shape[1]),
-    )
-    if not _find_alike(raw, free).all():
+    rows = Rows(messages, locate)
+    if not rows.find_alike(_OF_ALL).all():
         return [], messages
-    run = ScanRun(
-        first,
-        _read_stamps(raw, _STAMP),
-        np.array([record_ns for _, record_ns in messages], np.int64),
-        _read_columns(raw, ranges, "<f4", len(first.ranges)),
-        _read_columns(raw, floats + _TIME_INCREMENT, "<f4")[:, 0].astype(np.float64),
-    )
-    return [run], []
-
-
-def read_pose_batches(
-    messages: Sequence[Stacked], layout: Layout, read: FromBytes[list[PoseSample]]
-) -> tuple[list[PoseBatch], Sequence[Stacked]]:
-    """Read messages of poses of one length.
-
-    Parameters
-    ----------
-    read
-        Reads a single message: it tells what is the same in those that are like it.
-
-    Returns
-    -------
-    batches, others
-        The samples of each pose, and the messages of groups beyond `MOST_GROUPS`, or all where
-        the first is not little-endian.
-
-    Raises
-    ------
-    DamageError
-        The first message of its group is damaged.
-    """
-    raw = _stack(messages)
-    record_ns = np.array([record_ns for _, record_ns in messages], np.int64)
-    batches: list[PoseBatch] = []
-    left = np.arange(len(messages))
-    for _ in range(MOST_GROUPS):
-        if not len(left) or not _is_stackable(first := messages[int(left[0])][0], layout):
-            break
-        # Decoded first: that it could be says that all its parts lie within the message.
-        samples = read(memoryview(first), 0)
-        places = _locate(first, layout)
-        stamps = [_span_stamp(stamp, layout) for stamp, _ in places]
-        poses = [(pose, pose + _POSE if layout.is_list else raw.shape[1]) for _, pose in places]
-        alike = _find_alike(raw[left], stamps + poses)
-        rows = left[alike]
-        own, own_ns = raw[rows], record_ns[rows]  # once: a message may hold very many transforms
-        for (stamp, pose), sample in zip(places, samples, strict=True):
-            times, numbers = _read_stamps(own, stamp), _read_columns(own, pose, "<f8", 7)
-            frames = sample.parent, sample.child, sample.static, sample.topic
-            batches.append(PoseBatch(times, own_ns, numbers, *frames))
-        left = left[~alike]
-    return batches, [messages[i] for i in left.tolist()]
-
-
-def _locate(message: bytes, layout: Layout) -> list[tuple[int, int]]:
-    """Find where the stamp and the pose of each transform of a message lie, or of its only pose."""
-    at, count, places = 4 if layout.is_cdr else 0, 1, []
-    if layout.is_list:
-        count, at = _count_at(message, at), at + 4
-    for _ in range(count):
-        stamp = _align(at, 4, layout) + (0 if layout.is_cdr else 4)
-        names = _pass_name(message, stamp + 8, layout)
-        if layout.names_child:
-            names = _pass_name(message, names, layout)
-        pose = _align(names, 8, layout)
-        places.append((stamp, pose))
-        at = pose + _POSE
-    return places
-
-
-def _pass_name(message: bytes, at: int, layout: Layout) -> int:
-    """Find where a name ends that begins, with its length, at an offset or, in CDR, behind it."""
-    start = _align(at, 4, layout)
-    return start + 4 + _count_at(message, start)
-
-
-def _count_at(message: bytes, at: int) -> int:
-    """Read the count of what follows, as a sequence and a string begin with one."""
-    return int.from_bytes(message[at : at + 4], "little")
-
-
-def _align(at: int, size: int, layout: Layout) -> int:
-    """Round an offset up, as CDR does from behind its four encapsulation bytes; ROS 1 does not."""
-    return at + (4 - at) % size if layout.is_cdr else at
-
-
-def _span_stamp(at: int, layout: Layout) -> tuple[int, int]:
-    """Find the bytes of a stamp, and of the number that counts messages before it in ROS 1."""
-    return at if layout.is_cdr else at - 4, at + 8
-
-
-def _is_stackable(message: bytes, layout: Layout) -> bool:
-    """Whether the numbers of a message lie as NumPy reads them here: little-endian."""
-    return not layout.is_cdr or message.startswith(_LITTLE_ENDIAN)
-
-
-def _stack(messages: Sequence[Stacked]) -> UInt8:
-    """Stack messages of one length as rows (M, L)."""
-    raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8)
-    return raw.reshape(len(messages), -1)
-
-
-def _find_alike(raw: UInt8, free: Iterable[tuple[int, int]]) -> Bool:
-    """Say which of M messages (M, L) are as the first but for some bytes.
-
-    Parameters
-    ----------
-    free
-        Where spans of bytes that may differ begin and end; the end is outside.
-
-    Returns
-    -------
-    alike
-        (M,)
-    """
-    fixed = np.ones(raw.shape[1], np.bool_)
-    for start, end in free:
-        fixed[start:end] = False
-    alike: Bool = (raw[:, fixed] == raw[0, fixed]).all(axis=1)
-    return alike
-
-
-def _read_columns(raw: UInt8, at: int, kind: str, count: int = 1) -> NDArray[Any]:
-    """Read `count` numbers of a NumPy type that begin at an offset in each of M messages (M, L).
-
-    Returns
-    -------
-    numbers
-        (M, count)
-    """
-    size = count * np.dtype(kind).itemsize
-    return np.ascontiguousarray(raw[:, at : at + size]).view(kind)
-
-
-def _read_stamps(raw: UInt8, at: int) -> Int64:
-    """Read the stamps (M,) in ns of messages (M, L): seconds, then nanoseconds."""
-    seconds = _read_columns(raw, at, "<i4")[:, 0].astype(np.int64)
-    stamp_ns: Int64 = seconds * 1_000_000_000 + _read_columns(raw, at + 4, "<u4")[:, 0]
-    return stamp_ns
+    ranges = rows.read("ranges").astype(np.float32, copy=False)
+    increments = rows.read("time_increment")[:, 0].astype(np.float64)
+    times = rows.read_stamps("header.stamp"), rows.record_ns
+    return [ScanRun(first, *times, ranges, increments)], []

@@ -15,51 +15,54 @@ have.
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Container, Iterator
+from collections.abc import Callable, Collection, Container, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from enum import Enum
-from io import BytesIO
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO, ClassVar, NamedTuple, TypeAlias
+from typing import BinaryIO, ClassVar, NoReturn, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
 from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, RawMessage
 from occmap.report import count
 
-DESCRIPTION, OTHER = -1, -2
-"""Stand in place of a message's channel for a record that describes one, and for any other."""
+DESCRIPTION, CHUNK, OTHER = -1, -2, -3
+"""Stand in place of a message's channel for a record that describes one, for one that holds others,
+and for any other."""
 _EVERY_ID = range(1 << 32)
 """The numbers of all channels that there can be."""
+_ANY, _PLAIN, _FRAME = range(OTHER, 1 << 32), range(DESCRIPTION, 1 << 32), (CHUNK, OTHER)
+"""All kinds of records, those that lie in chunks (or in the open if a recorder makes none, or died
+before it closed one), and those that do not"""
 _WINDOW = 1 << 20
 _LONGEST_MATCH = 64
 """Bytes that `head` looks at, at most."""
 
 
-class Kind(Enum):
-    """What a record of a file is to its reader."""
+class FileBytes:
+    """The bytes of a file, sliced as those of a chunk are."""
 
-    PLAIN = "a message, or the description of a channel"
-    """In a chunk, or in the open if a recorder makes none, or died before it closed one"""
-    CHUNK = "a chunk"
-    OTHER = "something else"
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._size = file.seek(0, 2)
 
+    def __len__(self) -> int:
+        """How many there are."""
+        return self._size
 
-class Record(NamedTuple):
-    """Where a record of a file lies."""
-
-    kind: Kind
-    position: int
-    start: int
-    """Where its body begins"""
-    end: int
-    """Where its body ends; of a record that is cut, beyond the file"""
+    def __getitem__(self, part: slice) -> memoryview:
+        """Read some; of what is too long to be sound, only the first ones."""
+        self._file.seek(min(part.start, self._size))
+        return memoryview(self._file.read(min(part.stop - part.start, MAX_INFLATED)))
 
 
-Inner: TypeAlias = tuple[int, int, int, int]
-"""A record of a block: a message's channel, when it was recorded (ns), and where in the block the
-message begins and the record ends; one that describes a channel is given from its start. A plain
-tuple, since a log has tens of thousands."""
+Bytes: TypeAlias = FileBytes | memoryview
+"""What holds records: a file, or what was in a chunk"""
+
+Record: TypeAlias = tuple[int, int, int, int, int]
+"""A message's channel, when it was recorded (ns), and where in the bytes the record begins, the
+message begins, and both end. Any other record is all message. A plain tuple, since a log has tens
+of thousands."""
 
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
@@ -98,9 +101,12 @@ class RecordSource(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes = NoteList()
-        with refuse_unreadable(path), path.open("rb") as file:
-            self._size = self._cut_at = file.seek(0, 2)
-            """Where a record begins in the middle of which the file ends, or the end of the file"""
+        self._cut_at = -1
+        """Where a record begins in the middle of which the file ends"""
+        with refuse_unreadable(path), path.open("rb") as opened:
+            file = FileBytes(opened)
+            if len(file) == len(self.magic):
+                raise LogError("holds nothing behind its first bytes", where=path)
             try:
                 self._summary = self._read_summary(file)
             except self.errors as error:
@@ -125,10 +131,8 @@ class RecordSource(ABC):
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
-            for block, records in self._iterate_blocks(file, by_id, descriptions):
-                for key, record_ns, start, end in records:
-                    if key in by_id:
-                        yield by_id[key], record_ns, block[start:end]
+            for key, record_ns, data in self._read(FileBytes(file), by_id, descriptions):
+                yield by_id[key], record_ns, data
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -136,37 +140,28 @@ class RecordSource(ABC):
                 self.notes.add_damage(text)
 
     @abstractmethod
-    def _read_summary(self, file: BinaryIO) -> Summary:
+    def _read_summary(self, file: FileBytes) -> Summary:
         """Read what the end of the file says of it; raises `errors` where it is damaged."""
 
     @abstractmethod
-    def _read_record(self, file: BinaryIO, position: int, size: int) -> Record | None:
-        """Read a record's head in a file, or a block, of some size; None where there is none."""
+    def _parse(self, block: Bytes, at: int) -> Record | None:
+        """Parse the head of a record, which may end beyond the block; None where there is none."""
 
     @abstractmethod
-    def _parse_records(self, block: memoryview, at: int) -> Iterator[Inner]:
-        """Give the records of a block from an offset on, up to the first that is damaged.
-
-        The last may end beyond the block.
-        """
-
-    @abstractmethod
-    def _open_chunk(self, position: int, record: bytes) -> Buffer:
+    def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress the chunk at a position, and note what is wrong with it."""
 
     @abstractmethod
     def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         """Give channels with their numbers; one that is described in two ways comes twice."""
 
-    def _survey(self, file: BinaryIO) -> tuple[dict[int, Channel], Counter[int]]:
+    def _survey(self, file: FileBytes) -> tuple[dict[int, Channel], Counter[int]]:
         """Find the channels and count their messages by reading the whole file.
 
         Where the summary counts those of a channel, its count stands.
         """
         descriptions: Descriptions = {}
-        held: Counter[int] = Counter()
-        for _, records in self._iterate_blocks(file, _EVERY_ID, descriptions):
-            held.update(key for key, *_ in records)
+        held = Counter(key for key, *_ in self._read(file, _EVERY_ID, descriptions))
         found: dict[int, Channel] = {}
         for key, channel in self._describe(descriptions):
             found.setdefault(key, channel)
@@ -176,139 +171,126 @@ class RecordSource(ABC):
         announced = {key: counts[key] for key in counts.keys() & channels}
         return channels, Counter({**held, **announced})
 
-    def _iterate_blocks(
-        self, file: BinaryIO, wanted: Container[int], descriptions: Descriptions
-    ) -> Iterator[tuple[memoryview, Iterator[Inner]]]:
-        """Give what may hold messages of some channels: unpacked chunks, or single records.
+    def _read(
+        self, file: FileBytes, wanted: Container[int], descriptions: Descriptions
+    ) -> Iterator[tuple[int, int, memoryview]]:
+        """Give channel, time and bytes of the messages of some channels.
 
-        With each come its messages. The records in it that describe channels are added to
-        `descriptions`.
+        The records that describe channels are added to `descriptions`.
         """
-        for kind, position, _, end in self._walk(file):
-            held = self._summary.chunks.get(position)
-            if kind is Kind.OTHER or (held and not any(key in wanted for key in held)):
-                continue
-            file.seek(position)
-            # Of a record that is too long to be sound, only the first bytes are read.
-            data: Buffer = file.read(min(end - position, MAX_INFLATED))
-            if kind is Kind.CHUNK:
-                data = self._open_chunk(position, bytes(data))
-            block = memoryview(data)
-            yield block, self._list_messages(position, block, descriptions)
-
-    def _list_messages(
-        self, position: int, block: memoryview, descriptions: Descriptions
-    ) -> Iterator[Inner]:
-        """Give the messages of a block. A damaged record ends nothing: the next is looked for."""
-        size, at, search = len(block), 0, 0
-        damaged: list[int] = []
-        while at < size:
-            for record in self._parse_records(block, at):
-                key, _, start, end = record
-                if end > size:
-                    break
-                if key >= 0:
-                    yield record
-                elif key == DESCRIPTION:
+        for position, block, records in self._open_blocks(file, wanted):
+            for key, record_ns, _, start, end in records:
+                if key == DESCRIPTION:
                     descriptions.setdefault(bytes(block[start:end]), position)
-                # The length of the last one may be what is wrong, so it is searched, too.
-                search, at = at + 1, end
-            if at < size:
-                damaged.append(at)
-                found = self._find_record(BytesIO(block), search, size, {Kind.PLAIN})
-                at = found.position if found else size
-                search = at + 1
+                elif key in wanted:
+                    yield key, record_ns, block[start:end]
+
+    def _open_blocks(
+        self, file: FileBytes, wanted: Container[int]
+    ) -> Iterator[tuple[int, Bytes, Iterable[Record]]]:
+        """Give what may hold messages of some channels, by its position: its bytes and records."""
+        for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
+            kind, _, position, _, end = record
+            if kind != CHUNK:
+                yield position, file, [record]
+                continue
+            held = self._summary.chunks.get(position)
+            if held and not any(key in wanted for key in held):
+                continue
+            block = memoryview(self._open_chunk(position, file[position:end]))
+            yield position, block, self._walk_chunk(position, block)
+
+    def _walk_chunk(self, position: int, block: Bytes) -> Iterator[Record]:
+        """Give the records of a chunk; note where it is damaged."""
+        damaged: list[int] = []
+        yield from self._walk(block, 0, _PLAIN, lambda at, _: damaged.append(at))
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(position, f"is damaged at byte {min(damaged)}{more}")
 
-    def _walk(self, file: BinaryIO) -> Iterator[Record]:
-        """Give the records of the file one by one.
+    def _walk(
+        self,
+        block: Bytes,
+        at: int,
+        kinds: Container[int],
+        tell: Callable[[int, int | None], object],
+    ) -> Iterator[Record]:
+        """Give the records of a file or a chunk one by one.
 
-        Where no record follows one, its length may be wrong. So it ends where the next one begins
-        that is found behind its head.
+        Where none follows one, its length may be wrong. So it ends where the next one begins that
+        is found behind its start. `tell` takes the place of the damage and that of the next record.
         """
-        record = Record(Kind.OTHER, 0, len(self.magic), len(self.magic))
-        while record.end != self._size:
-            following = self._read_record(file, min(record.end, self._size), self._size)
+        size, parse = len(block), self._parse
+        record: Record = OTHER, 0, at, at, at
+        while (end := record[4]) != size:
+            following = parse(block, end)
             # The length of a chunk that seems to be cut is looked at in the next round.
-            if following and following.end > self._size and following.kind is not Kind.CHUNK:
-                following = None
-            if following is None:
-                following = self._find_following(file, record)
+            if (
+                following is None
+                or following[0] not in kinds
+                or (following[4] > size and following[0] != CHUNK)
+            ):
+                following = self._find_following(block, record, kinds)
+                place = following[2] if following else None
+                until = size if place is None else place
+                tell(end if end <= until else record[2], place)
+                record = (*record[:4], min(end, until))
                 if following is None:
                     break
-                at = record.end if record.end < following.position else record.start
-                found = f"damaged at byte {at}, read on from byte {following.position}"
-                self.notes.add_damage(found)
-                record = record._replace(end=min(record.end, following.position))
             yield record
             record = following
-        if record.end != self._size:
-            self._note_rest(file, record)
-        if record.end <= self._size or record.kind is Kind.CHUNK:
-            yield record._replace(end=min(record.end, self._size))
+        yield record
 
-    def _find_following(self, file: BinaryIO, record: Record) -> Record | None:
-        """Find the next record behind the head of one; what lies in a chunk does not follow it."""
-        if record.kind is not Kind.CHUNK:
-            return self._find_record(file, record.start, self._size, set(Kind))
-        found = self._find_record(file, record.start, self._size, {Kind.CHUNK, Kind.OTHER})
+    def _find_following(self, block: Bytes, record: Record, kinds: Container[int]) -> Record | None:
+        """Find the next record behind the start of one; what lies in a chunk does not follow it."""
+        kind, _, at, _, end = record
+        if kind != CHUNK:
+            return self._find(block, at + 1, len(block), kinds)
+        found = self._find(block, at + 1, len(block), _FRAME)
         # Before it may lie the messages of a chunk that lost its head.
-        until = found.position if found else self._size
-        return self._find_record(file, record.end, until, {Kind.PLAIN}) or found
+        return self._find(block, end, found[2] if found else len(block), _PLAIN) or found
 
-    def _note_rest(self, file: BinaryIO, record: Record) -> None:
-        """Note that the last bytes of the file, in or behind a record, hold no whole one."""
-        is_cut = record.end > self._size
-        cut = record if is_cut else self._read_record(file, record.end, self._size)
-        if cut is None:
-            left = count(self._size - record.end, "byte")
-            text = f"from byte {record.end} on, the last {left} hold no whole record"
-        else:
-            self._cut_at = cut.position
-            there = f"{self._size - cut.position:,} of its {cut.end - cut.position:,} bytes"
-            text = f"the file ends in the middle of the record at byte {cut.position}"
-            text = f"{text}: {there} are there"
-        self.notes.add_damage(text)
-
-    def _find_record(
-        self, file: BinaryIO, start: int, size: int, kinds: Container[Kind]
-    ) -> Record | None:
-        """Find where records of some kinds go on in a file, or a block, of some size."""
-        while start < size:
-            file.seek(start)
-            for match in self.head.finditer(file.read(_WINDOW)):
-                record = self._read_record(file, start + match.start(), size)
-                if record is None or record.kind not in kinds or record.end > size:
+    def _find(self, block: Bytes, at: int, until: int, kinds: Container[int]) -> Record | None:
+        """Find where records of some kinds go on, which end at a position at the latest."""
+        while at < until:
+            for match in self.head.finditer(block[at : at + _WINDOW]):
+                record = self._parse(block, at + match.start())
+                if record is None or record[0] not in kinds or record[4] > until:
                     continue
-                if self.is_unmistakable or self._leads_on(file, record.end, size):
+                if self.is_unmistakable or self._leads_on(block, record[4], until):
                     return record
-            start += _WINDOW - _LONGEST_MATCH
+            at += _WINDOW - _LONGEST_MATCH
         return None
 
-    def _leads_on(self, file: BinaryIO, position: int, size: int) -> bool:
-        """Say whether a record, or the end of the file, is at a position."""
-        record = self._read_record(file, position, size)
-        return position == size if record is None else record.end <= size
+    def _leads_on(self, block: Bytes, at: int, until: int) -> bool:
+        """Say whether a record, or the end, is at a position."""
+        record = self._parse(block, at)
+        return at == until if record is None else record[4] <= until
 
-    def _split(self, file: BinaryIO, start: int, end: int) -> Iterator[bytes]:
-        """Give the records from one position up to another.
-
-        Raises
-        ------
-        ValueError
-            One of them is damaged.
-        """
-        while start < end:
-            record = self._read_record(file, start, self._size)
-            if record is None or record.end > end:
-                raise ValueError(f"no record is at byte {start}")
-            file.seek(start)
-            yield file.read(record.end - start)
-            start = record.end
+    def _tell(self, file: FileBytes, at: int, following: int | None) -> None:
+        """Note that a file is damaged at a byte, and where it is read on."""
+        record, size = self._parse(file, at), len(file)
+        if following is not None:
+            text = f"damaged at byte {at}, read on from byte {following}"
+        elif record is None:
+            text = f"from byte {at} on, the last {count(size - at, 'byte')} hold no whole record"
+        else:
+            self._cut_at = at
+            there = f"{size - at:,} of its {record[4] - at:,} bytes are there"
+            text = f"the file ends in the middle of the record at byte {at}: {there}"
+        self.notes.add_damage(text)
 
     def _note(self, position: int, problem: str) -> None:
         """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
         if position != self._cut_at:
             self.notes.add_damage(f"the chunk at byte {position} {problem}")
+
+    def _split(self, block: Bytes, at: int) -> Iterator[bytes]:
+        """Give the records from a position on; raises ValueError where one is damaged."""
+        for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
+            if begin < end:
+                yield bytes(block[begin:end])
+
+
+def _refuse(at: int, _following: int | None) -> NoReturn:
+    raise ValueError(f"no record is at byte {at}")

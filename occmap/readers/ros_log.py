@@ -22,11 +22,10 @@ from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.message_types import PACKETS, TYPES, MessageType, find_type
-from occmap.readers.messages import Parse, Stacked, make_reader, read_pose_batches, read_scan_run
+from occmap.readers.messages import Stacked, make_reader
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
-Many = TypeVar("Many")
 Convert: TypeAlias = Callable[[Any, str, int], list[T]]
 """From a decoded message, its topic and its record time in ns."""
 
@@ -92,7 +91,7 @@ class RosLog:
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as from `poses`, but many at once where messages are laid out alike."""
-        return self._read_stacked(self._make_pose_readers(), read_pose_batches, MOST_KINDS)
+        return self._read_stacked(self._make_pose_readers(), MOST_KINDS)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -101,7 +100,7 @@ class RosLog:
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
         readers = self._make_sensor_readers(Role.SCAN, topics)
-        return self._read_stacked(readers, read_scan_run, 1)
+        return self._read_stacked(readers, 1)
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
@@ -150,8 +149,7 @@ class RosLog:
             if convert is None:
                 continue
             try:
-                kind = self._types[channel]
-                readers[channel] = _ChannelReader(channel, convert, kind and kind.parse)
+                readers[channel] = _ChannelReader(channel, convert, self._types[channel])
             except LogError as error:
                 found = error.placed(channel.topic)
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
@@ -163,18 +161,10 @@ class RosLog:
             yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
-    def _read_stacked(
-        self,
-        readers: "_Readers[T]",
-        read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
-        most_kinds: int,
-    ) -> Iterator[T | Many]:
-        """Read messages of one channel and length together, of `most_kinds` kinds at a time.
-
-        `read_alike` gives what it read, and the messages that it leaves to be read one by one.
-        """
+    def _read_stacked(self, readers: "_Readers[T]", most_kinds: int) -> Iterator[Any]:
+        """Read messages of one channel and length together, of `most_kinds` kinds at a time."""
         for channel, stack in self._stack(readers, most_kinds):
-            yield from readers[channel].read_many(stack, read_alike)
+            yield from readers[channel].read_many(stack)
         self._note_damage(readers)
 
     def _stack(
@@ -223,37 +213,36 @@ class _ChannelReader(Generic[T]):
     Where that cannot be understood, the standard definition stands in.
     """
 
-    def __init__(self, channel: Channel, convert: Convert[T], parse: Parse | None = None) -> None:
+    def __init__(
+        self, channel: Channel, convert: Convert[T], kind: MessageType | None = None
+    ) -> None:
         self.messages = self.failures = 0
         self.uses_standard = False
         self.first_fault = ""
+        self._many, parse = (kind.many, kind.parse) if kind else (None, None)
         try:
-            self.decode, self.layout = make_reader(channel, convert, parse)
+            self._decode, self._locate = make_reader(channel, convert, parse)
         except LogError:
             if not channel.definition:
                 raise
             standard = replace(channel, definition="")
-            self.decode, self.layout = make_reader(standard, convert, parse)
+            self._decode, self._locate = make_reader(standard, convert, parse)
             self.uses_standard = True
 
     def read(self, data: Buffer, record_ns: int) -> Sequence[T]:
         """Read what a message holds. One that is damaged is counted, and gives nothing."""
         try:
-            return self.decode(memoryview(data), record_ns)
+            return self._decode(memoryview(data), record_ns)
         except DamageError as error:
             self.failures += 1
             self.first_fault = self.first_fault or str(error)
         return ()
 
-    def read_many(
-        self,
-        stack: Sequence[Stacked],
-        read_alike: Callable[..., tuple[Sequence[Many], Sequence[Stacked]]],
-    ) -> Iterator[T | Many]:
+    def read_many(self, stack: Sequence[Stacked]) -> Iterator[Any]:
         """Read messages of one length; one by one those that are damaged or not alike."""
-        if self.layout:
+        if self._locate and self._many:
             with suppress(DamageError):  # of the first; one by one it is counted
-                together, stack = read_alike(stack, self.layout, self.decode)
+                together, stack = self._many(stack, self._locate, self._decode)
                 yield from together
         for data, record_ns in stack:
             yield from self.read(data, record_ns)

@@ -5,21 +5,18 @@ import math
 import zlib
 from abc import ABC, abstractmethod
 from codecs import BOM_UTF8
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import GZIP_MAGIC, NoteList
-from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun, UInt8
-
-if TYPE_CHECKING:
-    from occmap.readers.decimals import Words
+from occmap.readers.decimals import Words, parse_words
+from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is not of a text log."""
@@ -43,7 +40,8 @@ MALFORMED_SHARE = 0.05
 SOUND_START = 20
 """A file that begins with this many sound lines is a log, whatever follows."""
 
-Parsed = TypeVar("Parsed")
+
+POSE_NAMES = ("x", "y", "yaw")
 
 
 class Line(NamedTuple):
@@ -82,10 +80,6 @@ class Block:
         """Get one of the lines."""
         start, end = self.starts[at : at + 2].tolist()
         return Line(self.number + at, self.text[start : end - 1], self.ended)
-
-    def get_lines(self, rows: Int64) -> Iterator[Line]:
-        """Get some of the lines by their indices (S,)."""
-        return map(self.get_line, rows.tolist())
 
 
 def make_block(number: int, text: bytes, ended: bool = True) -> Block:
@@ -160,12 +154,14 @@ class LineTally:
         self.malformed = 0
         self._first: tuple[int, int, str] | None = None
 
-    def add(self, line: Line, fault: str = "") -> None:
-        """Count a line; `fault` says what is wrong with it."""
-        self.total += 1
-        if fault:
-            self.malformed += 1
-            self._first = self._first or (self.total, line.number, fault)
+    def add(self, block: Block, rows: Sequence[int], faults: Mapping[int, str]) -> None:
+        """Count lines of a block, given in their order, and what is wrong with some of them."""
+        if faults and self._first is None:
+            row = min(faults)
+            place = self.total + rows.index(row) + 1
+            self._first = place, block.number + row, faults[row]
+        self.total += len(rows)
+        self.malformed += len(faults)
 
     def judge(self, path: Path, notes: NoteList, fix: str) -> None:
         """Note what is damaged.
@@ -193,10 +189,41 @@ class Pattern(NamedTuple):
 
     separator: bytes
     """What stands between two words: one comma, or any number of blanks"""
-    kinds: UInt8
-    """(N,) what each word is: NUMBER, RANGE or OTHER"""
-    same: list[int]
-    """The words that are the same in all of them"""
+    kinds: Int64
+    """(N,) what each word is, as `decimals` has it"""
+    names: Sequence[str]
+    """(N,) how a sentence about each word begins"""
+    columns: Mapping[str, int]
+    """Which words are stamp, record (the second time), x, y, yaw and time_increment"""
+    constants: Mapping[str, Any]
+    """Those of these numbers that stand for all lines"""
+    scan: Scan
+    """What is the same in all scans; whether it has a pose says whether they have"""
+
+    def make_run(self, words: Words) -> ScanRun:
+        """Make scans of the words of lines."""
+
+        def take(name: str) -> Float64:
+            at = self.columns.get(name)
+            constant = self.constants.get(name, math.nan)
+            return np.full(len(words.ranges), constant) if at is None else words.numbers[at].copy()
+
+        stamp_ns = np.full(len(words.ranges), self.scan.stamp_ns)
+        if "stamp" in self.columns:
+            stamp_ns = words.times[self.columns["stamp"]].copy()
+        # Converters write 0 where they know no second time.
+        record_ns = words.times[self.columns["record"]] if "record" in self.columns else stamp_ns
+        record_ns = np.where(record_ns, record_ns, stamp_ns)
+        increments = take("time_increment")
+        pose = None if self.scan.pose is None else stack_planar(*map(take, POSE_NAMES))
+        first = self.scan._replace(
+            stamp_ns=int(stamp_ns[0]),
+            record_ns=int(record_ns[0]),
+            ranges=words.ranges[0],
+            time_increment=float(increments[0]),
+            pose=None if pose is None else Pose(*pose[0].tolist()),
+        )
+        return ScanRun(first, stamp_ns, record_ns, words.ranges, increments, pose)
 
 
 class TextLog(ABC):
@@ -219,26 +246,12 @@ class TextLog(ABC):
         """The scans, where they are few enough to be kept"""
 
     @abstractmethod
-    def pick_scans(self, block: Block) -> Mapping[str, Int64]:
+    def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of a block that are scans, by their kind."""
 
     @abstractmethod
-    def parse_scan(self, text: str) -> Scan:
-        """Parse a line; raises ValueError where it is malformed."""
-
-    @abstractmethod
     def find_pattern(self, line: Line) -> Pattern:
-        """Say what lines like a sound one have in common; raises ValueError if that is unknown."""
-
-    @abstractmethod
-    def make_run(self, first: Scan, words: "Words") -> ScanRun:
-        """Make scans of the words of lines whose first is given, also of those that are not sound.
-
-        Raises
-        ------
-        ValueError
-            One of them is malformed.
-        """
+        """Say what lines like one have in common; raises ValueError where it is malformed."""
 
     def _survey(self) -> Iterator[Scan | ScanRun]:
         """Give all scans for the first time, and keep them if they are few.
@@ -275,71 +288,55 @@ class TextLog(ABC):
             yield from self._parse_block(block, self.pick_scans(block), tally)
 
     def _parse_block(
-        self, block: Block, lines: Mapping[str, Int64], tally: LineTally
+        self, block: Block, lines: Mapping[str, Sequence[int]], tally: LineTally
     ) -> Sequence[Scan | ScanRun]:
         """Parse some lines, given by kind: the scans in file order, without damaged ones.
 
-        Where all lines are of one kind and alike they are one run, else single scans.
+        Where all lines are alike they are one run, else single scans.
         """
-        scans: dict[int, Scan] = {}
-        for rows in lines.values():
-            if found := self._parse_together(block, rows):
-                parsed, run = found
-                if len(lines) == 1 and run.scans == len(rows):
-                    tally.total += run.scans
-                    return [run]
-                scans |= zip(parsed.tolist(), run.split(), strict=True)
-        for row in sorted(row for rows in lines.values() for row in rows.tolist()):
-            if row in scans:
-                tally.total += 1
-            elif scan := self._parse(block.get_line(row), self.parse_scan, tally):
-                scans[row] = scan
+        faults: dict[int, str] = {}
+        runs = [run for rows in lines.values() for run in self._parse_kind(block, rows, faults)]
+        rows = sorted(row for rows in lines.values() for row in rows)
+        if block.ended or not faults:
+            tally.add(block, rows, faults)
+        else:
+            self._note_cut(block)
+        if rows and not block.ended and not faults:
+            text = f"line {block.number}, the last, has no line end; it is taken as whole"
+            self.notes.add(text)
+        if len(runs) == 1:
+            return [runs[0][1]]
+        scans = {
+            row: scan for rows, run in runs for row, scan in zip(rows, run.split(), strict=True)
+        }
         return [scans[row] for row in sorted(scans)]
 
-    def _parse_together(self, block: Block, rows: Int64) -> tuple[Int64, ScanRun] | None:
-        """Parse those lines of one kind that are like their first; say which these are.
+    def _parse_kind(
+        self, block: Block, rows: Sequence[int], faults: dict[int, str]
+    ) -> Iterator[tuple[Sequence[int], ScanRun]]:
+        """Parse lines of one kind: at once the first and those behind it that are like it.
 
-        None: the first is malformed, or they cannot be parsed together.
+        What is malformed is left out, and added to `faults`.
         """
-        from occmap.readers import decimals  # noqa: PLC0415  late: it brings numba
+        starts, at = block.starts[rows], 0
+        while at < len(rows):
+            try:
+                pattern = self.find_pattern(block.get_line(rows[at]))
+            except ValueError as error:
+                faults[rows[at]] = str(error)
+                at += 1
+                continue
+            words, found = parse_words(block.text, starts[at:], *pattern[:3])
+            alike = rows[at : at + len(words.ranges)]
+            at += len(alike)
+            faults |= {alike[line]: fault for line, fault in found.items()}
+            if sound := [line for line in range(len(alike)) if line not in found]:
+                run = pattern.make_run(words.take(sound) if found else words)
+                yield [alike[line] for line in sound], run
 
-        if len(rows) < 2 or b'"' in block.text:  # quotes may hold a separator
-            return None
-        with suppress(ValueError):
-            line = block.get_line(int(rows[0]))
-            first = self.parse_scan(line.text)
-            separator, kinds, same = self.find_pattern(line)
-            rows = rows[: len(block.text) // len(kinds)]  # no more lines can have so many words
-            words = decimals.parse_words(block.text, block.starts[rows], separator, kinds)
-            words.refuse_others(same)
-            run, sound = self.make_run(first, words), words.is_sound
-            if not sound[0]:  # the kernel leaves out a few lines that `parse_scan` takes
-                return None
-            if not sound.all():
-                pose = None if run.pose is None else run.pose[sound]
-                times = run.stamp_ns[sound], run.record_ns[sound]
-                run = ScanRun(first, *times, run.ranges[sound], run.time_increment[sound], pose)
-            return rows[sound], run
-        return None
-
-    def _parse(self, line: Line, parse: Callable[[str], Parsed], tally: LineTally) -> Parsed | None:
-        """Parse a line and count it; one that is damaged gives None."""
-        try:
-            parsed = parse(line.text)
-        except ValueError as error:
-            if line.ended:
-                tally.add(line, str(error))
-            else:
-                self._note_cut(line)
-            return None
-        tally.add(line)
-        if not line.ended:
-            self.notes.add(f"line {line.number}, the last, has no line end; it is taken as whole")
-        return parsed
-
-    def _note_cut(self, line: Line) -> None:
+    def _note_cut(self, block: Block) -> None:
         """Say that the last line is not whole and was not used."""
-        text = f"the file ends in the middle of line {line.number}; this line is lost"
+        text = f"the file ends in the middle of line {block.number}; this line is lost"
         self.notes.add_damage(text)
 
 
@@ -356,8 +353,3 @@ def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
     poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
     poses[~is_known] = UNKNOWN_POSE
     return poses
-
-
-def make_planar(x: float, y: float, yaw: float) -> Pose:
-    """Build one pose likewise."""
-    return Pose.planar(x, y, yaw) if math.isfinite(x + y + yaw) else UNKNOWN_POSE

@@ -1,50 +1,25 @@
 """The steps of a build: from the path of a log to what its scans observe.
 
 `tracing.trace` lists the way of a scan. `check`, `compare`, `tune` and `explain` go it, too. Here
-are the engines, and the empty grids, for an update and a model.
+are the engine for rays, and the empty grids, for an update and a model.
 """
 
 from typing import TYPE_CHECKING
 
-from occmap.cells import Ground
 from occmap.grid import Lattice
-from occmap.grid.tiles import WINDOW_CELLS, GridSpec, TileGrid, tabulate
+from occmap.grid.tiles import GridSpec, TileGrid, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor.models import RadialModel
-from occmap.types import Update
 
 if TYPE_CHECKING:
-    from occmap.clouds.engine import CloudEngine
     from occmap.grid.engine import GridEngine
 
 
-def make_engine(
-    options: BuildOptions, keep_slices: bool = False, window_cells: int = WINDOW_CELLS
-) -> "GridEngine":
-    """Make an engine for rays by an update and a model, which keeps slices of time if asked to."""
-    from occmap.grid.engine import GridEngine, SlicedEngine  # noqa: PLC0415  late: it brings numba
+def make_engine(options: BuildOptions) -> "GridEngine":
+    """Make an engine for rays by an update and a model."""
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: it brings numba
 
-    spec = plan_grid(options)
-    if keep_slices:
-        slice_ns = round(options.pass_gap_s * 1e9)
-        return SlicedEngine(spec, slice_ns, window_cells, options.max_cells)
-    return GridEngine(spec, window_cells, options.max_cells)
-
-
-def choose_engine(
-    options: BuildOptions,
-    keep_slices: bool,
-    ground: Ground | None,
-    window_cells: int = WINDOW_CELLS,
-) -> "GridEngine | CloudEngine":
-    """Make an engine for what the update is for: rays, or clouds over ground that is known."""
-    if options.update is not Update.CLOUD or ground is None:
-        return make_engine(options, keep_slices, window_cells)
-    from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
-
-    limits = options.returns.min_range, options.returns.max_range
-    slice_ns = round(options.pass_gap_s * 1e9) if keep_slices else None
-    return CloudEngine(Lattice(options.resolution), options.clouds, ground, limits, slice_ns)
+    return GridEngine(plan_grid(options), max_cells=options.max_cells)
 
 
 def make_grid(options: BuildOptions) -> TileGrid:

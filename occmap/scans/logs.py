@@ -10,25 +10,16 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import TypeAlias
 
+from occmap import readers
 from occmap.errors import LogError, OccmapError, PoseError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
-from occmap.posing.sources import TF_TOPICS
-from occmap.readers import (
-    Counting,
-    HoldingClouds,
-    Log,
-    ReaderOptions,
-    Role,
-    find_reader,
-    open_log,
-    probe_path,
-    read_poses,
-)
+from occmap.posing.sources import TF_TOPICS, gather
+from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, count, join_names
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
@@ -110,34 +101,8 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
     LogError
         As `choose_topics`.
     """
-    return count_messages(log, choose_topics(log, wanted))
-
-
-def count_messages(log: Log, topics: Sequence[str]) -> int:
-    """Count the messages on some topics, by what the reader says of its streams."""
+    topics = choose_topics(log, wanted)
     return sum(stream.count for stream in log.streams if stream.topic in topics)
-
-
-def make_poser(log: Log, topics: Sequence[str], options: PosingOptions) -> Poser:
-    """Read the poses of a log, unless it states them beside its scans.
-
-    Raises
-    ------
-    PoseError
-        No scan frame has a chain of transforms to a map frame.
-    UsageError
-        As `refuse_shared_mount`.
-    """
-    first = take_first(log, topics)
-    refuse_shared_mount(log, first, options)
-    stated = options.poses is None and all(scan.pose is not None for scan in first)
-    poser = Poser.build([], options) if stated else read_poser(log, options)
-    if not stated:
-        failures = poser.find_chains({scan.frame for scan in first})
-        if failures and poser.fixed is None:
-            refuse_part(log.path)
-            raise next(iter(failures.values())).placed(log.path)
-    return poser
 
 
 def refuse_part(path: Path) -> None:
@@ -157,21 +122,23 @@ def refuse_part(path: Path) -> None:
 
 
 def read_poser(log: Log, options: PosingOptions) -> Poser:
-    """Read every pose source of a log; raises as `Poser.build`."""
-    moments = log.moments if isinstance(log, Counting) else None
-    return Poser.build(gather_poses(log, options), options, moments)
+    """Read every pose source of a log; raises as `gather`."""
+    moments = log.moments if isinstance(log, readers.Counting) else None
+    return Poser(gather(gather_poses(log, options), options, moments), options)
 
 
 def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:
     """Read every pose source of a log, and the topics of poses of another one that `poses` names.
 
-    The topics of the other one begin with its path; its transforms are passed over.
+    The topics of the other one begin with its path; its transforms are passed over. What is damaged
+    in it is noted of the log.
     """
-    yield from read_poses(log)
+    yield from readers.read_poses(log)
     if posing.recording is None:
         return
     path, _ = posing.recording
-    for each in read_poses(open_log(path)):
+    other = open_log(path)
+    for each in readers.read_poses(other):
         topic = f"{path}:{each.topic}"
         if last_part(each.topic) in TF_TOPICS:
             continue
@@ -179,21 +146,26 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
             yield each._replace(topic=topic)
         else:
             yield replace(each, topic=topic)
+    damage = (note.placed(path) for note in other.notes if note.damage)
+    log.notes.extend(note for note in damage if note not in log.notes)
 
 
-def refuse_shared_mount(log: Log, first: Sequence[Scan | Cloud], options: PosingOptions) -> None:
-    """Refuse to put lasers that have frames of their own at one place.
+def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:
+    """Read the first scan or cloud of each topic that is used.
 
     Raises
     ------
+    LogError
+        As `choose_topics`.
     UsageError
-        The mount is given, and the first scans of each topic are in different frames.
+        The mount is given, and would put lasers that have frames of their own at one place.
     """
+    first = take_first(log, choose_topics(log, options.selection.topics))
     lasers = {scan.frame.strip("/"): scan.topic for scan in first}
-    if options.sensor_pose is None or len(lasers) == 1:
-        return
+    if options.posing.sensor_pose is None or len(lasers) == 1:
+        return first
     frame, topic = next(iter(lasers.items()))
-    own = f"`static_transforms={options.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
+    own = f"`static_transforms={options.posing.base_frame or 'BASE'},{frame},X,Y,Z,ROLL,PITCH,YAW`"
     found = f"`sensor_pose` would put {len(lasers)} lasers at one place: {', '.join(lasers)}"
     fix = f"choose one: `topics={topic}`, or give each a mount of its own: {own}"
     raise UsageError(found, where=log.path, fix=fix)
@@ -203,7 +175,7 @@ def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
     """Read the first scan or cloud of each topic, and stop reading when all are found."""
     first: dict[str, Scan | Cloud] = {}
     scans: Iterator[Scan | Cloud] = log.scans(set(topics))
-    if isinstance(log, HoldingClouds):
+    if isinstance(log, readers.HoldingClouds):
         scans = chain(scans, log.clouds(set(topics)))
     for scan in scans:
         first.setdefault(scan.topic, scan)
@@ -217,12 +189,8 @@ RECORDED = (".mcap", ".bag", ".db3")
 """Suffixes that only recordings have; others are taken for such where a recording has them."""
 
 
-class Inputs(NamedTuple):
-    """The recordings that paths stand for."""
-
-    logs: list[Path]
-    notes: list[str]
-    """Which recordings a folder or a pattern was found to hold"""
+Inputs: TypeAlias = tuple[list[Path], list[str]]
+"""The recordings that paths stand for, and notes on what folders and patterns were found to hold"""
 
 
 def find_inputs(
@@ -252,8 +220,13 @@ def find_inputs(
         suffixes = {*RECORDED, *(each.suffix for each in kept)}
         lost = [each for each in maybe if each.suffix in suffixes and each not in kept]
         notes.append(describe_found(path, kept, len(entries) - len(kept) - len(lost)))
-        notes += (note for each in lost for note in describe_lost(each, options))
-    return Inputs(logs, notes)
+        for each in lost:
+            try:
+                open_log(each, options)
+            except LogError as error:
+                told = f"passed over, though named like a recording: {error.found}"
+                notes.append(f"{each}: {told}")
+    return logs, notes
 
 
 def list_entries(path: Path) -> list[Path]:
@@ -282,7 +255,7 @@ def is_bag(path: Path, recordings: Collection[Path]) -> bool:
 def is_recording(path: Path) -> bool:
     """Whether any reader recognises a path."""
     with suppress(LogError):
-        return find_reader(probe_path(path)) is not None
+        return readers.find_reader(readers.probe_path(path)) is not None
     return False
 
 
@@ -302,14 +275,6 @@ def describe_found(path: Path, logs: Sequence[Path], others: int) -> str:
     passed = f"; {count(others, 'other file')} passed over" if others else ""
     order = ", in the order of their time" if len(logs) > 1 else ""
     return f"{path}: {count(len(logs), 'recording')}{order}: {names}{passed}"
-
-
-def describe_lost(path: Path, options: ReaderOptions) -> Iterator[str]:
-    """Say why a file that is named like a recording cannot be one."""
-    try:
-        open_log(path, options)
-    except LogError as error:
-        yield f"{path}: passed over, though named like a recording: {error.found}"
 
 
 @contextmanager

@@ -8,7 +8,7 @@ cell its sharpness.
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
@@ -20,19 +20,20 @@ from occmap.choices import format_mount, format_static
 from occmap.clouds.mounting import CLOUDS, find_seat
 from occmap.errors import MapError, MountError, PoseError
 from occmap.evidence import render
-from occmap.options import BuildOptions, Selection
+from occmap.options import BuildOptions
 from occmap.posing import Concern
 from occmap.posing.attach import Poser
 from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
+from occmap.posing.sources import gather
 from occmap.readers import Log, open_log
 from occmap.scans import make_engine
-from occmap.scans.logs import choose_topics, count_messages, make_poser, read_poser
+from occmap.scans.logs import count_scans, look_ahead, read_poser, refuse_part
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import CountingModel
-from occmap.types import IDENTITY, Float64, Int64, Kind, Pose, PosedScans, Rays
+from occmap.types import IDENTITY, Cloud, Float64, Int64, Kind, Pose, PosedScans, Rays, Scan
 
 SAMPLE_SCANS = 300
 """About so many scans of each topic are kept, spread evenly over the log."""
@@ -43,17 +44,18 @@ MOST_CELLS = 10**8
 
 
 class Sample:
-    """Takes every n-th scan of those that it is shown.
+    """Takes every n-th scan of one topic of those that a drive reads, as many as are expected.
 
-    Parameters
-    ----------
-    expected
-        How many scans it will be shown, about; n follows from that.
+    Of a part of a log all are kept: how many scans lie between two times is not known before they
+    are read.
     """
 
-    def __init__(self, expected: int) -> None:
+    def __init__(self, drive: Drive) -> None:
         self.parts: list[PosedScans] = []
-        self._expected = expected
+        selection = drive.options.selection
+        is_part = math.isfinite(selection.start_s) or math.isfinite(selection.end_s)
+        of_topic = count_scans(drive.log, drive.topics) // len(drive.topics)
+        self._expected = 0 if is_part else of_topic // selection.stride
         self._seen = 0
         self._beams = 0
 
@@ -71,14 +73,10 @@ class Sample:
             self.parts.append(posed.take(rows))
 
 
-def sample_scans(
-    log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
-) -> list[PosedScans]:
+def sample_scans(drive: Drive) -> list[PosedScans]:
     """Pose some of the scans that a build uses, spread evenly over a log."""
-    expected = expect_scans(count_messages(log, topics) // len(topics), options.selection)
-    drive = Drive(log, topics, poser, options)
     for _ in range(2):  # the second time without scans that leap away
-        samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(expected))
+        samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(drive))
         for _, posed, _ in drive.read(Tally()):
             if posed is not None:
                 samples[posed.batch.topic].take(posed)
@@ -96,8 +94,7 @@ def sample_rays(paths: Sequence[Path], options: BuildOptions) -> Iterator[Rays]:
         A log cannot be read, or has no scans or no poses.
     """
     for path in paths:
-        drive = open_drive(open_log(path, options.reading), options)
-        for part in sample_scans(drive.log, drive.topics, drive.poser, options):
+        for part in sample_scans(open_drive(open_log(path, options.reading), options)):
             yield interpret(part, options.returns)[0]
 
 
@@ -116,15 +113,6 @@ def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> fl
         return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
     except MapError:
         return None
-
-
-def expect_scans(scans: int, selection: Selection) -> int:
-    """Estimate how many scans a sample will be shown; 0 for a part of a log, of which all are kept.
-
-    How many scans lie between two times is not known before they are read.
-    """
-    is_part = math.isfinite(selection.start_s) or math.isfinite(selection.end_s)
-    return 0 if is_part else scans // selection.stride
 
 
 def encode_cells(points: Float64, cell: float) -> Int64:
@@ -155,29 +143,63 @@ FEW_SCANS = 200
 little; those are read again at once. Of 280 pieces of logs none was suspected wrongly."""
 
 
+class Posing(NamedTuple):
+    """How the scans of a log are posed, with the options given or with those that would help."""
+
+    poser: Poser
+    faults: Mapping[str, PoseError] = {}
+    """By frame: why its scans have no pose with the options given"""
+    assumed: Pose | None = None
+    """The mount that the poser uses though the user did not give it"""
+    is_guess: bool = False
+    """The assumed mount is a place holder, since the scans do not tell the right one"""
+
+
 def open_drive(log: Log, options: BuildOptions) -> Drive:
-    """Choose the scans of a log, and read its poses, which are few beside them.
+    """Choose the scans of a log, and read its poses, unless it states them beside its scans.
 
     Raises
     ------
-    LogError, PoseError, UsageError
-        As `choose_topics` and `make_poser`.
+    LogError, UsageError
+        As `look_ahead`.
+    PoseError
+        No scan frame has a chain of transforms to a map frame.
     """
-    topics = choose_topics(log, options.selection.topics)
-    try:
-        return Drive(log, topics, make_poser(log, topics, options.posing), options)
-    except MountError as error:
-        raise name_mount(log, topics, options, error) from None
+    first = look_ahead(log, options)
+    if options.posing.poses is None and all(scan.pose is not None for scan in first):
+        return Drive(log, Poser(gather([], options.posing), options.posing), options)
+    posing = prepare(log, first, options)
+    if posing.faults and posing.poser.fixed is None:
+        raise next(iter(posing.faults.values())).placed(log.path)
+    return Drive(log, posing.poser, options)
 
 
-def name_mount(
-    log: Log, topics: Sequence[str], options: BuildOptions, error: MountError
-) -> PoseError:
-    """Add to the error that a mount is missing which mount suits the scans, if one does."""
-    trial = replace(options, posing=replace(options.posing, sensor_pose=IDENTITY))
-    poser = read_poser(log, trial.posing)
-    guess = guess_place(poser, sample_scans(log, topics, poser, trial), options)
-    return error.named(format_mount(guess.mount), guess.why) if guess else error
+def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> Posing:
+    """Find the way to the frames of the first scans; where the mount is missing, guess it.
+
+    Raises
+    ------
+    PoseError, LogError
+        The trajectory that the user chose cannot be used, or the log is only part of a recording.
+    """
+    poser = read_poser(log, options.posing)
+    frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
+    faults = poser.find_chains(frames)
+    if faults and poser.fixed is None:
+        refuse_part(log.path)
+    if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
+        return Posing(poser, faults)
+    at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
+    if at_body.find_chains(frames):  # more than the mount is missing
+        return Posing(poser, faults)
+    # Read the scans as if the sensor were the body, and find the mount that suits them best.
+    guess = guess_place(at_body, sample_scans(Drive(log, at_body, options)), options)
+    ((frame, fault),) = faults.items()
+    if guess and isinstance(fault, MountError):
+        faults = {frame: fault.named(format_mount(guess.mount), guess.why)}
+    mount = guess.mount if guess else IDENTITY
+    posing = replace(options.posing, sensor_pose=mount)
+    return Posing(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
 
 
 class Guess(NamedTuple):
@@ -236,7 +258,7 @@ def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
     """List where frames are mounted on the body of a sensor, if no other frame is below them."""
     tree = poser.sources.tree
-    base = poser.options.base_frame or next(iter(tree.list_bases(frame)), "")
+    base = poser.options.base_frame or tree.find_base(frame)
     uppers = {base, *(edge.parent for edge in tree.edges)}
     ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
     places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
@@ -261,14 +283,12 @@ def list_misfits(
     if agreement is None or agreement >= (SUSPECT if is_trusted else SUSPECT_OF_SEVERAL):
         return
     for path in paths:
-        log = open_log(path, options.reading)
-        topics = choose_topics(log, options.selection.topics)
-        poser = make_poser(log, topics, options.posing)
-        parts = sample_scans(log, topics, poser, options)
-        for topic in topics:
+        drive = open_drive(open_log(path, options.reading), options)
+        parts = sample_scans(drive)
+        for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
-            if better := find_better(poser, mine, options.returns):
-                yield f"{log.path}: {topic}: {warn_of_misfit(better).text}"
+            if better := find_better(drive.poser, mine, options.returns):
+                yield f"{path}: {topic}: {warn_of_misfit(better).text}"
 
 
 def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
@@ -318,15 +338,13 @@ def find_mount(poser: Poser, frame: str, *, in_3d: bool = False) -> Mount | None
     given, chain = poser.options.sensor_pose, poser.chains.get(frame)
     if given or chain is None:  # None: the poses stand beside the scans
         return Mount(given or IDENTITY, "sensor_pose")
-    tree, base = poser.sources.tree, poser.options.base_frame
-    bases = [base] if base else tree.list_bases(frame)
-    is_alone = len(poser.chains) == 1
+    tree, is_alone = poser.sources.tree, len(poser.chains) == 1
+    base = poser.options.base_frame or tree.find_base(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
-        body = bases[0] if len(bases) == 1 else BASE_NAMES[0]
         if is_alone:
             return Mount(IDENTITY, "sensor_pose")
-        return Mount(IDENTITY, "static_transforms", (body, frame))
-    steps = tree.find_path(bases[0], frame) if len(bases) == 1 else None
+        return Mount(IDENTITY, "static_transforms", (base or BASE_NAMES[0], frame))
+    steps = tree.find_path(base, frame)
     if steps and is_alone and not in_3d and (mount := place_on(steps)):
         return Mount(mount, "sensor_pose")
     if not chain.steps or (mount := place_on(chain.steps[-1:])) is None:

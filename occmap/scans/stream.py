@@ -12,9 +12,11 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, read_recorded
+from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import RangeLimits, drop_own_points, read_limits
-from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun
+from occmap.sensor.models import RadialModel
+from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun, Update
 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
@@ -44,23 +46,27 @@ class Selector:
 
     def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass on the scans that are used, and count the others."""
-        for some, reason in self.judge(scans):
-            self.read += some.scans
+        for some in self._split(scans):
+            reason = self._judge(some.first)
+            self.see(some, reason)
             if reason is None:
                 yield some
-            else:
-                self.left_out[reason] += 1
 
-    def judge(self, scans: Iterable[Recorded]) -> Iterator[tuple[Recorded, LeftOut | None]]:
-        """Give each scan and why it is not used, or None; a run stays whole if all is used."""
+    def see(self, some: Recorded, reason: LeftOut | None) -> None:
+        """Count scans that are used, or a scan that is left out for a reason."""
+        self.read += some.scans
+        if reason is not None:
+            self.left_out[reason] += 1
+
+    def _split(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
+        """Split runs, but for those of which the user wants every scan, and that can be used."""
         for some in scans:
-            # A run is taken whole where the user wants every scan, and these can be used.
             if isinstance(some, ScanRun) and (find_flaw(some.first) or not self._wants_all):
-                yield from ((scan, self._judge_next(scan)) for scan in some.split())
+                yield from some.split()
             else:
-                yield some, self._judge_next(some.first)
+                yield some
 
-    def _judge_next(self, scan: Scan | Cloud) -> LeftOut | None:
+    def _judge(self, scan: Scan | Cloud) -> LeftOut | None:
         stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
@@ -179,22 +185,14 @@ def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterat
 
 
 class Drive:
-    """The scans of one log that are used, as a stream of batches: selected, limited and posed.
+    """The scans of one log that are used, as a stream of batches: selected, limited and posed."""
 
-    Parameters
-    ----------
-    topics
-        The topics whose scans are used.
-    """
-
-    def __init__(
-        self, log: Log, topics: Sequence[str], poser: Poser, options: BuildOptions
-    ) -> None:
-        self.log, self.topics, self.poser = log, topics, poser
+    def __init__(self, log: Log, poser: Poser, options: BuildOptions) -> None:
+        self.log, self.poser, self.options = log, poser, options
+        self.topics = choose_topics(log, options.selection.topics)
         self.limits = RangeLimits(options.returns)
         self.is_settled = False
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
-        self._options = options
         self._first_ns = 0
         self._odd: dict[str, None] = {}
 
@@ -203,12 +201,14 @@ class Drive:
 
         Else they are from now on, and the scans are to be read once more.
         """
+        if self.is_settled:
+            return True
         self.is_settled = True
         return all([self.limits.settle(), self.poser.settle()])
 
     def foresee(self) -> bool:
         """Read all scans for limits and leaps alone, and settle them."""
-        self.limits = RangeLimits(self._options.returns)
+        self.limits = RangeLimits(self.options.returns)
         for _ in self.read(Tally()):
             pass
         return self.settle()
@@ -230,8 +230,8 @@ class Drive:
             Says which scans are used; None: a new one, by the options.
         """
         self.poser.start_over()
-        stamps = self._options.posing.stamps
-        selector = selector or Selector(self._options.selection, stamps)
+        stamps = self.options.posing.stamps
+        selector = selector or Selector(self.options.selection, stamps)
         chosen = selector.select(self.limits.watch(read_recorded(self.log, self.topics)))
         if wants is not None:
             chosen = (
@@ -244,12 +244,13 @@ class Drive:
         limited = tally.time_each("read", map(self.limits.apply, batches))
         for attached in tally.time_each("pose", self.poser.attach(limited)):
             batch = attached.batch
-            if oddity := find_oddity(batch.angle_increment, batch.ranges.shape[1]):
+            beams = batch.ranges.shape[1]
+            if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
                 self._odd[f"{batch.topic}: {oddity}"] = None
             tally.drop(attached.dropped)
             posed = attached.posed
             if posed is not None and batch.clouds is not None:
-                posed = drop_own_points(posed, self._options.returns)
+                posed = drop_own_points(posed, self.options.returns)
             yield attached._replace(posed=posed)
             tally.advance(len(batch.stamp_ns))
         tally.frames[str(self.log.path)] = self.poser.fixed
@@ -258,10 +259,17 @@ class Drive:
         tally.drop(dict(selector.left_out))
         self._first_ns = selector.first_ns or 0
 
+    def _find_lack(self, beams: int) -> str:
+        """Say if scans of so many beams free no cell with the update; "" if they do."""
+        fills = self.options.update is Update.POLYGON
+        if not fills or beams > 1 or isinstance(self.options.model, RadialModel):
+            return ""
+        return "scans of one beam have no inside, so the polygon update frees no cell: name another"
+
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
-        concerns = self.poser.list_concerns(self._first_ns, self._options.returns.max_range)
+        concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
-        idle = list_idle(self.log, self.topics, self._options.reading)
+        idle = list_idle(self.log, self.topics, self.options.reading)
         return [*idle, *self.poser.notes, *self._odd, *told, *self.limits.list_notes()]

@@ -17,8 +17,8 @@ from occmap.errors import LogError, MapError, PoseError
 from occmap.posing import DropReason
 from occmap.posing.tracks import list_poses
 from occmap.report import Count, write_counts, write_unused
-from occmap.sensor import ReturnCounts, ReturnOptions, interpret
-from occmap.types import Attached, Journey, Kind, PosedScans, ScanHits, Trajectory
+from occmap.sensor import ReturnCounts
+from occmap.types import Attached, Journey, Kind, Rays, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
@@ -31,10 +31,9 @@ STATED_FRAME, STATED_LASER = "map", "laser"
 class JourneyRecorder:
     """Takes the poses of all scans, and the hits of some; one thread at a time may call it."""
 
-    def __init__(self, every: int, returns: ReturnOptions) -> None:
-        """Keep the hits of every n-th scan, whose ranges mean what `returns` says."""
+    def __init__(self, every: int) -> None:
+        """Keep the hits of every n-th scan."""
         self._every = every
-        self._returns = returns
         self._pieces: list[Trajectory] = []
         """Of each batch, in the order in which they were recorded"""
         self._scans: list[ScanHits] = []
@@ -42,7 +41,7 @@ class JourneyRecorder:
 
     def start_over(self) -> "JourneyRecorder":
         """Make an empty recorder with the same settings."""
-        return JourneyRecorder(self._every, self._returns)
+        return JourneyRecorder(self._every)
 
     def add(self, other: "JourneyRecorder") -> None:
         """Add what another recorder took."""
@@ -50,7 +49,7 @@ class JourneyRecorder:
         self._scans += other._scans
 
     def follow(self, log: Path, parent: str | None, attached: Attached) -> None:
-        """Record the poses of a batch, and hits of some of its scans.
+        """Record the poses of a batch.
 
         Parameters
         ----------
@@ -61,19 +60,17 @@ class JourneyRecorder:
         stamp_ns, pose = np.zeros(0, np.int64), np.zeros((0, 7))
         if posed is not None:
             stamp_ns, pose = posed.batch.stamp_ns, list_poses(posed)
-            self._sample(posed)
         lost = np.setdiff1d(batch.stamp_ns, stamp_ns).tolist() if reasons else []
         why = ", or ".join(map(str, reasons))  # it is not known which reason is whose
         dropped = tuple((each, why) for each in lost)
         frames = (parent or STATED_FRAME).lstrip("/"), batch.frame.lstrip("/")
         self._pieces.append(Trajectory(str(log), batch.topic, *frames, stamp_ns, pose, dropped))
 
-    def _sample(self, scans: PosedScans) -> None:
+    def sample(self, rays: Rays) -> None:
         """Keep the hits of every n-th scan."""
-        which = np.arange(-self._seen % self._every, len(scans.batch.stamp_ns), self._every)
-        self._seen += len(scans.batch.stamp_ns)
-        rays, _ = interpret(scans.take(which), self._returns)
-        columns = rays.stamp_ns.tolist(), rays.origin[:, 0].tolist(), rays.end, rays.kind
+        some = rays.take(slice(-self._seen % self._every, None, self._every))
+        self._seen += len(rays.kind)
+        columns = some.stamp_ns.tolist(), some.origin[:, 0].tolist(), some.end, some.kind
         for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
             hits = end[kind == Kind.HIT].astype(np.float32)
             hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
@@ -127,10 +124,6 @@ _WITHIN = local()
 """How long the stages within the running one took so far, thread by thread (s)"""
 
 
-def ignore_advance(_scans: int) -> None:
-    """Show no progress."""
-
-
 @dataclass(frozen=True)
 class ScanCounts:
     """What became of the scans."""
@@ -160,7 +153,9 @@ class Tally:
     """
 
     def __init__(
-        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
+        self,
+        tell: Callable[[int], None] = lambda _scans: None,
+        recorder: JourneyRecorder | None = None,
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""

@@ -14,17 +14,17 @@ from occmap.errors import MapError, name_log
 from occmap.evidence import list_misfit
 from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
-from occmap.grid.tiles import TileGrid, unite
+from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
 from occmap.report import Note
-from occmap.scans import choose_engine, make_grid
+from occmap.scans import make_grid, plan_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import encode_cells, open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
-from occmap.sensor import ReturnCounts, ReturnOptions, interpret
+from occmap.sensor import ReturnCounts, interpret
 from occmap.types import Float64, PosedScans, Rays, Update
 from occmap.workers import Workers
 
@@ -88,7 +88,7 @@ def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) 
         if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
             raise
         return False
-    return drive.is_settled or drive.settle()
+    return drive.settle()
 
 
 LEAST_LEAN_DEG = 1.0
@@ -208,14 +208,17 @@ def trace_stream(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: 
         for attached in drive.read(tally):
             if tally.recorder:
                 tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
-            if attached.posed is not None and attached.batch.clouds:
-                tally.use(len(attached.posed.batch.stamp_ns), ReturnCounts())
-                workers.give(attached.posed)
-            elif attached.posed is not None:
+            posed = attached.posed
+            if posed is not None and posed.batch.clouds:
+                tally.use(len(posed.batch.stamp_ns), ReturnCounts())
+                workers.give(posed)
+            elif posed is not None:
                 with tally.time("interpret"):
-                    rays, beams = interpret(attached.posed, options.returns)
+                    rays, beams = interpret(posed, options.returns)
                 tally.use(len(rays.kind), beams)
                 reach.stretch(rays)
+                if tally.recorder:
+                    tally.recorder.sample(rays)
                 (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
 
 
@@ -237,12 +240,9 @@ class Keep(NamedTuple):
     ground: Ground | None = None
     """What clouds are traced over, if it is known, or what it grows from"""
 
-    def make_recorder(
-        self, scans: int, logs: int, returns: ReturnOptions
-    ) -> JourneyRecorder | None:
+    def make_recorder(self, scans: int, logs: int) -> JourneyRecorder | None:
         """Make a recorder for a log of `scans` scans, one of `logs`; None where none is wanted."""
-        every = max(scans * logs // SHOWN_SCANS, 1)
-        return JourneyRecorder(every, returns) if self.journey else None
+        return JourneyRecorder(max(scans * logs // SHOWN_SCANS, 1)) if self.journey else None
 
 
 @dataclass
@@ -255,6 +255,22 @@ class Remarks:
     def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
         """Keep the notes of a log's reader, and the notes of others on it."""
         self.notes += [note.placed(log) for note in (*map(Note, others), *notes)]
+
+
+def choose_engine(
+    options: BuildOptions, keep: Keep, window_cells: int = WINDOW_CELLS
+) -> "GridEngine | CloudEngine":
+    """Make an engine for what the update is for: rays, or clouds over ground that is known."""
+    slice_ns = round(options.pass_gap_s * 1e9) if keep.slices else None
+    if options.update is Update.CLOUD and keep.ground is not None:
+        from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
+
+        limits = options.returns.min_range, options.returns.max_range
+        over = Lattice(options.resolution), options.clouds, keep.ground
+        return CloudEngine(*over, limits, slice_ns)
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  likewise
+
+    return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
 
 
 class Observed(NamedTuple):
@@ -271,13 +287,8 @@ class Observed(NamedTuple):
     """With the update that suits what the logs hold"""
 
 
-class Observe(Protocol):
-    """Traces all usable scans of logs: here, or by many workers."""
-
-    def __call__(
-        self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
-    ) -> Observed:
-        """As `observe`."""
+Observe: TypeAlias = Callable[[Sequence[Path], BuildOptions, Keep, Progress], Observed]
+"""Traces all usable scans of logs, as `observe` does: here, or by many workers"""
 
 
 def observe(
@@ -291,7 +302,7 @@ def observe(
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
     # It records nothing itself; it gathers the recorders of the logs.
-    tally = Tally(recorder=keep.make_recorder(0, 1, options.returns))
+    tally = Tally(recorder=keep.make_recorder(0, 1))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     options = settle_update(logs, options)
@@ -306,7 +317,7 @@ def observe(
     tiles = make_grid(options)
     slices: list[Slices] = []
     for log, scans in zip(logs, counts, strict=True):
-        of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs), options.returns))
+        of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs)))
         engine, notes = observe_log(log, options, keep._replace(ground=ground), of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)
@@ -327,6 +338,6 @@ def observe_log(
     log: Log, options: BuildOptions, keep: Keep, tally: Tally
 ) -> tuple["GridEngine | CloudEngine", list[str]]:
     """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    begin = partial(choose_engine, options, keep.slices, keep.ground)
+    begin = partial(choose_engine, options, keep)
     engine, ((_, notes),) = trace_logs([log], options, begin, tally)
     return engine, notes

@@ -55,7 +55,7 @@ class Against:
     """The map that is true"""
     within_m: float = WITHIN_M
     """How far a wall may be off (m)"""
-    is_fitted: bool = False
+    fit: bool = False
     """Move the recordings onto the map, and the map onto the truth, as they fit best"""
     picture: Path | None = None
     """Where to draw how the map and the truth differ"""
@@ -166,10 +166,10 @@ def score(
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
     by_logs, by_truth, notes = None, None, list[str]()
     if against.logs:
-        by_logs, notes = score_by_logs(written, against.logs, options, against.is_fitted, progress)
+        by_logs, notes = score_by_logs(written, against.logs, options, against.fit, progress)
     if true:
         found = AS_THEY_LIE
-        if against.is_fitted:
+        if against.fit:
             walls = find_place(written).list_middles(written.classes == OCCUPIED)
             found = fit(walls, Walls.of(true.classes == OCCUPIED, find_place(true)))
         notes += filter(None, [found.doubt("the map", str(truth))])

@@ -95,7 +95,7 @@ class ReturnOptions:
         "Leave out what is measured in this box around the sensor (m, as the sensor sees it): it "
         "is the robot.",
         metavar="X_MIN,Y_MIN,X_MAX,Y_MAX",
-        form=make_box_form("(-0.4, -0.3, 0.2, 0.3)"),
+        form=make_box_form("-0.4,-0.3,0.2,0.3"),
     )
 
     def __post_init__(self) -> None:
@@ -183,17 +183,20 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     kind, reach, counts
         (S, B) of Kind; (S, B) m along the beam, 0 where SKIP; and the tally.
     """
-    ranges, own = batch.ranges, find_own(batch, options)
+    ranges = batch.ranges
     sensor_limit = batch.range_max if options.range_max is None else options.range_max
     nearest = max(batch.range_min, options.min_range, float(np.finfo(np.float32).tiny))
     free_reach = min(sensor_limit, options.max_range)
     limits = nearest, options.max_range, sensor_limit, free_reach
     nearest, farthest, no_return, free_reach = as_float32(limits)  # rounded as ranges are
-    hit = (ranges >= nearest) & (ranges < no_return) & (ranges <= farthest) & ~own
+    hit = (ranges >= nearest) & (ranges < min(no_return, np.nextafter(farthest, np.float32("inf"))))
+    own = find_own(batch, options)
+    if own is not None:
+        hit &= ~own
     # Most beams hit: only the few others are looked at more closely.
     others = np.flatnonzero(~hit)
     few = ranges.ravel()[others]
-    robot = own.ravel()[others]
+    robot = np.zeros(few.size, np.bool_) if own is None else own.ravel()[others]
     close = (few < nearest) & ~robot
     none = (few >= no_return) & ~close & ~robot
     missing = np.isnan(few) & ~robot
@@ -207,21 +210,17 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     return kind, reach, ReturnCounts(hit.size - others.size, *counts)
 
 
-def find_own(batch: ScanBatch, options: ReturnOptions) -> Bool:
-    """(S, B): which ranges are the robot's own or blocked by it, as the user says."""
-    shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-    own = np.broadcast_to(mask_sectors(*shape, options.ignore_sectors), batch.ranges.shape)
+def find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
+    """(S, B): which ranges are the robot's own or blocked by it; None: the user names none."""
+    if not options.ignore_sectors and options.footprint is None:
+        return None
+    beams = batch.ranges.shape[1]
+    bearings = batch.angle_min + batch.angle_increment * np.arange(beams, dtype=np.float64)
+    own = np.broadcast_to(find_inside(bearings, options.ignore_sectors), batch.ranges.shape)
     if options.footprint is None:
         return own
-    return own | mask_box(batch.ranges, tabulate_bearings(*shape), options.footprint)
-
-
-@lru_cache(maxsize=64)
-def mask_sectors(
-    angle_min: float, angle_increment: float, beams: int, sectors: tuple[Sector, ...]
-) -> Bool:
-    """(B,): which beams point into one of the sectors."""
-    return find_inside(angle_min + angle_increment * np.arange(beams, dtype=np.float64), sectors)
+    ways = tabulate_bearings(batch.angle_min, batch.angle_increment, beams)
+    return own | mask_box(batch.ranges, ways, options.footprint)
 
 
 def find_inside(bearings: Float64, sectors: tuple[Sector, ...]) -> Bool:
@@ -400,20 +399,14 @@ class RangeLimits:
     def __init__(self, options: ReturnOptions) -> None:
         self._looks = options.range_max is None
         self._tallies: dict[str, RangeTally] = {}
-        self._senseless: dict[str, float] = {}
-        """The limit that the scans of a topic state, where it cannot be one (m)"""
         self._applied: dict[str, float] = {}
         self._settled = False
 
     def see(self, some: Scan | ScanRun) -> None:
         """Count the ranges of a scan, or of those of a run."""
         if self._looks and not self._settled and some.ranges.size:
-            first = some.first
-            tally = self._tallies.setdefault(first.topic, RangeTally())
-            _, range_max = read_limits(first)
-            tally.add(some.ranges, range_max)
-            if range_max != first.range_max:
-                self._senseless.setdefault(first.topic, first.range_max)
+            tally = self._tallies.setdefault(some.first.topic, RangeTally())
+            tally.add(some.ranges, read_limits(some.first)[1])
 
     def watch(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass scans on, and count their ranges."""
@@ -446,11 +439,9 @@ class RangeLimits:
         """Say what the user should know of each topic, and how to change it."""
         for topic, tally in self._tallies.items():
             unstated = math.isinf(tally.stated)
-            limit = "no range limit" if unstated else f"{tally.stated:g} m as its range limit"
-            if topic in self._senseless:
-                limit = (
-                    f"{self._senseless[topic]:g} m as its range limit, which is not a usable one"
-                )
+            limit = "no usable range limit"
+            if not unstated:
+                limit = f"{tally.stated:g} m as its range limit"
             band = tally.find_band()
             count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
             if band is not None:

@@ -12,12 +12,13 @@ either side of r. Where both are 0 a beam says nothing. Its functions are tabula
 """
 
 from dataclasses import dataclass, fields
+from functools import partial
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from occmap.cells import EVEN_ODDS, Decision, to_log_odds
-from occmap.choices import Form
+from occmap.choices import Form, check_bounds, option
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, suggest
 from occmap.types import Float64
@@ -97,8 +98,6 @@ class Spreading(Protocol):
 
 SensorModel = CountModel | RadialModel
 
-LEAST_WEIGHT, MOST_WEIGHT = 1e-6, 1e6
-"""In observations."""
 NO_CLAMP = {"clamp_min": 0.0, "clamp_max": 1.0}
 """Bounds that bound nothing."""
 NEUTRAL = {**NO_CLAMP, "repeat_from": 0.0}
@@ -115,36 +114,17 @@ PARAMETERS = {
     "clamp_max": ("P", "Highest probability of an observed cell."),
 }
 """Those that can be typed as flags of their own: what stands for the value, and the help"""
-DEEPEST_HIT_M = 100.0
-"""The largest epsilon: no wall is thicker."""
-
 
 SUREST = 1 - 2**-53
 """The largest chance below 1 that a float64 holds"""
 
-
-def check_parameters(model: Any) -> None:
-    """Refuse a parameter that is out of its range, whichever of those below a model has.
-
-    Raises
-    ------
-    UsageError
-        Naming the first such parameter.
-    """
-    for field in fields(model):
-        name, value = field.name, getattr(model, field.name)
-        if name in ("prior", "cut") or name.startswith("p_"):
-            found = f"{name} {value} is not a probability between 0 and 1"
-            require(0 < value < 1, found, f"give a value such as `{name}={field.default}`")
-        elif name in ("strength", "hit_weight"):
-            fix = f"give {LEAST_WEIGHT:g} to {MOST_WEIGHT:g}, such as `model=counting:{name}=1`"
-            require(LEAST_WEIGHT <= value <= MOST_WEIGHT, f"{name} {value} is not possible", fix)
-        elif name == "spread":  # else a hit would say more of its neighbours than of its own cell
-            found = f"spread {value} is not a share of a hit"
-            require(0 <= value <= 1, found, "give 0 to 1, such as 0.1")
-    low, high = model.clamp_min, model.clamp_max
-    found = f"clamp_min {low} and clamp_max {high} do not lie on either side of 0.5, from 0 to 1"
-    require(0 <= low < 0.5 < high <= 1, found, "try `clamp_max=0.97`, or leave them out")
+probability = partial(option, bounds=(1e-9, 1 - 1e-6))
+below_half = partial(option, bounds=(1e-9, 0.499))
+share = partial(option, bounds=(0, 1))
+weight = partial(option, bounds=(1e-6, 1e6))
+clamp_min = partial(option, NO_CLAMP["clamp_min"], bounds=(0, 0.499))
+clamp_max = partial(option, NO_CLAMP["clamp_max"], bounds=(0.501, 1))
+"""The kinds of parameters that models have; weights are in observations"""
 
 
 def check_prior(prior: float, free: tuple[str, float], occupied: tuple[str, float]) -> None:
@@ -173,20 +153,20 @@ class SimpleModel:
     name: ClassVar[str] = "simple"
     description: ClassVar[str] = "end cell occupied, cells before it free, each at a fixed odds"
 
-    p_hit: float = 0.7
+    p_hit: float = probability(0.7)
     """Probability that a cell is occupied, given one hit"""
-    p_miss: float = 0.4
+    p_miss: float = probability(0.4)
     """Probability that a cell is occupied, given one miss"""
-    prior: float = 0.5
-    cut: float = 0.5
+    prior: float = probability(0.5)
+    cut: float = probability(0.5)
     """A cell is called occupied where its probability is above this, free where it is below"""
-    spread: float = 0.08
+    spread: float = share(0.08)
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
-    clamp_min: float = NO_CLAMP["clamp_min"]
-    clamp_max: float = NO_CLAMP["clamp_max"]
+    clamp_min: float = clamp_min()
+    clamp_max: float = clamp_max()
 
     def __post_init__(self) -> None:
-        check_parameters(self)
+        check_bounds(self)
         fix = "a hit must speak more for occupied than a miss: try `p_hit=0.7` `p_miss=0.4`"
         found = f"p_miss {self.p_miss} is not below p_hit {self.p_hit}"
         require(self.p_miss < self.p_hit, found, fix)
@@ -206,34 +186,28 @@ class CountingModel:
     name: ClassVar[str] = "counting"
     description: ClassVar[str] = "share of hits among all observations (Beta posterior mean)"
 
-    prior: float = 0.5
-    strength: float = 0.02
+    prior: float = probability(0.5)
+    strength: float = weight(0.02)
     """How many observations the prior weighs; the fewer, the more the first ones are believed"""
-    hit_weight: float = 1.0
+    hit_weight: float = weight(1.0)
     """How many misses a hit weighs: above 1 keeps walls that beams graze"""
-    cut: float = 0.32
+    cut: float = probability(0.32)
     """A cell is called occupied where its share of hits is above this: a wall that is missed costs
     more than one that is not there, so one hit outweighs two misses"""
-    spread: float = 0.08
+    spread: float = share(0.08)
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
-    clamp_min: float = NO_CLAMP["clamp_min"]
-    clamp_max: float = NO_CLAMP["clamp_max"]
-    ceiling: float = 0.8
+    clamp_min: float = clamp_min()
+    clamp_max: float = clamp_max()
+    ceiling: float = option(0.8, bounds=(1e-6, 1))
     """The chance that a beam stops in a cell which stopped all beams before it; see `calibrate`"""
-    doubt: float = 0.02
+    doubt: float = share(0.02)
     """A share of hits as small as this means half of what it says, and a smaller one less"""
-    repeat_from: float = NEUTRAL["repeat_from"]
+    repeat_from: float = option(NEUTRAL["repeat_from"], bounds=(0, 1e6))
     """From so many looks at a cell one hit is not believed, and from five times as many two are
     not; 0: every hit is"""
 
     def __post_init__(self) -> None:
-        check_parameters(self)
-        found = f"repeat_from {self.repeat_from} is not a number of looks"
-        require(0 <= self.repeat_from <= MOST_WEIGHT, found, "give 0 or more, such as 8")
-        found = f"ceiling {self.ceiling} is not a probability above 0"
-        require(0 < self.ceiling <= 1, found, "give up to 1, which leaves shares as they are")
-        found = f"doubt {self.doubt} is not a share of hits"
-        require(0 <= self.doubt <= 1, found, "give 0 to 1, such as 0.02")
+        check_bounds(self)
 
     def log_odds(self, hits: Float64, misses: Float64) -> Float64:
         """Log-odds of what `calibrate` makes of (w hits + s prior) / (w hits + misses + s).
@@ -276,21 +250,18 @@ class QuadraticModel:
         "p = (1 + O - V) / 2: free falls off with distance, hits have depth"
     )
 
-    epsilon: float = 0.0
+    epsilon: float = option(0.0, bounds=(0, 100))  # m: no wall is thicker
     """Half the depth of a hit (m); 0 means half a cell"""
-    p_min: float = 0.4
+    p_min: float = below_half(0.4)
     """The probability of one observation is kept within [p_min, 1 - p_min]"""
-    prior: float = 0.5
-    cut: float = 0.5
+    prior: float = probability(0.5)
+    cut: float = probability(0.5)
     """A cell is called occupied where its probability is above this, free where it is below"""
-    clamp_min: float = NO_CLAMP["clamp_min"]
-    clamp_max: float = NO_CLAMP["clamp_max"]
+    clamp_min: float = clamp_min()
+    clamp_max: float = clamp_max()
 
     def __post_init__(self) -> None:
-        check_parameters(self)
-        found = f"epsilon {self.epsilon} m is not possible"
-        require(0 <= self.epsilon <= DEEPEST_HIT_M, found, "try `epsilon=0.05`")
-        require(self.p_min < 0.5, f"p_min {self.p_min} leaves no evidence", "try `p_min=0.4`")
+        check_bounds(self)
         check_prior(self.prior, ("p_min", self.p_min), ("1 - p_min", 1 - self.p_min))
 
     def depth(self, resolution: float) -> float:

@@ -6,17 +6,19 @@ block, then `writing.finish_store`. docs/formats.md says what is in it. Here evi
 file at once, a store block by block, or any of it as blocks.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from occmap.cells import Evidence, Ground, Manifest, sum_tiles
 from occmap.errors import MapError
 from occmap.grid import CellBox
-from occmap.grid.tiles import TILE, take
+from occmap.grid.tiles import TILE, stack_tiles, take, unite
 from occmap.store import layout
-from occmap.store.layout import Block, BlockContent
+from occmap.store.layout import Block
 from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
 
 
@@ -29,7 +31,7 @@ class Blocks:
     """What it was read from"""
     blocks: Mapping[Block, CellBox]
     """Those that anything was observed in, in ascending order, and how far it reaches at most"""
-    read_block: Callable[[Block], BlockContent]
+    read_block: Callable[[Block], Evidence]
     """Gives what was observed in one of them; raises MapError where it is damaged"""
     ground: Ground | None
     """What clouds were traced over"""
@@ -97,24 +99,17 @@ def open_store(path: Path) -> Store:
         digest_of = dict(zip(blocks, digests, strict=True))
         ground = unpack_ground(below)
 
-    def read_block(block: Block) -> BlockContent:
+    def read_block(block: Block) -> Evidence:
         with refuse_damage(path):
-            content = layout.read_content(root, block, len(manifest.builds))
+            content = layout.read_block(root, block, manifest, str(path))
         if layout.hash_content(content) != digest_of[block]:
             found = f"its block {tuple(block)} was altered or a file of it is missing"
             raise MapError(found, where=path, fix="build it again")
         return content
 
-    return Store(
-        manifest=manifest,
-        where=str(path),
-        blocks=dict(zip(blocks, reach, strict=True)),
-        read_block=read_block,
-        ground=ground,
-        root=root,
-        digest=head["digest"],
-        name=head.get("evidence", ""),
-    )
+    reaches, digest = dict(zip(blocks, reach, strict=True)), head["digest"]
+    name = head.get("evidence", "")
+    return Store(manifest, str(path), reaches, read_block, ground, root, digest, name)
 
 
 def identify(saved: Saved) -> str:
@@ -139,8 +134,7 @@ def read_all(saved: Saved) -> Evidence:
     """Read all blocks at once."""
     if isinstance(saved, Evidence):
         return saved
-    whole = layout.join_contents(map(saved.read_block, saved.blocks), saved.manifest, saved.where)
-    return replace(whole, ground=saved.ground)
+    return join_blocks(saved, map(saved.read_block, saved.blocks))
 
 
 def read_part(saved: Saved, box: CellBox) -> Evidence:
@@ -149,12 +143,25 @@ def read_part(saved: Saved, box: CellBox) -> Evidence:
         return saved
     near = box.align(TILE).grow(TILE)
     blocks = (block for block in layout.list_blocks(near) if block in saved.blocks)
-    cut = (cut_content(saved.read_block(block), near.shrink(TILE)) for block in blocks)
-    return layout.join_contents(cut, saved.manifest, saved.where)
+    return join_blocks(saved, (cut(saved.read_block(block), near.shrink(TILE)) for block in blocks))
 
 
-def cut_content(content: BlockContent, box: CellBox) -> BlockContent:
+def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
+    """Make evidence of what was read of some blocks."""
+    known = [Evidence(saved.manifest, *stack_tiles({})), *parts]
+    tiles = np.concatenate([each.tiles for each in known])
+    cells = np.concatenate([each.cells for each in known])
+    order = np.lexsort(tiles.T[::-1])
+    slices = tuple(
+        unite(each.slices[build] for each in known if each.slices)
+        for build in range(len(saved.manifest.builds))
+    )
+    where, ground = saved.where, saved.ground
+    return Evidence(saved.manifest, tiles[order], cells[order], slices, where, ground=ground)
+
+
+def cut(part: Evidence, box: CellBox) -> Evidence:
     """Keep the tiles in a box, which counts tiles."""
-    which = box.find(content.tiles)
-    slices = tuple(take(layer, box.find(layer.tiles)) for layer in content.slices)
-    return BlockContent(content.tiles[which], content.cells[which], slices)
+    which = box.find(part.tiles)
+    slices = tuple(take(layer, box.find(layer.tiles)) for layer in part.slices)
+    return replace(part, tiles=part.tiles[which], cells=part.cells[which], slices=slices)

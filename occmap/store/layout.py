@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from occmap.cells import Evidence, Manifest, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid import CellBox
-from occmap.grid.tiles import INT32_LIMIT, TILE, Key, Tile, stack_tiles, take, unite, view_tiles
+from occmap.grid.tiles import INT32_LIMIT, TILE, Key, Tile, stack_tiles, take, view_tiles
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8
 from occmap.writers.npz import compute_checksum, refuse_other_version, unpack_slices
@@ -48,17 +48,6 @@ def list_blocks(box: CellBox) -> Iterator[Block]:
     return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
 
 
-class BlockContent(NamedTuple):
-    """What was observed in a block, in the order of `Evidence`."""
-
-    tiles: Int64
-    """(T, 2) row and column of each tile"""
-    cells: Int64
-    """(T, 2, 64, 64) the two numbers of every cell"""
-    slices: tuple[Slices, ...]
-    """When cells were observed, for each build"""
-
-
 class BlockRecord(NamedTuple):
     """What the table of a store says of a block."""
 
@@ -75,14 +64,16 @@ class BlockRecord(NamedTuple):
     """`sum_tiles` of its tiles"""
 
 
-def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, BlockContent]]:
+def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
     """Cut evidence into blocks."""
-    return split_blocks(view_tiles(evidence.tiles, evidence.cells), evidence.slices)
+    tiles = view_tiles(evidence.tiles, evidence.cells)
+    for block, part in split_blocks(evidence.manifest, tiles, evidence.slices):
+        yield block, replace(part, where=evidence.where)
 
 
 def split_blocks(
-    tiles: Mapping[Key, Tile], slices: Sequence[Slices]
-) -> Iterator[tuple[Block, BlockContent]]:
+    manifest: Manifest, tiles: Mapping[Key, Tile], slices: Sequence[Slices]
+) -> Iterator[tuple[Block, Evidence]]:
     """Cut tiles and slices of time into blocks, in ascending order; one is copied at a time."""
     keys = np.array(sorted(tiles), np.int64).reshape(-1, 2)
     of_tiles, *of_slices = (group_by_block(each) for each in (keys, *(s.tiles for s in slices)))
@@ -94,7 +85,7 @@ def split_blocks(
             take(layer, found.get(block, nothing))
             for layer, found in zip(slices, of_slices, strict=True)
         )
-        yield block, BlockContent(*stack_tiles(own), parts)
+        yield block, Evidence(manifest, *stack_tiles(own), parts)
 
 
 def group_by_block(tiles: Int64) -> dict[Block, Int64]:
@@ -107,20 +98,7 @@ def group_by_block(tiles: Int64) -> dict[Block, Int64]:
     return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
 
 
-def join_contents(contents: Iterable[BlockContent], manifest: Manifest, where: str) -> Evidence:
-    """Make evidence of some blocks."""
-    known = [BlockContent(*stack_tiles({}), ()), *contents]
-    tiles = np.concatenate([each.tiles for each in known])
-    cells = np.concatenate([each.cells for each in known])
-    order = np.lexsort(tiles.T[::-1])
-    slices = tuple(
-        unite(each.slices[build] for each in known if each.slices)
-        for build in range(len(manifest.builds))
-    )
-    return Evidence(manifest, tiles[order], cells[order], slices, where)
-
-
-def spread_cells(block: Block, content: BlockContent) -> Int64:
+def spread_cells(block: Block, content: Evidence) -> Int64:
     """(2, 1024, 1024): the two numbers of each cell of a block."""
     cells = np.zeros((2, BLOCK, BLOCK), np.int64)
     rows, cols = (content.tiles - np.array(block) * SIDE).T
@@ -187,13 +165,14 @@ def read_tiles(root: Any, box: CellBox) -> tuple[Int64, Int64]:
     return places + np.array(part.shrink(TILE)[:2]), tiles[*places.T]
 
 
-def read_content(root: Any, block: Block, builds: int) -> BlockContent:
+def read_block(root: Any, block: Block, manifest: Manifest, where: str) -> Evidence:
     """Read what was observed in a block of the group of a store, as it is there."""
     tiles, cells = read_tiles(root, block.box)
     if np.abs(cells).max(initial=0) <= INT32_LIMIT:
         cells = cells.astype(np.int32)
     array = root[f"slices/{block.row}.{block.col}"]
-    return BlockContent(tiles, cells, unpack_layers(array[:], array.attrs["arrays"], builds))
+    slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
+    return Evidence(manifest, tiles, cells, slices, where)
 
 
 def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
@@ -235,12 +214,12 @@ def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]
     return np.frombuffer(data, np.uint8), layout
 
 
-def list_builds(content: BlockContent) -> tuple[int, ...]:
+def list_builds(content: Evidence) -> tuple[int, ...]:
     """List the builds that observed something: the others do not change what a block is."""
     return tuple(build for build, each in enumerate(content.slices) if len(each.numbers))
 
 
-def describe_block(block: Block, content: BlockContent) -> BlockRecord:
+def describe_block(block: Block, content: Evidence) -> BlockRecord:
     """Say what the table holds of a block."""
     seen = (spread_cells(block, content) != 0).any(axis=0)
     row, col = block.box.row, block.box.col
@@ -275,7 +254,7 @@ def hash_table(table: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(layout).encode() + data.tobytes()).hexdigest()
 
 
-def hash_content(content: BlockContent) -> str:
+def hash_content(content: Evidence) -> str:
     """SHA-256 of what was observed and when; who observed it is not a part of it."""
     seen = (content.cells != 0).any(axis=1)
     arrays = [

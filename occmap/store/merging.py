@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from occmap.evidence.manifest import MEANING, leave_out_edits
 from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
-from occmap.store import Blocks, Saved, as_blocks, open_saved, read_all
-from occmap.store.layout import Block, BlockContent, join_contents
+from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
+from occmap.store.layout import Block
 from occmap.types import Int64
 
 UNEVEN_MM = 50
@@ -94,10 +95,8 @@ def combine(
         model = read_model(held[0])
     if lay is None:
         return add_up(held, len(added), model)
-    total = held[0]
-    for other in held[1 : len(added)]:
-        total = merge([total, lay(other, total)], model)
-    return add_up([total, *held[len(added) :]], 1)
+    fitted = reduce(lambda past, other: merge([past, lay(other, past)], model), held[: len(added)])
+    return add_up([fitted, *held[len(added) :]], 1)
 
 
 def add_up(parts: Sequence[Evidence], added: int, model: SensorModel | None = None) -> Evidence:
@@ -116,16 +115,13 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
     MapError
         The parts do not go together.
     """
-    nothing = [
-        replace(join_contents((), each.manifest, each.where), ground=each.ground) for each in parts
-    ]
+    nothing = [join_blocks(each, ()) for each in parts]
     whole = add_up(nothing, added)  # what differs is refused at once
 
-    def read_block(block: Block) -> BlockContent:
-        contents = [[each.read_block(block)] if block in each.blocks else [] for each in parts]
-        found = zip(contents, parts, strict=True)
-        made = add_up([join_contents(has, of.manifest, of.where) for has, of in found], added)
-        return BlockContent(made.tiles, made.cells, made.slices)
+    def read_block(block: Block) -> Evidence:
+        pairs = zip(parts, nothing, strict=True)
+        found = [of.read_block(block) if block in of.blocks else none for of, none in pairs]
+        return add_up(found, added)
 
     blocks = sorted({block for part in parts for block in part.blocks})
     reach = {block: block.box for block in blocks}

@@ -5,11 +5,11 @@ A map is made block by block: memory is that of the map and of a few blocks.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache, reduce
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -46,12 +46,35 @@ KEPT_BLOCKS = 18
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
-EVERYTHING = Framing()
-Window: TypeAlias = tuple[slice, slice]
-"""Rows and columns of a part of a map"""
-
 CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
 """Of a pixel of each CellClass, of which nothing else is known"""
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """What a user may choose about a map of saved evidence."""
+
+    model: SensorModel | None = option(None, form=MODEL)
+    """None: the one that the evidence was built with"""
+    writing: WriteOptions = field(default_factory=WriteOptions)
+    max_cells: int = MAX_CELLS
+    """A map with more cells is refused"""
+    framing: Framing = field(default_factory=Framing)
+    min_passes: int | None = None
+    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    overview: int | None = None
+    """Make each pixel a square of so many cells, from the pictures in a store; None: a cell"""
+
+
+class Piece(NamedTuple):
+    """A piece of a map, as it is painted."""
+
+    window: tuple[slice, slice]
+    """Its rows and columns in the map"""
+    map: OccupancyMap
+    found: Int64
+    """(4,) hits in occupied cells and all hits, of a whole map; cells that would be occupied if all
+    hits lasted, and those of them that are"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +83,9 @@ class BlockMap:
 
     source: Blocks
     model: SensorModel
-    min_passes: int | None
-    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    options: RenderOptions
     box: CellBox
     """Its cells"""
-    is_part: bool
-    """Whether it ends where the user says"""
-    writing: WriteOptions = field(default_factory=WriteOptions)
-    """With the edits that are drawn over it"""
     about: About | None = None
     """What it is of; None where nobody said"""
 
@@ -99,64 +117,58 @@ class BlockMap:
     def take(self, rows: slice, cols: slice) -> OccupancyMap:
         """Paint a part of it."""
         part = CellBox(rows.start, cols.start, rows.stop, cols.stop)
-        box = part.move(self.box.row, self.box.col)
-        made, _ = render_blocks(replace(self, box=box, is_part=True), box.cells)
+        made, _ = self.paint(part.move(*self.box[:2]))
         return made
 
-    def paint(self, put: Callable[[Window, OccupancyMap], None]) -> tuple[float | None, list[str]]:
-        """Paint piece by piece; what is in none of the pieces was not observed.
+    def paint(self, box: CellBox) -> tuple[OccupancyMap, Int64]:
+        """Paint all of it, or a part; return (4,) what all pieces found, too.
 
-        Parameters
-        ----------
-        put
-            Takes each piece, and where in the map it lies.
+        Cell by cell it is the map of `render_lasting`.
+        """
+        log_odds = np.full(box.shape, to_log_odds(self.model.prior), np.float32)
+        observed, found = np.zeros(box.shape, np.bool_), np.zeros(4, np.int64)
+        for window, piece, of_piece in self.list_pieces(box):
+            log_odds[window], observed[window] = piece.log_odds, piece.observed
+            found += of_piece
+        x, y, _, _ = Lattice(self.resolution).measure(box)
+        return OccupancyMap(log_odds, observed, self.resolution, (x, y), self.decision), found
 
-        Returns
-        -------
-        agreement, notes
-            That of a whole map: a part has none. Notes say where little of what was observed lasts.
+    def list_pieces(self, box: CellBox) -> Iterator[Piece]:
+        """Paint all of it, or a part, piece by piece; the rest of that was not observed.
 
         Raises
         ------
         MapError
             A block cannot be read.
         """
-        model = self.model
+        is_whole = box == self.box and self.options.framing.extent is None
         blocks: Iterable[Block] = self.source.blocks
-        if self.is_part:  # maybe a tile of a large map, and most blocks lie far from it
-            blocks = self.source.blocks.keys() & set(list_blocks(self.box.grow(1)))
+        if not is_whole:  # maybe a tile of a large map, and most blocks lie far from it
+            blocks = self.source.blocks.keys() & set(list_blocks(box.grow(1)))
         beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
-        for shape in self.writing.shapes:  # they may lie where nothing was observed
+        for shape in self.options.writing.shapes:  # they may lie where nothing was observed
             corners = np.array(shape.measure(self.resolution))
-            edited = Lattice(self.resolution).enclose(corners).clip(self.box)
-            beside |= set(list_blocks(edited))
+            beside |= set(list_blocks(Lattice(self.resolution).enclose(corners).clip(box)))
         # Cells that were forgotten count as lost, and may lie beyond those that are left.
-        counts_beyond = self.min_passes is not None and not self.is_part
-        agreed = hits = were = still = 0
+        counts_beyond = self.options.min_passes is not None and is_whole
         for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
-            box = self.box.clip(block.box)
-            area = block.box if counts_beyond else box
+            own = box.clip(block.box)
+            area = block.box if counts_beyond else own
             if not area.cells:
                 continue
-            grid, lasting = read_lasting(self.source, area, self.min_passes)
-            made = evidence.paint_box(lasting, model, box)
-            put(box.within(self.box), made)
-            right, total = count_agreeing(lasting, made.occupied, box)
-            agreed, hits = agreed + right, hits + total
+            grid, lasting = read_lasting(self.source, area, self.options.min_passes)
+            made = evidence.paint_box(lasting, self.model, own)
+            found = np.zeros(4, np.int64)
+            if is_whole:
+                found[:2] = count_agreeing(lasting, made.occupied, own)
             if lasting is not grid:
-                before = evidence.paint_box(grid, model, area).occupied
-                were += int(np.count_nonzero(before))
-                still += int(np.count_nonzero(before[box.within(area)] & made.occupied))
-        agreement = agreed / hits if hits and not self.is_part else None
-        return agreement, list(evidence.describe_lost(were, were - still))
+                before = evidence.paint_box(grid, self.model, area).occupied
+                found[2] = np.count_nonzero(before)
+                found[3] = np.count_nonzero(before[own.within(area)] & made.occupied)
+            yield Piece(own.within(box), self.options.writing.edit(made), found)
 
 
-def open_map(
-    source: Blocks,
-    model: SensorModel,
-    framing: Framing = EVERYTHING,
-    min_passes: int | None = None,
-) -> BlockMap:
+def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None = None) -> BlockMap:
     """Find out what cells a map covers; the blocks that were read last are kept from now on.
 
     Raises
@@ -164,10 +176,11 @@ def open_map(
     MapError
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
+    chosen = options or RenderOptions()
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
-    bounds = find_bounds(kept, model, min_passes)
-    box = choose_box(bounds, framing, Lattice(source.manifest.resolution))
-    return BlockMap(kept, model, min_passes, box, is_part=framing.extent is not None)
+    bounds = find_bounds(kept, model, chosen.min_passes)
+    box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
+    return BlockMap(kept, model, chosen, box)
 
 
 def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
@@ -207,43 +220,23 @@ def read_lasting(source: Blocks, box: CellBox, min_passes: int | None) -> tuple[
     return grid, evidence.keep_lasting(grid, part.slices, min_passes)
 
 
-def render_blocks(made: BlockMap, max_cells: int) -> tuple[OccupancyMap, list[str]]:
-    """Paint all of a map; notes say where little of what was observed lasts.
-
-    Cell by cell it is the map of `render_lasting`.
+def classify_blocks(made: BlockMap, writing: WriteOptions) -> UInt8:
+    """(H, W) of CellClass, a byte for each cell.
 
     Raises
     ------
     MapError
         The map would be too large, or a block cannot be read.
     """
-    refuse_large(made.box, Lattice(made.resolution), max_cells)
-    prior, (x, y, _, _) = made.model.prior, made.extent
-    log_odds = np.full(made.shape, to_log_odds(prior), np.float32)
-    observed = np.zeros(made.shape, np.bool_)
-
-    def put(window: Window, piece: OccupancyMap) -> None:
-        log_odds[window], observed[window] = piece.log_odds, piece.observed
-
-    agreement, notes = made.paint(put)
-    where = made.resolution, (x, y), made.decision
-    return made.writing.edit(OccupancyMap(log_odds, observed, *where, agreement)), notes
-
-
-def classify_blocks(made: BlockMap, writing: WriteOptions, max_cells: int) -> UInt8:
-    """(H, W) of CellClass, a byte for each cell; raises MapError as `render_blocks`."""
-    refuse_large(made.box, Lattice(made.resolution), max_cells)
+    refuse_large(made.box, Lattice(made.resolution), made.options.max_cells)
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
-
-    def put(window: Window, piece: OccupancyMap) -> None:
-        classes[window] = replace(piece, decision=decision).classes
-
-    made.paint(put)
+    for piece in made.list_pieces(made.box):
+        classes[piece.window] = replace(piece.map, decision=decision).classes
     return classes
 
 
-def survey_blocks(made: BlockMap, writing: WriteOptions) -> MapFacts:
+def survey_blocks(made: BlockMap) -> MapFacts:
     """Measure a map that is never there as a whole.
 
     Raises
@@ -251,28 +244,18 @@ def survey_blocks(made: BlockMap, writing: WriteOptions) -> MapFacts:
     MapError
         A block cannot be read.
     """
-    cells = np.zeros(4, np.int64)
+    cells, found = np.zeros((2, 4), np.int64)
+    for piece in made.list_pieces(made.box):
+        cells += results.count_cells(piece.map, made.options.writing)
+        found += piece.found
+    return MapFacts(made.resolution, made.extent, made.shape, cells, *sum_up(found))
 
-    def put(_: Window, piece: OccupancyMap) -> None:
-        cells[:] += results.count_cells(writing.edit(piece), writing)
 
-    return MapFacts(made.resolution, made.extent, made.shape, cells, *made.paint(put))
-
-
-@dataclass(frozen=True)
-class RenderOptions:
-    """What a user may choose about a map of saved evidence."""
-
-    model: SensorModel | None = option(None, form=MODEL)
-    """None: the one that the evidence was built with"""
-    writing: WriteOptions = field(default_factory=WriteOptions)
-    max_cells: int = MAX_CELLS
-    """A map with more cells is refused"""
-    framing: Framing = field(default_factory=Framing)
-    min_passes: int | None = None
-    """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
-    overview: int | None = None
-    """Make each pixel a square of so many cells, from the pictures in a store; None: a cell"""
+def sum_up(found: Int64) -> tuple[float | None, list[str]]:
+    """Say how well a map agrees, and what does not last, by (4,) what all its pieces found."""
+    agreeing, hits, were, still = found.tolist()
+    lost = list(evidence.describe_lost(were, were - still))
+    return agreeing / hits if hits else None, lost
 
 
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
@@ -295,23 +278,22 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         if is_page and options.overview is not None:
             found = "shows single cells, and `overview` has none"
             raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
-    model, manifest = choose_model(saved, options)
-    blocks = None if isinstance(saved, Evidence) else replace(saved, manifest=manifest)
+    saved, model = choose_model(saved, options)
+    blocks = None if isinstance(saved, Evidence) else saved
+    grid: Any
     if blocks and options.overview is None and all(writer.in_parts for writer in formats):
-        painted = open_map(blocks, model, options.framing, options.min_passes)
-        grid: Any = replace(painted, writing=options.writing)
-        facts = survey_blocks(grid, options.writing)
+        grid = open_map(blocks, model, options)
+        facts = survey_blocks(grid)
     else:
         grid, facts = paint_saved(saved, model, options)
-    grid = replace(grid, about=describe_about(manifest, identify(saved), options))
-    report = summarise(manifest, facts, options, outputs)
-    keep = cache(lambda: replace(read_all(saved), manifest=manifest))
-    product = writers.Product(grid, keep, report=report, blocks=blocks)
+    grid = replace(grid, about=describe_about(saved.manifest, identify(saved), options))
+    report = summarise(saved.manifest, facts, options, outputs)
+    product = writers.Product(grid, cache(lambda: read_all(saved)), report=report, blocks=blocks)
     files = writers.write_outputs(outputs, product, options.writing)
     return replace(report, files=tuple(files))
 
 
-def render_kept(saved: Saved, options: RenderOptions) -> Build:
+def render_kept(kept: Evidence, options: RenderOptions) -> Build:
     """Render evidence, and write nothing.
 
     Raises
@@ -320,15 +302,18 @@ def render_kept(saved: Saved, options: RenderOptions) -> Build:
         The model cannot read the evidence or knows no visits, or nothing is left of the map or it
         would be too large.
     """
-    model, manifest = choose_model(saved, options)
-    grid, facts = paint_saved(saved, model, options)
-    grid = replace(grid, about=describe_about(manifest, identify(saved), options))
-    whole = replace(read_all(saved), manifest=manifest)
-    return Build(grid, summarise(manifest, facts, options), evidence.to_grid(whole), whole)
+    kept, model = choose_model(kept, options)
+    grid, facts = paint_saved(kept, model, options)
+    grid = replace(grid, about=describe_about(kept.manifest, kept.identify(), options))
+    report = summarise(kept.manifest, facts, options)
+    return Build(grid, report, evidence.to_grid(kept), kept)
 
 
-def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Manifest]:
-    """Choose the model, and say what evidence is that is to be rendered by it.
+AnySaved = TypeVar("AnySaved", bound=Saved)
+
+
+def choose_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, SensorModel]:
+    """Choose the model by which evidence is rendered, and let the evidence name that.
 
     Raises
     ------
@@ -338,7 +323,7 @@ def choose_model(saved: Saved, options: RenderOptions) -> tuple[SensorModel, Man
     model = options.model or evidence.read_model(saved)
     evidence.refuse_other_profile(saved, model)
     evidence.check_passes(options.min_passes, model)
-    return model, replace(saved.manifest, model=describe_model(model))
+    return replace(saved, manifest=replace(saved.manifest, model=describe_model(model))), model
 
 
 def paint_saved(
@@ -353,15 +338,17 @@ def paint_saved(
     """
     lost: Sequence[str] = ()
     if options.overview is not None:
-        shown = read_overview(saved, options.overview, options)
+        shown = options.writing.edit(read_overview(saved, options.overview, options))
     elif isinstance(saved, Evidence):
         grid = evidence.to_grid(saved)
         shown, lost = evidence.render_lasting(grid, saved.slices, model, options)
-        lost = [*saved.notes, *lost]
+        shown, lost = options.writing.edit(shown), [*saved.notes, *lost]
     else:
-        made = open_map(saved, model, options.framing, options.min_passes)
-        shown, lost = render_blocks(made, options.max_cells)
-    shown = options.writing.edit(shown)
+        made = open_map(saved, model, options)
+        refuse_large(made.box, Lattice(made.resolution), options.max_cells)
+        shown, found = made.paint(made.box)
+        agreement, lost = sum_up(found)
+        shown = replace(shown, agreement=agreement)
     return shown, results.describe_map(shown, options.writing)._replace(lost=lost)
 
 

@@ -14,7 +14,7 @@ from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
 from occmap.store import Blocks, as_blocks, layout
-from occmap.store.layout import BLOCK, Block, BlockContent, BlockRecord, spread_cells
+from occmap.store.layout import BLOCK, Block, BlockRecord, spread_cells
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
 from occmap.writers.npz import compute_checksum, pack_ground, pack_slices
@@ -82,7 +82,6 @@ def add_picture(group: Any, name: str, shape: tuple[int, ...], side: int, **othe
         compressors=make_codec(),
         fill_value=0,
         dimension_names=("y", "x"),
-        overwrite=True,  # where what wrote it before was killed
         **others,
     )
 
@@ -116,7 +115,7 @@ def edit_store(path: Path) -> Iterator[Any]:
         yield zarr.open_group(path, mode="r+")
 
 
-def write_block(path: Path, block: Block, content: BlockContent) -> BlockRecord:
+def write_block(path: Path, block: Block, content: Evidence) -> BlockRecord:
     """Write all that was observed in a block, which nobody else writes at the same time.
 
     Raises

@@ -207,26 +207,6 @@ class Writer:
         return self.write(path, product.grid, options)
 
 
-class EvidenceWriter(Writer):
-    """A format for what was observed."""
-
-    needs_evidence = True
-
-    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
-        """Write evidence; return the files written.
-
-        Raises
-        ------
-        OutputError
-            A file cannot be written; then none is left behind.
-        """
-        raise NotImplementedError
-
-    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
-        """Write the evidence; return the files written."""
-        return self.write_evidence(path, product.evidence())
-
-
 def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
     """Cut a map into bands of whole rows, highest y first; each is a view, not a copy."""
     rows, cols = grid.shape
@@ -256,8 +236,7 @@ def find_writer(path: Path) -> Writer:
     if not issubclass(kind, Writer):
         # What shows more than a map may show the way of the robot.
         shows = {"shows_journey": hasattr(kind, "write_product")}
-        base = EvidenceWriter if hasattr(kind, "write_evidence") else Writer
-        kind = type(kind.__name__, (kind, base), shows)
+        kind = type(kind.__name__, (kind, Writer), shows)
     return cast(Writer, kind())
 
 

@@ -130,60 +130,48 @@ def make_folder(path: Path) -> Iterator[Path]:
     OutputError
         It cannot be put there.
     """
-    temporary = name_temporary(follow_links(path))
+    target = follow_links(path)
+    temporary = name_temporary(target)
+    past = temporary.with_suffix(".past")
     try:
         with refuse_unwritable(path):
             yield temporary
-            publish_folder(temporary, follow_links(path))
+            for file in filter(Path.is_file, temporary.rglob("*")):
+                with file.open("rb") as opened:
+                    os.fsync(opened.fileno())
+            if target.exists():
+                target.rename(past)
+            temporary.rename(target)
+            sync_folder(target.parent)
+            shutil.rmtree(past, ignore_errors=True)
     except OutputError as error:  # of the temporary folder, which nobody knows
         raise OutputError(error.found, where=path, fix=error.fix) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def publish_folder(temporary: Path, path: Path) -> None:
-    """Sync a folder and put it in its place; one that was there before is removed."""
-    for file in temporary.rglob("*"):
-        if file.is_file():
-            with file.open("rb") as opened:
-                os.fsync(opened.fileno())
-    past = path.with_name(f"{temporary.name}.past")
-    if path.exists():
-        path.rename(past)
-    temporary.rename(path)
-    sync_folder(path.parent)
-    shutil.rmtree(past, ignore_errors=True)
-
-
 def keep_access(new: Path, old: Path) -> None:
     """Give a new file the owner and the mode of the one that it is to replace, if there is one."""
-    try:
-        kept = old.stat()
-    except FileNotFoundError:
+    if not old.exists():
         return
-    now = new.stat()
+    kept, now = old.stat(), new.stat()
     if (now.st_uid, now.st_gid) != (kept.st_uid, kept.st_gid):
         with suppress(PermissionError):  # only root may give files away
             os.chown(new, kept.st_uid, kept.st_gid)
-    if now.st_mode != kept.st_mode:
-        new.chmod(stat.S_IMODE(kept.st_mode))
+    new.chmod(stat.S_IMODE(kept.st_mode))
 
 
 def sync_folder(folder: Path) -> None:
     """Make what was renamed in a folder last through a power cut, where the system can do so."""
-    if sys.platform == "win32":
-        return
-    try:
+    with suppress(PermissionError):  # it may be written, but not read; Windows opens no folder
         descriptor = os.open(folder, os.O_RDONLY)
-    except PermissionError:  # it may be written, but not read
-        return
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno != errno.EINVAL:  # some file systems do not sync folders
-            raise
-    finally:
-        os.close(descriptor)
+        try:
+            os.fsync(descriptor)
+        except OSError as error:
+            if error.errno != errno.EINVAL:  # some file systems do not sync folders
+                raise
+        finally:
+            os.close(descriptor)
 
 
 @contextmanager
@@ -193,12 +181,10 @@ def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
     Where the file is not there yet, its folder is held. The lock ends with the process. Where the
     system or the file system has no such locks, or the file cannot be opened, it is not held.
     """
-    if path is None or follow_links(path) not in map(follow_links, outputs):
-        yield
-        return
     with ExitStack() as stack:
-        while not lock(path, stack):
-            stack.close()
+        if path is not None and follow_links(path) in map(follow_links, outputs):
+            while not lock(path, stack):
+                stack.close()
         yield
 
 

@@ -103,10 +103,9 @@ class Shape:
 def is_left_of(x: Float64, y: Float64, start: Float64, end: Float64) -> Bool:
     """(H, W) which points a ray to the right leads from across an edge, its upper end left out."""
     (x_start, y_start), (x_end, y_end) = start, end
-    if y_start == y_end:
-        return np.zeros(np.broadcast_shapes(x.shape, y.shape), np.bool_)
     crosses = (y_start <= y) != (y_end <= y)
-    inside: Bool = crosses & (x < x_start + (y - y_start) * (x_end - x_start) / (y_end - y_start))
+    rise = y_end - y_start or 1.0  # nothing crosses a level edge
+    inside: Bool = crosses & (x < x_start + (y - y_start) * (x_end - x_start) / rise)
     return inside
 
 
@@ -170,13 +169,11 @@ FORM = "write lines such as free,box,1,1,2,2.5 or occupied,line,0,0,5,0, or GeoJ
 def read_lines(path: Path, text: str) -> Iterator[Shape]:
     """Read a shape from each line of a CSV; raises UsageError."""
     for number, line in enumerate(text.splitlines(), start=1):
-        words = [word.strip() for word in line.partition("#")[0].split(",")]
-        if not any(words):
+        words = line.partition("#")[0].rstrip(", \t")  # a spreadsheet makes all rows equally long
+        if not words:
             continue
-        while words and not words[-1]:
-            words.pop()
-        change, kind, *numbers = (*words, "", "")[: max(len(words), 2)]
         try:
+            change, kind, *numbers = map(str.strip, words.split(","))
             values = [float(word) for word in numbers]
             width = values.pop() if kind == "line" and len(values) % 2 else None
             yield make_shape(change, kind, [np.reshape(values, (-1, 2))], width)
@@ -211,10 +208,11 @@ def make_shape(change: str, kind: str, rings: Sequence[Float64], width: Any = No
         ((x, y), (x_end, y_end)) = rings[0]
         rings = [np.array([(x, y), (x_end, y), (x_end, y_end), (x, y_end)])]
     fewest = {"polygon": 3, "box": 4, "line": 2}.get(kind, math.inf)
-    for ring in rings:
-        if ring.shape[1:] != (2,) or len(ring) < fewest or not (abs(ring) <= MOST_M).all():
-            raise ValueError(kind)
-    if not rings:
+    sound = [
+        ring.shape[1:] == (2,) and len(ring) >= fewest and bool((abs(ring) <= MOST_M).all())
+        for ring in rings
+    ]
+    if not (sound and all(sound)):
         raise ValueError(kind)
     if kind != "line":
         return Shape(Change(change), tuple(rings))

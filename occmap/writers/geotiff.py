@@ -78,7 +78,7 @@ class GroundWriter(Writer):
         size = COLUMN_MM / 1000
         where = describe(heights.shape, low * side, size, options.georeference)
         kind = {"dtype": "float32", "nodata": math.nan}
-        write_image(path, where | kind, [(None, heights[::-1])], {})
+        write_image(path, where | kind, [(None, heights[::-1])], list_captions(product.grid.about))
         return (path,)
 
 

@@ -53,10 +53,10 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, Slices, sum_tiles
+from occmap.cells import Evidence, Ground, Manifest, Slices
 from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
-from occmap.writers import EvidenceWriter
+from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
 
 FORMAT, VERSION = "occmap evidence", 5
@@ -77,30 +77,41 @@ DAMAGE = (
 """What zipfile, zarr, its codecs, json and NumPy raise on damaged files"""
 
 
-class NpzWriter(EvidenceWriter):
+class NpzWriter(Writer):
     """What was observed, to be rendered, merged and resumed."""
 
     description = "evidence, not yet a map: to render, merge and resume"
+    needs_evidence = True
 
-    def write_evidence(self, path: Path, evidence: Evidence) -> tuple[Path, ...]:
-        """Write evidence; return its path.
-
-        Raises
-        ------
-        OutputError
-            It cannot be written; then nothing is left behind.
-        """
-        arrays = pack(evidence)
-        head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
-        total = sum_tiles(evidence.tiles.tolist(), evidence.cells)
-        head["evidence"] = evidence.manifest.identify(total)
-        head["checksum"] = compute_checksum(head, arrays)
-        text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
-        arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}
-        with open_atomic(path) as (file,), zipfile.ZipFile(file, "w") as archive:
-            for name, array in arrays.items():
-                add_array(archive, name, array)
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
+        """Write the evidence, by the name that the map has for it; return its path."""
+        about = product.grid.about
+        write_evidence(path, product.evidence(), about.evidence if about else "")
         return (path,)
+
+
+def write_evidence(path: Path, evidence: Evidence, name: str = "") -> None:
+    """Write evidence.
+
+    Parameters
+    ----------
+    name
+        As `Manifest.identify` gives it, which takes time; "" where nobody asked for it before.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written; then nothing is left behind.
+    """
+    arrays = pack(evidence)
+    head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
+    head["evidence"] = name or evidence.identify()
+    head["checksum"] = compute_checksum(head, arrays)
+    text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
+    arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}
+    with open_atomic(path) as (file,), zipfile.ZipFile(file, "w") as archive:
+        for member, array in arrays.items():
+            add_array(archive, member, array)
 
 
 def add_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
@@ -179,28 +190,26 @@ def refuse_other_version(path: Path, head: dict[str, Any], name: str, version: i
     """
     if head["format"] != name:
         raise MapError(f"holds {head['format']!r}, not evidence of occmap", where=path)
-    said = head["version"]
-    if said > version:
-        found = f"{name} of version {said}, while this occmap reads {version}"
-        raise MapError(found, where=path, fix="use a newer occmap")
-    if said < version:
-        found = f"{name} of an older occmap (version {said}, now {version})"
-        fix = f"build it again from its logs, with `outputs={path.name}`"
-        raise MapError(found, where=path, fix=fix)
+    if head["version"] != version:
+        is_newer = head["version"] > version
+        again = f"build it again from its logs, with `outputs={path.name}`"
+        raise MapError(
+            f"is {name} of version {head['version']}, while this occmap reads {version}",
+            where=path,
+            fix="use a newer occmap" if is_newer else again,
+        )
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> Any:
     """Read an array of integers, never more than the file is large."""
     member = archive.getinfo(f"{name}.npy")
-    if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
+    if member.file_size != member.compress_size:
         raise ValueError(name)
-    data = archive.read(member)
-    stream = io.BytesIO(data)
-    np.lib.format.read_magic(stream)
-    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-    if dtype.kind not in "iu":
+    # Not by np.load, which believes what it reads before all of it was held against its checksum.
+    array = np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
+    if array.dtype.kind not in "iu":
         raise ValueError(name)
-    return np.frombuffer(data, dtype, offset=stream.tell()).reshape(shape)
+    return array
 
 
 def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:

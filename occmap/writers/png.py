@@ -1,5 +1,6 @@
 """PNG images of the probability itself: grey for observed cells, transparent where unknown."""
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ import numpy as np
 from occmap.cells import Decision, OccupancyMap, list_captions
 from occmap.types import UInt8
 from occmap.writers import Shade, WriteOptions, Writer, bands_from_top
-from occmap.writers.atomic import check_target, open_atomic
+from occmap.writers.atomic import check_target, open_atomic, refuse_unwritable
 from occmap.writers.geotiff import describe
 
 HIDDEN_GREY = 127
@@ -30,7 +31,7 @@ class PngWriter(Writer):
 
     def check(self, path: Path, options: WriteOptions) -> None:
         """Refuse a name beside which no world file can be written; raises OutputError."""
-        for beside in list_beside(path, options):
+        for beside in name_beside(path) if options.georeference else ():
             check_target(beside)
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
@@ -59,22 +60,45 @@ class PngWriter(Writer):
         for name, text in texts.items():
             chunks.append((b"tEXt", f"{name}\0{text}".encode("ascii")))
         chunks += [(b"IDAT", b"".join([*packed, packer.flush()])), (b"IEND", b"")]
-        layout = describe(grid.shape, grid.place, grid.resolution, options.georeference)
-        beside = list_beside(path, options)
+        beside = name_beside(path) if options.georeference else ()
         with open_atomic(path, *beside) as (file, *others):
-            for other, told in zip(others, write_place(layout), strict=False):
-                other.write(told.encode())
+            if others:
+                where = describe(grid.shape, grid.place, grid.resolution, options.georeference)
+                for other, told in zip(others, write_place(where), strict=True):
+                    other.write(told.encode())
             file.write(b"\x89PNG\r\n\x1a\n")
             for kind, data in chunks:
                 checksum = zlib.crc32(kind + data)
                 file.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum))
+        if not beside:
+            remove_place(path)
         return path, *beside
 
 
-def list_beside(path: Path, options: WriteOptions) -> tuple[Path, ...]:
-    """List the files that say where an image lies on the globe, if it does."""
-    world, frame = path.with_suffix(".pgw"), path.with_name(f"{path.name}.aux.xml")
-    return (world, frame) if options.georeference else ()
+def name_beside(path: Path) -> tuple[Path, Path]:
+    """Name the files that say where an image lies on the globe: the place, and its frame."""
+    return path.with_suffix(".pgw"), path.with_name(f"{path.name}.aux.xml")
+
+
+def remove_place(path: Path) -> None:
+    """Remove what was written beside an image that lay on the globe before, and does not now.
+
+    Both files go where the frame is one of ours, maybe as GDAL wrote it anew. Others stay.
+
+    Raises
+    ------
+    OutputError
+        They cannot be removed.
+    """
+    world, frame = name_beside(path)
+    try:
+        is_ours = re.search(rb"aeqd|Azimuthal_Equidistant", frame.read_bytes())
+    except OSError:  # it is not there, or its name would be too long
+        return
+    if is_ours:
+        with refuse_unwritable(frame):
+            world.unlink(missing_ok=True)
+            frame.unlink()
 
 
 def write_place(layout: dict[str, Any]) -> tuple[str, str]:

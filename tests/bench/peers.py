@@ -15,7 +15,7 @@ from occmap.grid import CellBox, Lattice
 from occmap.grid.kernels.units import FREE, HIT, SKIP
 from occmap.grid.rendering import find_bounds, paint
 from occmap.grid.tiles import TileGrid
-from occmap.jit import array_kernel
+from occmap.jit import kernel
 from occmap.types import Bool, Float32, Float64, Int32, Int64, Rays, UInt8
 
 
@@ -137,7 +137,7 @@ def observe_by_scan(
     return {name: Verdict(log_odds[i], seen != 0) for i, name in enumerate(rules)}
 
 
-@array_kernel
+@kernel
 def observe_scans(
     starts: Int64,
     ends: Int64,
@@ -186,7 +186,7 @@ def observe_scans(
                 row += up * int(aside or across < rise)
 
 
-@array_kernel
+@kernel
 def _observe(
     change: Float64,
     rules: Float64,

@@ -26,7 +26,7 @@ from occmap.errors import OccmapError
 from occmap.evidence import render
 from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
-from occmap.jit import array_kernel
+from occmap.jit import kernel
 from occmap.options import BuildOptions
 from occmap.scans.tracing import ignore_progress
 from occmap.scoring import HoldOut, Score, estimate_error, score_map
@@ -139,7 +139,7 @@ def walk(grid: OccupancyMap, held_out: Sequence[Rays]) -> Float64:
     return np.concatenate(totals)
 
 
-@array_kernel
+@kernel
 def walk_beams(
     starts: Float64, ways: Float64, counts: Bool, occupied: Bool, totals: Float64
 ) -> None:
@@ -154,8 +154,12 @@ def walk_beams(
     totals
         (S, 2) added to.
     """
-    for s, b in np.argwhere(counts):
-        x, y = starts[s, min(b, starts.shape[1] - 1)]
+    for at in range(counts.size):
+        s, b = divmod(at, counts.shape[1])
+        if not counts[s, b]:
+            continue
+        k = min(b, starts.shape[1] - 1)
+        x, y = starts[s, k, 0], starts[s, k, 1]
         reach = math.hypot(ways[s, b, 0], ways[s, b, 1])
         totals[s, 0] += 1
         for step in range(int(reach + NEAR) + 1 if reach > 0 else 0):

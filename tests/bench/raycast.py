@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from occmap.jit import array_kernel
+from occmap.jit import kernel
 from occmap.types import Float64
 
 
@@ -19,7 +19,7 @@ def cast_scans(poses: Float64, bearings: Float64, boxes: Float64) -> Float64:
     return ranges
 
 
-@array_kernel
+@kernel
 def _cast_scans(poses: Float64, bearings: Float64, boxes: Float64, ranges: Float64) -> None:
     for s in range(poses.shape[0]):
         for b in range(bearings.size):

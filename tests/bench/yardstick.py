@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.grid import CellBox
-from occmap.jit import array_kernel
+from occmap.jit import kernel
 from occmap.types import Float32, Float64
 from tests.bench.workloads import Sensor, Workload
 
@@ -58,7 +58,7 @@ def trace_in_numba(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
     _trace_scans(
         workload.ranges,
         workload.poses,
-        workload.sensor.bearings,
+        np.stack([np.cos(workload.sensor.bearings), np.sin(workload.sensor.bearings)]),
         limits(workload.sensor),
         (workload.resolution, box.row, box.col),
         hits,
@@ -67,11 +67,11 @@ def trace_in_numba(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
     return hits, misses
 
 
-@array_kernel
+@kernel
 def _trace_scans(
     ranges: Float32,
     poses: Float64,
-    bearings: Float64,
+    ways: Float64,
     limits: tuple[float, float],
     place: tuple[float, int, int],
     hits: Counts,
@@ -79,29 +79,28 @@ def _trace_scans(
 ) -> None:
     resolution, low_row, low_col = place
     nearest, limit = limits
-    cosine, sine = np.cos(bearings), np.sin(bearings)
     for s in range(ranges.shape[0]):
         x, y = poses[s, 0], poses[s, 1]
         turn_x, turn_y = np.cos(poses[s, 2]), np.sin(poses[s, 2])
         col = _to_cell(x, resolution) - low_col
         row = _to_cell(y, resolution) - low_row
-        for b in range(bearings.size):
+        for b in range(ways.shape[1]):
             distance = np.float64(ranges[s, b])
             if nearest <= distance < limit:
-                end_x = x + distance * (turn_x * cosine[b] - turn_y * sine[b])
-                end_y = y + distance * (turn_y * cosine[b] + turn_x * sine[b])
+                end_x = x + distance * (turn_x * ways[0, b] - turn_y * ways[1, b])
+                end_y = y + distance * (turn_y * ways[0, b] + turn_x * ways[1, b])
                 end_col = _to_cell(end_x, resolution) - low_col
                 end_row = _to_cell(end_y, resolution) - low_row
                 _trace_beam(misses, col, row, end_col, end_row)
                 hits[np.uint64(end_row), np.uint64(end_col)] += 1
 
 
-@array_kernel
+@kernel
 def _to_cell(metres: float, resolution: float) -> int:
     return int(np.rint(metres / resolution * 256)) >> 8
 
 
-@array_kernel
+@kernel
 def _trace_beam(misses: Counts, col: int, row: int, end_col: int, end_row: int) -> None:
     """Walk a Bresenham line up to, and without, its end."""
     right, up = (1 if end_col > col else -1), (1 if end_row > row else -1)

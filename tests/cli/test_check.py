@@ -126,8 +126,8 @@ def test_stamps_are_compared_with_the_record_times(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["0,0,3.14159", "0.1,-0.2,1.5708", "0,0,-1.5708,3.14159,0"])
 def test_mounts_are_written_as_they_are_read(text: str) -> None:
-    assert format_mount(OPTIONS["sensor_pose"].parse(text)) == text
-    sample = OPTIONS["static_transforms"].parse("base,laser,0.1,0.2,0.3,0.1,-0.2,1.5")
+    assert format_mount(OPTIONS["sensor_pose"].read_one(text)) == text
+    sample = OPTIONS["static_transforms"].read_one("base,laser,0.1,0.2,0.3,0.1,-0.2,1.5")
     given = format_static(sample.parent, sample.child, sample.pose)
     assert given == "base,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
 

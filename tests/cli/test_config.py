@@ -102,21 +102,21 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("resoluton = 0.1", "no option is called 'resoluton'; did you mean 'resolution'?"),
         ("max_range = 5", "no option is called 'max_range'; did you mean 'max-range'?"),
         ("[buidl]\nstride = 2", "[buidl]: no command is called 'buidl'; did you mean 'build'?"),
-        ("extent = [0, 0, 1]", "extent: 3 values where 4 belong"),
+        ("extent = [0, 0, 1]", "--extent 0,0,1: 3 values where 4 belong"),
         ("fail-if = 'unknown > 5'", "5 is not a share below 1; write 5% or 0.05"),
         ("[check]\nstrid = 2", "no option is called 'strid'; did you mean 'stride'?"),
-        ("align = true", "align: 'True' is not a number"),
-        ("footprint = 3", "footprint: 1 value where 4 belong"),
-        ("static-tf = [3]", "static-tf: 0 values where 6 belong"),
-        ('resolution = "x"', "resolution: 'x' is not a valid float"),
-        ("start = 2020-01-01", "'2020-01-01' is not a valid float"),
-        ("[build.start]", "'{}' is not a valid float"),
-        ("stride = inf", "'inf' is not a valid integer"),
-        ("jobs = 1.5", "'1.5' is not a valid integer"),
-        ("strict = 'no'", "strict: is 'no'; write true or false"),
-        ("light-occupied = 1", "light-occupied: is 1; write true or false"),
+        ("align = true", "--align is 'True'; give a number, or "),
+        ("footprint = 3", "--footprint 3: 1 value where 4 belong"),
+        ("static-tf = [3]", "--static-tf 3: 0 values where 6 belong"),
+        ('resolution = "x"', "--resolution is 'x'; give a number"),
+        ("start = 2020-01-01", "--start is '2020-01-01'; give a number"),
+        ("[build.start]", "--start is '{}'; give a number"),
+        ("stride = inf", "--stride is 'inf'; give a whole number"),
+        ("jobs = 1.5", "--jobs is '1.5'; give a whole number"),
+        ("strict = 'no'", "--strict: is 'no'; write true or false"),
+        ("light-occupied = 1", "--light-occupied: is 1; write true or false"),
         ('deskew = "of"', "'of' is not one of 'auto', 'on', 'off'"),
-        (r'poses = "a\u0000b"', "poses: holds a null character; take it out"),
+        (r'poses = "a\u0000b"', "--poses: holds a null character; take it out"),
         ("stride = [", "is not TOML ("),
     ],
 )
@@ -153,7 +153,7 @@ def test_only_what_takes_effect_is_told(log: Path) -> None:
 def test_what_is_typed_wrong_is_not_laid_on_the_file(log: Path) -> None:
     write(log, "resolution = 0.1\nstride = 2")
     error = read_error(occmap("build", log, "-o", log.parent / "m.pgm", "-r", "x"), 2)
-    assert error.startswith("Invalid value for '-r' / '--resolution'")
+    assert error.startswith("--resolution is 'x'; give a number")
     told = occmap("build", log, "-o", log.parent / "m.pgm", "-r", "0")
     assert (told.code, "error: a resolution of 0.0 m" in told.err) == (2, True)
 

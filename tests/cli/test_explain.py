@@ -58,7 +58,7 @@ def test_scans_in_lines() -> None:
     result = occmap("explain", "a.npz", "0.37", "0.05", "--log", "a.csv")
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines()[8:] == [
-        "scans    3 of 3 scans used: 2 hit it, 1 cleared it; 2 hits and 1 miss",
+        "scans    3 of 3 scans used: 2 hits and 1 miss",
         "         stamp (s)  hits  misses  sensor at (m)  away (m)        from",
         "             0.000     1       0   0.050, 0.050     0.300  a.csv scan",
         "             1.000     1       0   0.650, 0.050     0.300  a.csv scan",
@@ -71,10 +71,8 @@ def test_log_odds_in_lines() -> None:
     assert (
         lines[2] == "seen     log-odds 0.405 of 3 observations"
     )  # logit(0.6), twice up, once down
-    assert lines[8] == (
-        "scans    3 of 3 scans used: 2 for occupied, 1 for free; log-odds 0.405 of 3 observations"
-    )
-    assert lines[9].startswith("         stamp (s)  log-odds  obs.  sensor at (m)")
+    assert lines[8] == ("scans    3 of 3 scans used: log-odds 0.405 of 3 observations")
+    assert lines[9].startswith("         stamp (s)  log-odds  observations  sensor at (m)")
     assert [line.split()[1] for line in lines[10:]] == ["0.41", "0.41", "-0.41"]
 
 
@@ -139,9 +137,8 @@ def test_a_long_list_is_cut_and_json_is_not() -> None:
     )
     words = ["explain", "long.npz", "0.37", "0.05", "--log", "long.csv"]
     lines = occmap(*words).out.splitlines()
-    stamps = [line.split()[0] for line in lines[10:]]
-    assert stamps == [*(f"{s}.000" for s in range(6)), "...", *(f"{s}.000" for s in range(44, 50))]
-    assert lines[16] == "         ... 38 more: --json lists all ..."
+    assert [line.split()[0] for line in lines[10:-1]] == [f"{s}.000" for s in range(12)]
+    assert lines[-1] == "         and 38 more: --json lists all"
     found = json.loads(occmap(*words, "--json").out)
     assert [scan["stamp_ns"] for scan in found["scans"]] == [s * 10**9 for s in range(50)]
 

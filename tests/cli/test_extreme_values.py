@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import MOST_OBSERVED
-from occmap.writers.npz import NpzWriter, read_evidence
+from occmap.writers.npz import read_evidence, write_evidence
 from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv
 
@@ -100,7 +100,7 @@ def test_maps_under_names_that_are_no_text() -> None:
 def test_sums_beyond_what_evidence_may_hold_are_refused(fill: int) -> None:
     saved = read_evidence(Path("m.npz"))
     cells = np.where(saved.cells > 0, np.int64(fill), 0)
-    NpzWriter().write_evidence(Path("big.npz"), replace(saved, cells=cells))
+    write_evidence(Path("big.npz"), replace(saved, cells=cells))
     error = read_error(occmap("merge", "big.npz", "big.npz", "-o", "sum.npz"), 1)
     assert "the observations of a cell add up to more than 9,007,199,254,740,992" in error
     assert not Path("sum.npz").exists()

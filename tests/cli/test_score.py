@@ -68,7 +68,7 @@ def test_what_does_not_belong_together_is_told(made: Path, tmp_path: Path) -> No
         (["--log", DRIVE, "-o", "s.png"], "add --truth MAP"),
         (["--truth", PLAN, "-o", "s.pgm"], "ends in .png"),
         (["--truth", PLAN, "--within", "-1"], "from 0 to 1 m"),
-        (["--truth", PLAN, "--within", "near"], "--within near"),
+        (["--truth", PLAN, "--within", "near"], "'near' is not a valid float"),
         (["--truth", DRIVE], "is not that of a map"),
     ],
 )

@@ -16,7 +16,7 @@ from occmap.clouds.kernels.growth import (
     restore_levels,
     smooth_ground,
 )
-from occmap.clouds.kernels.heights import BIN_MM, BINS, list_peaks, pack
+from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, list_peaks, pack
 from occmap.types import Bool, Float64, Int32
 
 
@@ -34,11 +34,12 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     bins = np.zeros((1, BINS), np.int32)
     for height, points in counts.items():
         bins[0, height] = points
-    column, found_mm, weight = np.empty(8, np.int64), np.empty(8, np.int32), np.empty(8, np.int32)
-    found = list_peaks(np.array([pack(3, 4, 0)]), bins, column, found_mm, weight)
+    many, found_mm, weight = np.empty(1, np.int32), np.empty(8, np.int32), np.empty(8, np.int32)
+    room = np.empty(ROOM, np.int64)
+    found = list_peaks(np.array([pack(3, 4, 0)]), bins, room, many, found_mm, weight)
     # A peak lies in its bin, or up to half a bin from its middle towards its neighbour.
     low = np.array(heights) * BIN_MM
-    assert len(heights) == found
+    assert len(heights) == found == many
     assert ((found_mm[:found] >= low) & (found_mm[:found] <= low + 1.5 * BIN_MM)).all()
 
 
@@ -117,7 +118,7 @@ def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:
     peaks = Peaks(first, many, np.array([0, 100, 20, 80], np.int32), np.array([6, 9, 3, 1], "i4"))
     base = np.empty_like(heights)
 
-    smooth_ground(BLOCKS, peaks, heights, 90, base)
+    smooth_ground(BLOCKS, peaks, heights, base)
 
     assert base[650] == (6 * 0 + 3 * 20 + 1 * 80) // 10
     assert base[651] == (6 * 0 + 9 * 100 + 3 * 20 + 1 * 80) // 19

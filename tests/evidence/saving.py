@@ -13,7 +13,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
 from occmap.types import BEAM_UPDATES, Update
-from occmap.writers.npz import NpzWriter, read_evidence
+from occmap.writers.npz import read_evidence, write_evidence
 from tests.samples import SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
@@ -53,5 +53,5 @@ def halve(options: BuildOptions, middle: float = MIDDLE_S) -> tuple[BuildOptions
 
 def write_bytes(folder: Path, evidence: Evidence) -> bytes:
     path = folder / "written.npz"
-    NpzWriter().write_evidence(path, evidence)
+    write_evidence(path, evidence)
     return path.read_bytes()

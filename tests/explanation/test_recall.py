@@ -138,14 +138,14 @@ def test_an_option_that_was_not_there_yet_has_its_default(tmp_path: Path) -> Non
     [
         ("smoothing", 3, "no option is called 'smoothing'"),
         ("resolution", "wide", "could not convert"),
-        ("resolution", None, "resolution is None"),
+        ("resolution", None, "`resolution` is None"),
         ("update", "circle", "circle"),
         ("model", "clever:p=1", "no model is called"),
-        ("model", None, "model is None"),
+        ("model", None, "`model` is None"),
         ("posing", 5, "no option is called 'posing'"),
         ("posing", {"sensor_pose": [1, 2]}, "missing 5"),
         ("selection", {"stride": 0}, "`stride=0`"),
-        ("selection", {"topics": 4}, "topics is 4"),
+        ("selection", {"topics": 4}, "`topics` is 4"),
     ],
 )
 def test_what_cannot_be_an_option_is_refused(

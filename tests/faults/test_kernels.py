@@ -4,6 +4,7 @@ import hashlib
 import io
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -137,6 +138,21 @@ def test_code_is_loaded_from_a_folder_that_cannot_be_written(
     assert run_anew() == (42.0, True)
 
 
+def test_only_what_was_kept_long_ago_makes_room_for_a_new_folder(folder: Path) -> None:
+    old, other = (folder.with_name(f"occmap-{name}") for name in ("old", "other"))
+    for each in (old, other):
+        each.mkdir()
+        (each / "a.code").touch()
+    run_anew()
+    assert old.is_dir()
+    os.utime(old, (0, 0))
+    os.utime(other / "a.code", (0, 0))
+    shutil.rmtree(folder)
+    run_anew()
+    assert not old.exists()
+    assert other.is_dir()
+
+
 def test_kernels_that_cannot_be_compiled_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("numba.config.DISABLE_JIT", 1)
     with pytest.raises(UsageError, match="NUMBA_DISABLE_JIT is set"):
@@ -175,6 +191,15 @@ def test_a_build_loads_its_kernels_and_mends_them(tmp_path: Path) -> None:
     assert numbers[0] > 3
     assert numbers == [numbers[0]] * 3
     assert maps == [maps[0]] * 3
+
+
+def test_a_build_of_clouds_needs_no_numba_either(tmp_path: Path) -> None:
+    build = BUILD.replace('"build", "beam"', '"build"')
+    log = SAMPLE_LOGS / "hall.mcap"
+    for _ in range(2):  # the first one compiles, if no test before did
+        command = [sys.executable, "-c", build, str(log), "-o", str(tmp_path / "m.pgm")]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "0 False\n"
 
 
 @pytest.mark.parametrize("suffix", [".py", ".pyc"])

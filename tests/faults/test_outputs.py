@@ -10,7 +10,7 @@ import pytest
 
 from occmap.store.merging import merge
 from occmap.writers.atomic import hold_alone
-from occmap.writers.npz import NpzWriter, read_evidence
+from occmap.writers.npz import read_evidence, write_evidence
 from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv
 
@@ -169,7 +169,7 @@ def test_two_that_add_to_one_file_add_both(folder: Path) -> None:
         )
         assert process.stderr is not None
         said = process.stderr.readline()
-        NpzWriter().write_evidence(target, merge([first, first]))
+        write_evidence(target, merge([first, first]))
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert said == "m.npz: waiting for another occmap that adds to it\n"

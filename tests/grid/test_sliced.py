@@ -1,4 +1,4 @@
-"""Slices of time and visits: the engine of slices against one fresh engine for every scan."""
+"""Slices of time and visits: an engine that keeps slices against a fresh one for every scan."""
 
 from collections import defaultdict
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.grid.engine import GridEngine, SlicedEngine
+from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack
 from occmap.types import Kind, Rays
 from tests.grid.reference import Cell
@@ -86,7 +86,8 @@ def keep(
     spec: GridSpec, batches: list[Rays], window_cells: int = WINDOW_CELLS, slice_ns: int = SLICE
 ) -> Slices:
     """Which slices are kept; the evidence is that of an engine without any."""
-    engine, plain = SlicedEngine(spec, slice_ns, window_cells), GridEngine(spec, window_cells)
+    engine = GridEngine(spec, window_cells, slice_ns=slice_ns)
+    plain = GridEngine(spec, window_cells)
     for rays in batches:
         engine.add(rays)
         plain.add(rays)
@@ -156,7 +157,7 @@ def drive_about(scans: int) -> Rays:
 @KINDS_OF_MAP
 def test_threads_give_the_same_slices(kind_of_map: int) -> None:
     rays, spec = drive_about(24), all_specs(0.05)[kind_of_map]
-    engine = SlicedEngine(spec, SLICE, window_cells=1 << 16)
+    engine = GridEngine(spec, window_cells=1 << 16, slice_ns=SLICE)
 
     def work(mine: int) -> None:
         for s in range(mine, 24, 4):
@@ -174,9 +175,9 @@ def test_threads_give_the_same_slices(kind_of_map: int) -> None:
 
 def test_a_map_that_slices_make_too_large_is_refused() -> None:
     """No slice by itself does: each is of one tile, and they lie ten tiles apart."""
-    engine = SlicedEngine(all_specs(1.0)[0], SLICE, max_cells=1000)
+    engine = GridEngine(all_specs(1.0)[0], max_cells=1000, slice_ns=SLICE)
     far = one_beam([0, 1000, 2000])
-    for s in range(3):
+    for s in range(2):
         engine.add(take(far, [s])._replace(origin=np.full((1, 1, 2), 640.5 * s)))
     with pytest.raises(MapError, match="more than `max_cells=1000`"):
         engine.finish()
@@ -251,7 +252,7 @@ def test_every_stamp_that_there_can_be_has_a_slice() -> None:
 
 
 def test_nothing_observed_has_no_slices() -> None:
-    engine = SlicedEngine(all_specs(1.0)[0], SLICE)
+    engine = GridEngine(all_specs(1.0)[0], slice_ns=SLICE)
     assert not engine.finish().tiles
     (slices,) = engine.read_slices()
     assert spread(slices) == {}

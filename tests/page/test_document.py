@@ -15,7 +15,7 @@ import pytest
 from occmap import api
 from occmap.cli import run
 from occmap.inspection.findings import LogFindings
-from occmap.page.document import Block, Page, Section, compose, tell_notes, to_script
+from occmap.page import Block, Page, Section, compose, tell_notes, to_script
 
 DRIVE = Path("sample_logs/drive.csv")
 HOSTILE = "<img src=x onerror=alert(1)> & \"'"

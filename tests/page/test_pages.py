@@ -246,7 +246,7 @@ def test_a_page_that_had_to_be_made_smaller_says_so_and_still_points(
     browser: Chrome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "occmap.page.pages.make_raster", lambda grid, evidence: make_raster(grid, evidence, 1)
+        "occmap.page.raster.make_raster", lambda grid, evidence: make_raster(grid, evidence, 1)
     )
     path = tmp_path / "m.html"
     made = api.build_map(DRIVE, resolution=0.05, stride=10, outputs=path)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
+from occmap.posing.sources import gather
 from occmap.types import Float64, Pose, PosedScans, PoseSample, ScanBatch
 
 SECOND = 10**9
@@ -64,7 +65,8 @@ def positions(poser: Poser, seconds: Sequence[float], frame: str = "laser") -> F
 
 
 def build(*samples: PoseSample, **options: object) -> Poser:
-    return Poser.build(samples, PosingOptions(**options))  # type: ignore[arg-type]
+    chosen = PosingOptions(**options)  # type: ignore[arg-type]
+    return Poser(gather(samples, chosen), chosen)
 
 
 def yaw_of(rotation: ArrayLike) -> Float64:

@@ -133,7 +133,7 @@ def test_what_means_nothing_to_stated_poses_is_told() -> None:
     attach(poser, stated(turned(0)))
     assert poser.notes == [
         "`map_frame` does nothing: the poses stand beside the scans",
-        "`deskew=on` does nothing: the poses stand beside the scans",
+        "`deskew` does nothing: the poses stand beside the scans",
     ]
 
 

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.posing import Stamps
 from occmap.posing.chain import Chain, Status, find_holds, make_chain
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import TrackBuilder
 from occmap.types import Float64, Pose
-from tests.posing.scenes import SECOND, at, turned, yaw_of
+from tests.posing.scenes import SECOND, turned, yaw_of
 
 Keyed = Sequence[tuple[float, Pose]]
 """Seconds and poses."""
@@ -23,7 +22,8 @@ Keyed = Sequence[tuple[float, Pose]]
 def edge(parent: str, child: str, keyed: Keyed) -> Edge:
     builder = TrackBuilder()
     for seconds, pose in keyed:
-        builder.add(at(seconds, parent, child, pose), Stamps.HEADER)
+        stamp_ns = round(seconds * SECOND)
+        builder.add(stamp_ns, stamp_ns, pose)
     track = builder.build()
     assert track is not None
     return Edge(parent, child, track, Source.TF)
@@ -258,7 +258,7 @@ def test_chains_equal_the_slow_reference(
     for names, keyed in ((("map", "body"), upper), (("body", "laser"), lower)):
         builder = TrackBuilder()
         for stamp_ns, pose in keyed:
-            builder.add(at(0, *names, pose)._replace(stamp_ns=stamp_ns), Stamps.HEADER)
+            builder.add(stamp_ns, 0, pose)
         track = builder.build()
         assert track is not None
         edges.append(Edge(*names, track, Source.TF))

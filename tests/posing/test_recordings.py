@@ -139,3 +139,14 @@ def test_the_other_recording_is_an_input_of_the_build(log: Path) -> None:
     assert Path("again.npz").read_bytes() == Path("m.npz").read_bytes()
     with pytest.raises(PoseError, match="add `poses=slam"):
         explain("m.npz", 1, 1, logs=[day / "log.bag"])
+
+
+def test_damage_of_the_other_recording_is_told(log: Path) -> None:
+    other = write_poses("PoseStamped", "/path")
+    data = other.read_bytes()
+    other.write_bytes(data[: len(data) // 2])
+
+    made = build_map(log, poses=str(other), outputs="map.pgm")
+
+    (told,) = (note for note in made.report.damage if "the file ends" in note)
+    assert told.startswith(f"{log}: {other}: ")

@@ -1,47 +1,36 @@
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from occmap.posing import Stamps
 from occmap.posing.tracks import Track, TrackBuilder
-from occmap.types import Pose, PoseBatch, PoseSample
+from occmap.types import Pose
 
 HERE = Pose(1, 2, 3, 0, 0, 0, 1)
 
 
-def sample(stamp_ns: int, pose: Pose = HERE, record_ns: int = 0) -> PoseSample:
-    return PoseSample(stamp_ns, "odom", "base_link", pose, record_ns=record_ns)
+Sample = tuple[int, int, Pose]
+"""A stamp, when it was recorded (ns), and a pose"""
 
 
-def build(*samples: PoseSample, stamps: Stamps = Stamps.HEADER) -> tuple[Track | None, int]:
-    builder = TrackBuilder()
+def sample(stamp_ns: int, pose: Pose = HERE, record_ns: int = 0) -> Sample:
+    return stamp_ns, record_ns, pose
+
+
+def build(*samples: Sample) -> tuple[Track | None, int]:
+    """Build a track of samples that come one by one, and of all at once."""
+    single, whole = TrackBuilder(), TrackBuilder()
     for one in samples:
-        builder.add(one, stamps)
-    track = builder.build()
-    whole = TrackBuilder()
-    whole.add(stack(samples), stamps)
-    as_batch = whole.build()
-    assert whole.unusable == builder.unusable
+        single.add(*one)
+    stamp_ns, record_ns, poses = zip(*samples, strict=True)
+    whole.add(np.array(stamp_ns), np.array(record_ns), np.array(poses))
+    track, as_batch = single.build(), whole.build()
+    assert whole.unusable == single.unusable
     assert (as_batch is None) == (track is None)
     if track is not None and as_batch is not None:
         for name in ("stamp_ns", "position", "quaternion"):
             np.testing.assert_array_equal(getattr(as_batch, name), getattr(track, name))
-    return track, builder.unusable
-
-
-def stack(samples: Sequence[PoseSample]) -> PoseBatch:
-    """The same samples as one batch."""
-    return PoseBatch(
-        np.array([one.stamp_ns for one in samples]),
-        np.array([one.record_ns for one in samples]),
-        np.array([one.pose for one in samples]),
-        "odom",
-        "base_link",
-        static=False,
-        topic="",
-    )
+    return track, single.unusable
 
 
 def stamps_of(track: Track | None) -> list[int]:
@@ -52,11 +41,6 @@ def stamps_of(track: Track | None) -> list[int]:
 def test_samples_are_sorted_by_stamp() -> None:
     track, _ = build(sample(30), sample(10), sample(20))
     assert stamps_of(track) == [10, 20, 30]
-
-
-def test_the_recorded_time_is_used_on_request() -> None:
-    track, _ = build(sample(30, record_ns=1), sample(10, record_ns=2), stamps=Stamps.RECORD)
-    assert stamps_of(track) == [1, 2]
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -166,12 +150,12 @@ def test_steps_and_intervals_lie_between_samples() -> None:
 def test_whether_samples_of_one_stamp_differ(other: Pose, changes: bool) -> None:
     builder = TrackBuilder()
     for pose in (HERE, other):
-        builder.add(sample(10, pose), Stamps.HEADER)
+        builder.add(*sample(10, pose))
     assert builder.changes is changes
 
 
 def test_a_rotation_that_is_not_of_length_one_is_no_other() -> None:
     builder = TrackBuilder()
     for length in (1, 2):
-        builder.add(sample(10, HERE._replace(qx=length, qw=length)), Stamps.HEADER)
+        builder.add(*sample(10, HERE._replace(qx=length, qw=length)))
     assert not builder.changes

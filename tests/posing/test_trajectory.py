@@ -6,6 +6,7 @@ import pytest
 from occmap.errors import LogError
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
+from occmap.posing.sources import gather
 from occmap.posing.trajectory import read_trajectory
 from occmap.types import PoseSample
 
@@ -170,7 +171,8 @@ def test_kitti_axes_are_a_guess_that_is_told(
     path = tmp_path / "poses.txt"
     path.write_text(f"{LEVEL.format(0, 0, 0)}\n{LEVEL.format(*goal)}\n")
     (tmp_path / "times.txt").write_text("1\n2\n")
-    poser = Poser.build([], PosingOptions(poses=str(path)))
+    options = PosingOptions(poses=str(path))
+    poser = Poser(gather([], options), options)
     _, y, z = map(abs, goal)
     assert poser.notes == [
         f"{path}: its poses go {y:g} m along y and {z:g} m along z, so they are taken as those of "

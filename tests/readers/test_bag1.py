@@ -36,8 +36,10 @@ class Blocks(Bag1Source):
         self._cut_at = -1
 
     def list_wanted(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
-        found = self._list_messages(0, memoryview(block), {})
-        return [(key, time, block[start:end]) for key, time, start, end in found if key in wanted]
+        found = self._walk_chunk(0, memoryview(block))
+        return [
+            (key, time, block[start:end]) for key, time, _, start, end in found if key in wanted
+        ]
 
 
 def write(

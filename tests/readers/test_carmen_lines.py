@@ -2,22 +2,20 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from tempfile import NamedTemporaryFile
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.carmen import (
-    CarmenLog,
-    imply_increment,
-    parse_front_offset,
-    parse_odometry,
-)
-from occmap.readers.text_log import make_block
-from occmap.types import UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
+from occmap.readers.carmen import CarmenLog, imply_increment
+from occmap.readers.text_log import SOUND_START
+from occmap.types import Pose, PoseSample, Scan, ScanRun
+from occmap.values import as_float32
+from tests.readers.runs import flatten, list_fields
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
 """type start_angle fov resolution maximum_range accuracy remission_mode"""
@@ -26,17 +24,27 @@ CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
 TIMED = "FLASER 0 1 2 0 7 8 9 5 robot 5"
 
 
-def open_timed() -> CarmenLog:
-    """A log that states times."""
-    with NamedTemporaryFile("w") as file:
-        file.write(f"{TIMED}\n")
-        file.flush()
-        return CarmenLog(Path(file.name))
+def open_lines(*lines: str, path: Path | None = None) -> CarmenLog:
+    """A log that states times, and of which a few lines may be damaged."""
+    with TemporaryDirectory() as folder:
+        path = path or Path(folder, "hand.log")
+        path.write_text("".join(f"{line}\n" for line in (*SOUND_START * [TIMED], *lines)))
+        return CarmenLog(path)
+
+
+def parse(*lines: str) -> list[Scan | ScanRun]:
+    """Read lines of scans in a log that states times."""
+    log = open_lines(*lines)
+    return list(log.stacked_scans({stream.topic for stream in log.streams}))
 
 
 def parse_scan(line: str) -> Scan:
-    """Parse a line of a log that states times."""
-    return open_timed().parse_scan(line)
+    """Read one line likewise; raises ValueError where it is malformed."""
+    log = open_lines(line)
+    if damage := [note.text for note in log.notes if note.damage]:
+        raise ValueError(damage[0])
+    (scan,) = log.scans({line.split(maxsplit=1)[0]})
+    return scan
 
 
 def expect_equal(scan: Scan, expected: Scan) -> None:
@@ -107,13 +115,15 @@ def test_a_stated_limit_of_zero_is_none() -> None:
 
 @pytest.mark.parametrize("pose", ["nan 2 0", "1 -inf 0", "1 2 nan"])
 def test_an_unknown_pose_is_not_finite(pose: str) -> None:
-    assert parse_scan(f"FLASER 1 1.5 {pose} 7 8 9 5 robot 5").pose is UNKNOWN_POSE
+    np.testing.assert_array_equal(
+        parse_scan(f"FLASER 1 1.5 {pose} 7 8 9 5 robot 5").pose, 7 * [np.nan]
+    )
 
 
 def test_an_unknown_pose_harms_no_other() -> None:
     lines = [f"FLASER 1 1.5 {pose} 7 8 9 5 robot 5" for pose in ("1 2 0", "1 1e400 0")]
-    poses = parse_together(*lines)[1].pose
-    np.testing.assert_array_equal(poses, [Pose(1, 2, 0, 0, 0, 0, 1), UNKNOWN_POSE])
+    poses = [scan.pose for scan in flatten(parse(*lines))]
+    np.testing.assert_array_equal(poses, [Pose(1, 2, 0, 0, 0, 0, 1), 7 * [np.nan]])
 
 
 def test_a_record_time_of_zero_is_the_stamp() -> None:
@@ -171,21 +181,10 @@ RAW_LINES = [
 ]
 
 
-def parse_together(*lines: str) -> tuple[list[int], ScanRun]:
-    """Parse those lines that are like the first, and say which they are."""
-    block = make_block(1, "".join(f"{line}\n" for line in lines).encode())
-    found = open_timed()._parse_together(block, np.arange(len(lines)))
-    assert found is not None
-    rows, run = found
-    return rows.tolist(), run
-
-
 @pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])
 def test_lines_parsed_together_are_as_parsed_alone(lines: Sequence[str]) -> None:
-    rows, run = parse_together(*lines)
-    assert rows == [0, 1]
-    for scan, line in zip(run.split(), lines, strict=True):
-        expect_equal(scan, parse_scan(line))
+    together = flatten(parse(*lines))
+    assert list_fields(together) == list_fields(map(parse_scan, lines))
 
 
 @pytest.mark.parametrize(
@@ -195,21 +194,19 @@ def test_lines_parsed_together_are_as_parsed_alone(lines: Sequence[str]) -> None
         ROBOT_LINES[0].replace("-1.570796", "-1.5"),
         ROBOT_LINES[0].replace(" 50.0 ", " 30.0 "),
         ROBOT_LINES[0].replace(" 2 1.5 50 1 0 ", " 1 1.5 2 1 0 "),
+        LINES[0].replace("2 1.5 81.91", "3 1 2 3"),
     ],
 )
-def test_scans_of_another_laser_are_not_parsed_together(other: str) -> None:
-    assert parse_scan(other)
-    rows, run = parse_together(ROBOT_LINES[0], other, ROBOT_LINES[1])
-    assert rows == [0, 2]
-    expect_equal(run.split()[1], parse_scan(ROBOT_LINES[1]))
+def test_scans_of_another_laser_are_read_between_others(other: str) -> None:
+    lines = ROBOT_LINES[0], other, ROBOT_LINES[1]
+    scans = flatten(parse(*lines))
+    assert list_fields(scans) == list_fields(map(parse_scan, lines))
 
 
 @pytest.mark.parametrize(
     "other",
     [
-        "FLASER 3 1 2 3 0 0 0 0 0 0 1 host 1",
         "FLASER 3 1 2 0 0 0 0 0 0 1 host 1",
-        "FLASER 2 1 infinity 0 0 0 0 0 0 1 host 1",
         "FLASER 2 1-2 0 0 0 0 0 0 1 host 1",
         "FLASER 2 1\x1c2 0 0 0 0 0 0 1 host 1",
         "FLASER 2 1\u00a02 0 0 0 0 0 0 1 host 1",
@@ -217,45 +214,71 @@ def test_scans_of_another_laser_are_not_parsed_together(other: str) -> None:
         "FLASER",
     ],
 )
-def test_lines_that_differ_are_not_parsed_together(other: str) -> None:
-    assert parse_together(LINES[0], other, LINES[1])[0] == [0, 2]
+def test_a_malformed_line_harms_no_other(other: str) -> None:
+    scans = flatten(parse(LINES[0], other, LINES[1]))
+    assert list_fields(scans) == list_fields(map(parse_scan, LINES))
 
 
 @settings(max_examples=200)
 @given(st.lists(st.text("0123456789+-.eE \t\x1c\u00a0_,naif", min_size=1), min_size=1, max_size=4))
-def test_no_number_is_read_in_two_ways(words: list[str]) -> None:
-    line = f"FLASER 2 {' '.join(words)} 1 2 3 4 5 1 host 1"
-    for scan in parse_together(LINES[0], line)[1].split()[1:]:
-        expect_equal(scan, parse_scan(line))
+def test_a_number_is_what_python_reads(written: list[str]) -> None:
+    line = f"FLASER 2 {' '.join(written)} 1 2 3 4 5 1 host 1"
+    words = line.encode().split()
+    expected = []
+    with suppress(ValueError):
+        numbers = [float(word) for word in words[2:-3] if b"_" not in word and word.isascii()]
+        expected = [as_float32(numbers[:2]).tolist()] if len(numbers) == len(words) - 5 == 8 else []
+    found = [scan.ranges.tolist() for scan in flatten(parse(LINES[0], line))[1:]]
+    np.testing.assert_array_equal(found, expected)
 
 
-def test_odometry_moves_the_base_in_odom() -> None:
-    sample = parse_odometry("ODOM 1 2 0 0.1 0.2 0.3 5.5 robot 6.5")
-    assert sample == PoseSample(
-        stamp_ns=5_500_000_000,
-        parent="odom",
-        child="base_link",
-        pose=Pose(1, 2, 0, 0, 0, 0, 1),
-        topic="ODOM",
-        record_ns=6_500_000_000,
-    )
+def read_odometry(tmp_path: Path, line: str) -> list[PoseSample]:
+    """Read a line of odometry between sound ones; ValueError where it is malformed."""
+    sound = SOUND_START * ["ODOM 9 9 0 0 0 0 1 robot 1"]
+    log = open_lines(*sound, line, path=tmp_path / "hand.log")
+    samples = list(log.poses())[SOUND_START:]
+    if damage := [note.text for note in log.notes if note.damage]:
+        raise ValueError(damage[0])
+    return samples
+
+
+def test_odometry_moves_the_base_in_odom(tmp_path: Path) -> None:
+    assert read_odometry(tmp_path, "ODOM 1 2 0 0.1 0.2 0.3 5.5 robot 6.5") == [
+        PoseSample(
+            stamp_ns=5_500_000_000,
+            parent="odom",
+            child="base_link",
+            pose=Pose(1, 2, 0, 0, 0, 0, 1),
+            topic="ODOM",
+            record_ns=6_500_000_000,
+        )
+    ]
 
 
 @pytest.mark.parametrize("line", ["ODOM", "ODOM 1 2 5.5 robot 6.5", "ODOM 1 2 inf 0 0 0 5 r 6"])
-def test_malformed_odometry_is_a_value_error(line: str) -> None:
+def test_malformed_odometry_is_damage(tmp_path: Path, line: str) -> None:
     with pytest.raises(ValueError, match=r"short|2 numbers before|finite"):
-        parse_odometry(line)
+        read_odometry(tmp_path, line)
 
 
-def test_front_offset() -> None:
-    sample = parse_front_offset("PARAM robot_frontlaser_offset -0.04 1 merci 1")
-    pose = Pose(-0.04, 0, 0, 0, 0, 0, 1)
-    assert sample == PoseSample(0, "base_link", "front_laser", pose, static=True, topic="PARAM")
-    assert parse_front_offset("PARAM robot_rearlaser_offset 0.1 1 merci 1") is None
-    assert parse_front_offset("PARAM") is None
+@pytest.mark.parametrize(
+    ("line", "offset"),
+    [
+        ("PARAM robot_frontlaser_offset -0.04 1 merci 1", -0.04),
+        ("PARAM robot_rearlaser_offset 0.1 1 merci 1", None),
+        ("PARAM", None),
+    ],
+)
+def test_front_offset(line: str, offset: float | None) -> None:
+    found = list(open_lines(line, line).poses())
+    pose = Pose(offset or 0, 0, 0, 0, 0, 0, 1)
+    sample = PoseSample(0, "base_link", "front_laser", pose, static=True, topic="PARAM")
+    assert found == ([] if offset is None else [sample])
 
 
 @pytest.mark.parametrize("value", ["", " far", " nan"])
-def test_a_front_offset_that_is_no_number_is_a_value_error(value: str) -> None:
-    with pytest.raises(ValueError, match=r"number|float"):
-        parse_front_offset(f"PARAM robot_frontlaser_offset{value}")
+def test_a_front_offset_that_is_no_number_is_damage(value: str) -> None:
+    others = SOUND_START * ["PARAM robot_length 0.4 1 merci 1"]
+    log = open_lines(*others, f"PARAM robot_frontlaser_offset{value}")
+    assert list(log.poses()) == []
+    assert any(note.damage and "number" in note.text for note in log.notes)

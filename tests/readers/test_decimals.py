@@ -3,13 +3,24 @@
 import struct
 from contextlib import suppress
 from decimal import Decimal
+from itertools import count
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.decimals import NUMBER, OTHER, RANGE, Words, parse_words
+from occmap.readers.decimals import (
+    FINITE,
+    NANOSECONDS,
+    NUMBER,
+    OTHER,
+    RANGE,
+    SAME,
+    SECONDS,
+    Words,
+    parse_words,
+)
 from occmap.readers.text_log import make_block
 from occmap.types import Float64
 from occmap.values import as_float32, parse_seconds
@@ -26,10 +37,19 @@ NUMBERS = st.one_of(
 )
 
 
-def parse(lines: list[bytes], separator: bytes, kinds: list[int]) -> Words:
-    """Parse all of some lines."""
+def parse(lines: list[bytes], separator: bytes, kinds: list[int]) -> tuple[Words, dict[int, str]]:
+    """Parse the lines that are like the first; a RANGE is that of the next beam."""
     block = make_block(1, b"".join(line + b"\n" for line in lines))
-    return parse_words(block.text, block.starts[:-1], separator, np.array(kinds, np.uint8))
+    beams = count()
+    of_words = np.array([kind + next(beams) if kind == RANGE else kind for kind in kinds])
+    return parse_words(block.text, block.starts[:-1], separator, of_words, [""] * len(kinds))
+
+
+def find_sound(lines: list[bytes], separator: bytes, kinds: list[int]) -> list[int]:
+    """Say which of some lines, all of which are alike, can be read."""
+    words, faults = parse(lines, separator, kinds)
+    assert len(words.ranges) == len(lines)
+    return [at for at in range(len(lines)) if at not in faults]
 
 
 def to_bytes(values: Float64) -> list[bytes]:
@@ -48,10 +68,11 @@ def test_every_number_is_the_nearest_float(separator: str, words: list[str], hea
     floats = list(map(float, words))
 
     kinds = [OTHER] * head
-    values = parse([line, line], separator[:1].encode(), kinds + [NUMBER] * len(words)).numbers
-    ranges = parse([line, line], separator[:1].encode(), kinds + [RANGE] * len(words)).ranges
+    as_numbers, _ = parse([line, line], separator[:1].encode(), kinds + [NUMBER] * len(words))
+    as_ranges, _ = parse([line, line], separator[:1].encode(), kinds + [RANGE] * len(words))
 
-    assert to_bytes(values[head:].T) == 2 * [struct.pack("<d", each) for each in floats]
+    values, ranges = as_numbers.numbers[head:], as_ranges.ranges
+    assert to_bytes(values.T) == 2 * [struct.pack("<d", each) for each in floats]
     assert ranges.tobytes() == 2 * as_float32(floats).tobytes()
 
 
@@ -67,83 +88,102 @@ def test_ranges_of_changing_forms_are_the_nearest_float32(
     separator = "," if by_commas else " "
     lines = [separator.join(each).encode() for each in (words, words[::-1], words)]
 
-    ranges = parse(lines, separator.encode(), [RANGE] * len(words)).ranges
+    ranges = parse(lines, separator.encode(), [RANGE] * len(words))[0].ranges
 
     np.testing.assert_array_equal(ranges[0], np.array([float(w) for w in words], np.float32))
     np.testing.assert_array_equal(ranges, [ranges[0], ranges[0][::-1], ranges[0]])
 
 
-@pytest.mark.parametrize("word", ["", "1_0", "one", "1 2", "1.2.3", "--1", "1-2", "0x10", "\u0661"])
+@pytest.mark.parametrize(
+    "word", ["-", "1_0", "one", "1 2", "1.2.3", "--1", "1-2", "0x10", "\u0661"]
+)
 @pytest.mark.parametrize("at", range(3))
-@pytest.mark.parametrize("kind", [NUMBER, RANGE])
+@pytest.mark.parametrize("kind", [NUMBER, FINITE, RANGE])
 def test_a_line_with_a_word_that_few_programs_write_is_left_out(
     word: str, at: int, kind: int
 ) -> None:
     words = ["1.5", "2", "2.25"]
-    words[at] = word or "-"
+    words[at] = word
     lines = [b"3.5,2,1.25", ",".join(words).encode(), b"3.5,2,1.25"]
-    assert parse(lines, b",", 3 * [kind]).is_sound.tolist() == [True, False, True]
+    assert find_sound(lines, b",", 3 * [kind]) == [0, 2]
 
 
 @pytest.mark.parametrize("word", ["3:25", "3.2?", "p.25", "3.2p", "3,25", "\x10.25"])
 def test_a_word_that_only_looks_like_those_before_it_is_no_number(word: str) -> None:
     sound = b"1.25,2.25,3.25,4.25,5.25"
     line = sound.replace(b"3.25", word.encode())
-    assert parse([sound, line, sound], b",", 5 * [RANGE]).is_sound.tolist() == [True, False, True]
+    assert parse([sound, line, sound], b",", 5 * [RANGE])[1].keys() <= {1}
 
 
 def test_an_empty_cell_is_nan_between_commas_and_nothing_between_blanks() -> None:
-    values = parse([b",2,", b"1.5, ,inf"], b",", 3 * [NUMBER]).numbers
-    np.testing.assert_array_equal(values, [[np.nan, 1.5], [2, np.nan], [np.nan, np.inf]])
-    ranges = parse([b",2,", b"1.5, ,inf"], b",", 3 * [RANGE]).ranges
-    np.testing.assert_array_equal(ranges, [[np.nan, 2, np.nan], [1.5, np.nan, np.inf]])
-    assert parse([b"1  -inf "], b" ", 2 * [RANGE]).ranges.tolist() == [[1.0, -np.inf]]
+    values, _ = parse([b",2,", b"1.5, ,inf"], b",", 3 * [NUMBER])
+    expected = np.array([[np.nan, 2, np.nan], [1.5, np.nan, np.inf]])
+    np.testing.assert_array_equal(values.numbers, expected.T)
+    ranges, _ = parse([b",2,", b"1.5, ,inf"], b",", 3 * [RANGE])
+    np.testing.assert_array_equal(ranges.ranges, expected)
+    assert parse([b"1  -inf "], b" ", 2 * [RANGE])[0].ranges.tolist() == [[1.0, -np.inf]]
+
+
+@pytest.mark.parametrize("word", [b"inf", b"-inf", b"nan", b""])
+def test_some_numbers_must_be_finite(word: bytes) -> None:
+    assert find_sound([b"1,2", b"1," + word], b",", [SAME, FINITE]) == [0]
+
+
+def test_quotes_around_a_word_say_nothing() -> None:
+    lines = [b'"1.5","2","3"', b'1.5",2,"']
+    words, faults = parse(lines, b",", [RANGE, NUMBER, SECONDS])
+    assert faults.keys() == {1}
+    assert (words.ranges[0, 0], words.numbers[1, 0], words.times[2, 0]) == (1.5, 2, 3 * 10**9)
 
 
 @pytest.mark.parametrize(
     "line",
-    [b"a 1 2", b"a 1 2 ", b"a", b"", b"   ", b"a 1 2 3 4", b"a 1 2 3 x", b"a 1.5 2.5"],
+    [b"a 1 2", b"a 1 2 ", b"a", b"", b"   ", b"a 1 2 3 4", b"a 1 2 3 x", b"a 1.5 2.5", b"b 1 2 3"],
 )
 @pytest.mark.parametrize("kind", [NUMBER, RANGE])
-def test_a_line_with_too_few_or_too_many_words_is_left_out(line: bytes, kind: int) -> None:
+def test_a_line_with_other_words_ends_those_that_are_alike(line: bytes, kind: int) -> None:
     sound = b"a 1.5 2.5 3.5"
-    words = parse([sound, line, sound], b" ", [OTHER, kind, kind, kind])
-    assert words.is_sound.tolist() == [True, False, True]
+    words, faults = parse([sound, sound, line, sound], b" ", [SAME, kind, kind, kind])
+    assert len(words.ranges) == 2
+    assert not faults
 
 
-@pytest.mark.parametrize("line", [b"b,1", b"aa,1", b"a ,1", b",1", b"a"])
-def test_a_line_in_which_a_word_differs_that_is_the_same_is_left_out(line: bytes) -> None:
-    words = parse([b"a,1", line, b"a,2"], b",", [OTHER, NUMBER])
-    words.refuse_others([0])
-    assert words.is_sound.tolist() == [True, False, True]
-    assert words.numbers[1, ::2].tolist() == [1, 2]
+@pytest.mark.parametrize("separator", [b" ", b","])
+def test_words_that_are_written_in_rare_ways_are_read_in_turn(separator: bytes) -> None:
+    lines = [separator.join([b"+1.5", b"2e0", b"INF", b"1e1"])] * 50
+    at = 0
+    while at < len(lines):
+        words, faults = parse(lines[at:], separator, [RANGE, RANGE, NUMBER, SECONDS])
+        assert not faults
+        assert len(words.ranges)
+        assert {tuple(row) for row in words.ranges.tolist()} == {(1.5, 2)}
+        assert set(words.times[3].tolist()) == {10**10}
+        at += len(words.ranges)
 
 
 STAMPS = st.decimals(-(10**9), 10**10, allow_nan=False, places=12)
 
 
 @given(st.lists(st.tuples(STAMPS, st.integers(0, 12)), min_size=1, max_size=9))
-@example([("9223372036.854775807", 9), ("8999999999.999999999", 9), ("0", 0)])
+@example([("9223372036.854775807", 9), ("8999999999.999999999", 9), ("0", 0), ("9999999999", 0)])
 def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]) -> None:
     words = [f"{Decimal(seconds):.{places}f}" for seconds, places in stamps]
     whole = [str(int(Decimal(seconds) * 10**8)) for seconds, _ in stamps]
     lines = [f"{word} x {each}".encode() for word, each in zip(words, whole, strict=True)]
-    words_read = parse(lines, b" ", [OTHER] * 3)
-    times = words_read.read_times(0, 9), words_read.read_times(2, 0)
-    for row in np.flatnonzero(words_read.is_sound).tolist():
-        assert [times[0][row], times[1][row]] == [parse_seconds(words[row]), int(whole[row])]
-    for row, word in enumerate(words):
-        is_plain = len(word.partition(".")[2]) <= 9 and len(word.strip("-").replace(".", "")) <= 19
+    read, faults = parse(lines, b" ", [SECONDS, OTHER, NANOSECONDS])
+    for row, (word, each) in enumerate(zip(words, whole, strict=True)):
+        expected = None
         with suppress(ValueError):
-            parse_seconds(word)
-            assert words_read.is_sound[row] or not is_plain
+            expected = parse_seconds(word)
+        if row in faults:
+            assert expected is None
+        else:
+            assert read.times[[0, 2], row].tolist() == [expected, int(each)]
 
 
 @pytest.mark.parametrize("word", ["", "1.2.3", "one", "1 2", "9999999999"])
 def test_a_line_with_a_word_that_is_no_time_is_left_out(word: str) -> None:
-    words = parse([f"1,{word}".encode()], b",", [NUMBER, OTHER])
-    words.read_times(1, 9)
-    assert not words.is_sound.any()
+    assert find_sound([b"1,2", f"1,{word}".encode()], b",", [NUMBER, SECONDS]) == [0]
 
 
 @given(st.decimals(-(10**9), 10**10, allow_nan=False, places=12), st.integers(0, 12))

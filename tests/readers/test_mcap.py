@@ -145,7 +145,7 @@ def test_a_file_of_nothing_but_its_magic_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
     path.write_bytes(b"\x89MCAP0\r\n")
 
-    with pytest.raises(LogError, match=r"empty\.mcap: nothing in it can be read"):
+    with pytest.raises(LogError, match=r"empty\.mcap: holds nothing behind"):
         open_log(path)
 
 

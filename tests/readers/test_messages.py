@@ -15,14 +15,13 @@ from google.protobuf.descriptor_pb2 import (
 )
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from occmap.readers import messages
 from occmap.readers.containers import Channel
 from occmap.readers.messages import make_reader
 from occmap.readers.ros_log import RosLog
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
-from tests.readers.ros import POSED, RANGES, ROS2, SCAN, TF, Memory, scan
+from tests.readers.ros import RANGES, ROS2, SCAN, Memory, scan
 from tests.samples import SAMPLE_LOGS
 
 TEXT = ROS2.generate_msgdef(SCAN, ros_version=2)[0]
@@ -199,10 +198,3 @@ def test_a_log_that_defines_its_types_as_ros_does_needs_no_other_types(name: str
     command = [sys.executable, "-c", LOADED, str(SAMPLE_LOGS / name)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
-
-
-@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
-def test_plain_types_are_those_of_ros(encoding: str) -> None:
-    store = messages._load_standard(encoding)
-    hashes = {store.hash_rihs01(kind) for kind in (SCAN, TF, "tf/msg/tfMessage", *POSED)}
-    assert {f"RIHS01_{each}" for each in messages._LAYOUTS[encoding]} <= hashes

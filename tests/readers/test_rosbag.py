@@ -314,13 +314,13 @@ def test_bytes_that_are_added_to_a_chunk_push_one_message_out_of_it(tmp_path: Pa
 
 def test_reading_goes_on_behind_the_place_that_is_said_to_be_damaged(tmp_path: Path) -> None:
     data = bytearray(write_chunks(tmp_path / "drive.bag", "none"))
-    _, start, end = list_records(data, 7)[0]
+    at, start, end = list_records(data, 7)[0]
     struct.pack_into("<I", data, start - 4, end - start + 100)
 
     assert read_damaged(tmp_path / "damaged.bag", data) == list(range(30))
 
     (note, *_) = open_log(tmp_path / "damaged.bag").notes
-    assert note.text == f"damaged at byte {start}, read on from byte {end}"
+    assert note.text == f"damaged at byte {at}, read on from byte {end}"
 
 
 @pytest.mark.parametrize("opcode", [4, 5, 6, 7])

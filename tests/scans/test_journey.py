@@ -4,7 +4,7 @@ import numpy as np
 
 from occmap.posing import DropReason
 from occmap.scans.tally import JourneyRecorder
-from occmap.sensor import ReturnOptions
+from occmap.sensor import ReturnOptions, interpret
 from occmap.types import Attached, PosedScans, ScanBatch
 
 LOG = Path("a.bag")
@@ -23,12 +23,19 @@ def pose(batch: ScanBatch, x: float) -> PosedScans:
     return PosedScans(batch, position, np.tile(np.eye(3), (scans, 1, 1)))
 
 
+def record(recorder: JourneyRecorder, attached: Attached, parent: str | None = None) -> None:
+    """Record a batch as a build does."""
+    recorder.follow(LOG, parent, attached)
+    if attached.posed is not None:
+        recorder.sample(interpret(attached.posed, ReturnOptions())[0])
+
+
 def test_poses_hits_and_lost_scans_are_kept() -> None:
-    recorder = JourneyRecorder(1, ReturnOptions())
+    recorder = JourneyRecorder(1)
     whole = batch_of(1, 2, 3)
     second = pose(whole.take(np.array([1])), 5.0)
-    recorder.follow(LOG, "odom", Attached(whole, second, {DropReason.GAP: 2}))
-    recorder.follow(LOG, "odom", Attached(batch_of(4), pose(batch_of(4), 6.0), {}))
+    record(recorder, Attached(whole, second, {DropReason.GAP: 2}), "odom")
+    record(recorder, Attached(batch_of(4), pose(batch_of(4), 6.0), {}), "odom")
     journey = recorder.finish()
     (way,) = journey.trajectories
     assert (way.log, way.parent, way.frame) == ("a.bag", "odom", "laser")
@@ -42,22 +49,22 @@ def test_poses_hits_and_lost_scans_are_kept() -> None:
 
 
 def test_a_sample_is_spread_over_all_scans_and_their_beams() -> None:
-    recorder = JourneyRecorder(10, ReturnOptions())
+    recorder = JourneyRecorder(10)
     for start in range(0, 4000, 250):
         batch = batch_of(*range(start, start + 250), beams=1200)
-        recorder.follow(LOG, None, Attached(batch, pose(batch, 0.0), {}))
+        record(recorder, Attached(batch, pose(batch, 0.0), {}))
     scans = recorder.finish().scans
     assert [scan.stamp_ns for scan in scans] == list(range(0, 4000, 10))
     assert {len(scan.x) for scan in scans} == {400}
 
 
 def test_parts_of_a_log_add_up_and_a_second_reading_forgets_the_first() -> None:
-    first = JourneyRecorder(1, ReturnOptions())
-    first.follow(LOG, None, Attached(batch_of(1), pose(batch_of(1), 0.0), {}))
+    first = JourneyRecorder(1)
+    record(first, Attached(batch_of(1), pose(batch_of(1), 0.0), {}))
     second = first.start_over()
     assert second.finish().trajectories == ()
     lost: dict[str, int] = {DropReason.GAP: 1}
-    second.follow(LOG, None, Attached(batch_of(2, 3), pose(batch_of(2), 0.0), lost))
+    record(second, Attached(batch_of(2, 3), pose(batch_of(2), 0.0), lost))
     first.add(second)
     (way,) = first.finish().trajectories
     assert way.stamp_ns.tolist() == [1, 2]

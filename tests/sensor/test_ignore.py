@@ -15,7 +15,7 @@ from occmap.sensor import (
     Sector,
     classify,
     drop_own_points,
-    mask_sectors,
+    find_inside,
 )
 from occmap.types import Cloud, Kind, ScanBatch
 from tests.clouds.simulation import place
@@ -48,13 +48,13 @@ def make_batch(ranges: list[list[float]], angle_min: float = 0.0) -> ScanBatch:
 )
 @pytest.mark.parametrize("turns", [0, -1, 3])
 def test_beams_in_a_sector(sector: Sector, expected: set[int], turns: int) -> None:
-    mask = mask_sectors(turns * 2 * math.pi, math.pi / 2, 4, (sector,))
-
-    assert set(np.flatnonzero(mask)) == expected
+    bearings = turns * 2 * math.pi + math.pi / 2 * np.arange(4, dtype=np.float64)
+    assert set(np.flatnonzero(find_inside(bearings, (sector,)))) == expected
 
 
 def test_sectors_run_counter_clockwise_whatever_way_the_beams_do() -> None:
-    assert mask_sectors(0.0, -math.pi / 2, 4, ((1.0, 2.0),)).tolist() == [False, False, False, True]
+    bearings = -math.pi / 2 * np.arange(4, dtype=np.float64)
+    assert find_inside(bearings, ((1.0, 2.0),)).tolist() == [False, False, False, True]
 
 
 def test_what_a_sector_holds_is_skipped_and_counted() -> None:

@@ -254,8 +254,8 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
             MEASURED + [51.14] * 300 + [51.15] * 200,
             math.inf,
             [
-                "scan states no range limit; 500 of 2,500 ranges (20.0%) read 51.14 m to 51.15 m, "
-                "taken as no return: `range_max` overrides"
+                "scan states no usable range limit; 500 of 2,500 ranges (20.0%) read 51.14 m to "
+                "51.15 m, taken as no return: `range_max` overrides"
             ],
         ),
         (
@@ -278,8 +278,8 @@ def test_the_users_limit_is_asked_for_nothing() -> None:
             MEASURED,
             math.inf,
             [
-                'scan states no range limit; no value stands for "no return", so every range is '
-                "used as measured: `range_max` sets a limit"
+                'scan states no usable range limit; no value stands for "no return", so every '
+                "range is used as measured: `range_max` sets a limit"
             ],
         ),
         (
@@ -305,7 +305,7 @@ def test_limits_that_leave_no_range_are_none() -> None:
     limits = RangeLimits(ReturnOptions())
     limits.see(swapped)
     (note,) = limits.list_notes()
-    assert note.startswith("scan states 0.1 m as its range limit, which is not a usable one; ")
+    assert note.startswith("scan states no usable range limit; ")
 
 
 @pytest.mark.parametrize(
@@ -324,7 +324,7 @@ def test_limits_that_leave_no_range_are_none() -> None:
                 scan([3.0, 52.0, 53.0], range_max=50.0),
                 scan([1.0, 2.0, 3.0]),
             ],
-            "scan states no range limit; 3 of 8 ranges (37.5%) are above it, up to 53 m",
+            "scan states no usable range limit; 3 of 8 ranges (37.5%) are above it, up to 53 m",
         ),
     ],
     ids=["band", "above"],

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,14 +185,19 @@ def test_evidence_that_does_not_add_up_is_refused(
         (Update.SURFACE, {"jump": 0.5, "border_gap": 3}, ["jump` (0.1, 0.5)"]),
         (Update.POLYGON, {"border_gap": 3}, ["border_gap` (3, 8)"]),
         (Update.POLYGON, {"jump": math.inf}, ["jump` (0.1, inf)"]),
+        (
+            Update.BEAM,
+            {"posing": PosingOptions(level=(0.0, 1.0))},
+            ["level` ([0.0, 0.0], [0.0, 1.0])"],
+        ),
     ],
 )
 def test_options_that_differ_between_builds_are_noted(
-    tmp_path: Path, update: Update, changed: dict[str, float], notes: list[str]
+    tmp_path: Path, update: Update, changed: dict[str, Any], notes: list[str]
 ) -> None:
     first, second = halve(choose(update))
     one = save(tmp_path / "a.npz", first)
-    other = save(tmp_path / "b.npz", replace(second, **changed))  # type: ignore[arg-type]
+    other = save(tmp_path / "b.npz", replace(second, **changed))
     mine = [f"its builds differ in `{text}" for text in notes]
     assert publish(merge([one, other]), RenderOptions(), []).notes == tuple(mine)
     added = build([DRIVE], replace(first, resume=tmp_path / "b.npz"), [tmp_path / "c.npz"])

@@ -4,17 +4,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.heights import BIN_MM, WIDE
-from occmap.jit import array_kernel, step
+from occmap.clouds.kernels.heights import BIN_MM
+from occmap.jit import kernel, step
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int32, Int64, UInt8
 
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
-SMOOTH = 4
-"""How far around it the ground of a column is averaged (columns)"""
+STEP_MM = 80
+"""The ground of a column is at most this far from the mean of what is beside it."""
+SMOOTH, ALIKE_MM = 4, 90
+"""So far around it (columns) the ground of a column is the mean of what lies so near to its own: a
+step as high as the clearance is none"""
 PASSED, STOOD = 1, 2
-"""Columns that the robot passed by at up to `BY`, and those that it stood on"""
-BY = 27
+"""Columns that the robot passed by, and those that it stood on"""
+QUEUED = -1
+"""Stands for the points of a column that may have ground next"""
 STEPPED = 3
 """Low things are looked for so far around a column (columns)"""
 SLOPE_MM = 0.12 * COLUMN_MM
@@ -83,64 +87,34 @@ class Found(NamedTuple):
     """(C,) 0, `PASSED` or `STOOD`"""
 
 
-@array_kernel
-def index_peaks(blocks: Blocks, column: Int64, peaks: Peaks) -> None:
-    """Say which peaks each column has."""
-    top, left = blocks.corner[0] * BLOCK, blocks.corner[1] * BLOCK
-    for i in range(len(column)):
-        row = top + (((column[i] >> 21) - top) & (WIDE - 1))
-        col = left + ((column[i] - left) & (WIDE - 1))
-        at = find_column(blocks, row, col)
-        if peaks.many[at] == 0:
-            peaks.first[at] = i
-        peaks.many[at] += 1
-
-
-@array_kernel
-def count_depths(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, depths: Int64) -> None:
-    """Count how far the lowest peaks beside a path lie below the sensor.
+@kernel
+def look_beside(
+    blocks: Blocks,
+    peaks: Peaks,
+    path: Int64,
+    reach: tuple[int, int, int],
+    band: tuple[int, int],
+    found: Found,
+    depths: Int64,
+) -> None:
+    """Take as ground what lies as deep below the sensor as the ground may; lowest first.
 
     Parameters
     ----------
     path
         (P, 3) x, y, z of the sensor (mm).
-    span
-        (3,) how far beside it columns count (columns), least and greatest depth (mm).
+    reach
+        How far beside it columns count, how far the robot passes by, and how far it stands.
+    band
+        Least and greatest depth (mm).
+    found
+        Changed in place.
     depths
-        (D,) counts by `BIN_MM`.
+        (D,) counts of depths by `BIN_MM`, from the least one on; they are added.
     """
-    beside, least, most = span
-    for i in range(len(path)):
-        row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
-        for up in range(-beside, beside + 1):
-            for right in range(-beside, beside + 1):
-                if up * up + right * right > beside * beside:
-                    continue
-                at = find_column(blocks, row + up, col + right)
-                if at < 0:
-                    continue
-                for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                    depth = path[i, 2] - peaks.height[k]
-                    if depth < least:
-                        break
-                    if depth <= most:
-                        depths[depth // BIN_MM] += 1
-                        break
-
-
-@array_kernel
-def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: Found) -> None:
-    """Take as ground what lies as deep below the sensor as the ground does; lowest first.
-
-    Parameters
-    ----------
-    span
-        (4,) how far beside the path columns count, how far the robot stands (columns), least and
-        greatest depth (mm).
-    """
-    beside, under, least, most = span
+    (beside, by, under), (least, most) = reach, band
     height, weight, passed = found
-    widest = max(beside, BY)
+    widest = max(beside, by)
     for i in range(len(path)):
         row, col = path[i, 1] // COLUMN_MM, path[i, 0] // COLUMN_MM
         for up in range(-widest, widest + 1):
@@ -151,19 +125,22 @@ def seed_ground(blocks: Blocks, peaks: Peaks, path: Int64, span: Int64, found: F
                 at = find_column(blocks, row + up, col + right)
                 if at < 0:
                     continue
-                if apart <= BY * BY:
-                    passed[at] = max(passed[at], STOOD if apart <= under * under else PASSED)
+                if apart <= under * under:
+                    passed[at] = STOOD
+                elif apart <= by * by and passed[at] != STOOD:
+                    passed[at] = PASSED
                 if apart > beside * beside:
                     continue
                 for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
                     depth = path[i, 2] - peaks.height[k]
                     if least <= depth <= most:
+                        depths[(depth - least) // BIN_MM] += 1
                         if height[at] == NO_GROUND or peaks.height[k] < height[at]:
                             height[at], weight[at] = peaks.height[k], peaks.weight[k]
                         break
 
 
-@step
+@kernel
 def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
     """The mean height (mm) of the nearest measured columns: those of one ring, up to `reach`."""
     row, col = locate(blocks, at)
@@ -181,52 +158,59 @@ def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
     return NO_GROUND
 
 
-@array_kernel
-def grow_ground(blocks: Blocks, peaks: Peaks, found: Found, step_mm: int, reach: int) -> int:
+@kernel
+def grow_ground(
+    blocks: Blocks, peaks: Peaks, found: Found, reach: int, rounds: int, queue: Int64
+) -> int:
     """Let the ground grow, in rounds, to columns up to `reach` away; return to how many.
 
-    A column takes the peak with the most points within `step_mm` of the mean of those beside it.
+    A column takes the peak with the most points within `STEP_MM` of the mean of those beside it;
+    where no column has peaks, it takes the mean.
+
+    Parameters
+    ----------
+    queue
+        (2, C) to work with: columns that have ground, or may have it next, and its height.
     """
     height, weight, _ = found
-    size = height.size
-    queued = np.zeros(size, np.uint8)
-    front = np.empty(size, np.int64)
-    fresh = np.empty(size, np.int64)
-    taken = np.empty(size, np.int32)
-    fronts, grown = 0, 0
-    for at in range(size):
+    has_peaks = peaks.many.size > 0
+    begin, known = 0, 0
+    for at in range(height.size):
         if height[at] != NO_GROUND:
-            front[fronts] = at
-            fronts += 1
-    while fronts:
-        many = 0
-        for i in range(fronts):
-            row, col = locate(blocks, front[i])
+            queue[0, known] = at
+            known += 1
+    end = known
+    while begin < end and rounds > 0:
+        many = end
+        for i in range(begin, end):
+            row, col = locate(blocks, queue[0, i])
             for up in range(-reach, reach + 1):
                 for right in range(-reach, reach + 1):
                     at = find_column(blocks, row + up, col + right)
-                    if at < 0 or queued[at] or height[at] != NO_GROUND or not peaks.many[at]:
+                    if at < 0 or height[at] != NO_GROUND or weight[at] == QUEUED:
                         continue
-                    queued[at] = 1
-                    fresh[many] = at
-                    many += 1
-        for i in range(many):
-            at = fresh[i]
-            queued[at] = 0
-            taken[i] = NO_GROUND
-            mean, most = mean_beside(blocks, height, at, reach), 0
+                    if not has_peaks or peaks.many[at]:
+                        weight[at] = QUEUED
+                        queue[0, many] = at
+                        many += 1
+        for i in range(end, many):
+            at = queue[0, i]
+            mean = mean_beside(blocks, height, at, reach)
+            queue[1, i], weight[at] = NO_GROUND if has_peaks else mean, 0
+            if not has_peaks:
+                continue
             for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                if abs(peaks.height[k] - mean) <= step_mm and peaks.weight[k] > most:
-                    taken[i], most = peaks.height[k], peaks.weight[k]
-            weight[at] = most
-        fronts = 0
-        for i in range(many):
-            if taken[i] != NO_GROUND:
-                height[fresh[i]] = taken[i]
-                front[fronts] = fresh[i]
-                fronts += 1
-        grown += fronts
-    return grown
+                if abs(peaks.height[k] - mean) <= STEP_MM and peaks.weight[k] > weight[at]:
+                    queue[1, i], weight[at] = peaks.height[k], peaks.weight[k]
+        begin = end
+        for i in range(begin, many):
+            at = queue[0, i]
+            if queue[1, i] != NO_GROUND:
+                height[at] = queue[1, i]
+                queue[0, end] = at
+                end += 1
+        rounds -= 1
+    return end - known
 
 
 class Stepped(NamedTuple):
@@ -241,7 +225,7 @@ class Stepped(NamedTuple):
     """The sum of the ways there (columns)"""
 
 
-@step
+@kernel
 def sum_stepped(blocks: Blocks, found: Found, at: int) -> Stepped:
     """Sum up the columns that are a step lower than one.
 
@@ -267,7 +251,7 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> Stepped:
     return Stepped(points, weighted, ups, rights)
 
 
-@array_kernel
+@kernel
 def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
     """Take low things that stand on the ground out of it: pallets, low boxes, kerbs.
 
@@ -288,7 +272,7 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
             base[at] = lower.weighted // lower.points
 
 
-@step
+@kernel
 def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool:
     """Whether the surface of a column goes on for 1.5 m, on one way (columns)."""
     row, col = locate(blocks, at)
@@ -306,18 +290,18 @@ def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool
     return 2 * seen > BROAD
 
 
-@step
+@kernel
 def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     """Whether a column is of a surface that goes on, and not at its brink."""
     height, lower = found.height, sum_stepped(blocks, found, at)
+    up, right, ways, is_broad = -lower.up, -lower.right, 1, False
     if lower.points == 0:
-        for up in range(-1, 2):
-            for right in range(-1, 2):
-                if up * right == 0 and goes_on(blocks, height, at, up, right):
-                    return True
-        return False
-    if not goes_on(blocks, height, at, -lower.up, -lower.right):
-        return False
+        up, right, ways = 0, 1, 4
+    for _ in range(ways):
+        is_broad = is_broad or goes_on(blocks, height, at, up, right)
+        up, right = right, -up
+    if lower.points == 0 or not is_broad:
+        return is_broad
     row, col = locate(blocks, at)
     way = max(abs(lower.up), abs(lower.right))
     up, right = int(np.rint(lower.up / way)), int(np.rint(lower.right / way))
@@ -325,7 +309,7 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     return near >= 0 and height[near] != NO_GROUND and height[at] - height[near] <= BRINK_MM
 
 
-@array_kernel
+@kernel
 def restore_levels(blocks: Blocks, found: Found, base: Int32) -> None:
     """Give back to levels that go on, such as pavements, what was taken behind their brinks.
 
@@ -342,9 +326,9 @@ def restore_levels(blocks: Blocks, found: Found, base: Int32) -> None:
             base[at] = found.height[at]
 
 
-@array_kernel
-def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, base: Int32) -> None:
-    """Take the mean of all peaks around a column that lie within `step_mm` of its ground.
+@kernel
+def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, base: Int32) -> None:
+    """Take the mean of all peaks around a column that lie within `ALIKE_MM` of its ground.
 
     Poses are off by some centimetres, and otherwise at each visit: what one visit shows of the
     ground is more often wrong than what all show.
@@ -368,36 +352,8 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, step_mm: int, bas
                 if near < 0 or height[near] == NO_GROUND:
                     continue
                 for k in range(peaks.first[near], peaks.first[near] + peaks.many[near]):
-                    if abs(peaks.height[k] - height[at]) <= step_mm:
+                    if abs(peaks.height[k] - height[at]) <= ALIKE_MM:
                         total += peaks.weight[k] * peaks.height[k]
                         points += peaks.weight[k]
         if points:
             base[at] = total // points
-
-
-@array_kernel
-def fill_ground(blocks: Blocks, height: Int32, rounds: int) -> None:
-    """Fill columns without ground by the mean of those beside them, one ring a round."""
-    size = height.size
-    front, taken = np.empty(size, np.int64), np.empty(size, np.int32)
-    queued = np.zeros(size, np.uint8)
-    for _ in range(rounds):
-        many = 0
-        for at in range(size):
-            if height[at] == NO_GROUND:
-                continue
-            row, col = locate(blocks, at)
-            for up in range(-1, 2):
-                for right in range(-1, 2):
-                    near = find_column(blocks, row + up, col + right)
-                    if near >= 0 and height[near] == NO_GROUND and not queued[near]:
-                        queued[near] = 1
-                        front[many] = near
-                        many += 1
-        if many == 0:
-            break
-        for i in range(many):
-            queued[front[i]] = 0
-            taken[i] = mean_beside(blocks, height, front[i], 1)
-        for i in range(many):
-            height[front[i]] = taken[i]

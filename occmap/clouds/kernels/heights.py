@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.jit import array_kernel, step
+from occmap.jit import kernel, step
 from occmap.types import COLUMN_MM, Float32, Float64, Int32, Int64, PosedScans
 from occmap.types import Cloud as RecordedCloud
 
@@ -20,7 +20,11 @@ WIDE = 1 << 21
 """Rows and columns of the ground are packed modulo this: a drive is less than 314 km wide, wherever
 in the world it is."""
 PIECE_BITS = 20
-HALF = 1 << PIECE_BITS - 1
+PIECE, HALF = (1 << PIECE_BITS) - 1, 1 << PIECE_BITS - 1
+MOST_PIECES = 4096
+"""Between more pieces of a column (1.3 km) there is no ground."""
+ROOM = MOST_PIECES * BINS + 2 * AROUND + 2
+"""Bins of a column, and of what is around it"""
 EMPTY = -1
 SOME = 512
 """Points that are placed at once"""
@@ -37,7 +41,7 @@ class Cloud(NamedTuple):
     """Points and where they were measured from, as kernels take them."""
 
     points: Float32
-    """(N, 3) m"""
+    """(3 N,) x, y and z of each (m)"""
     which: Int32
     """(N,) the pose of each point; empty: all have the first"""
     poses: Float64
@@ -75,48 +79,56 @@ def find_place(keys: Int64, key: int) -> int:
     return place
 
 
-@array_kernel
-def place_points(cloud: Cloud, start: int, x: Float64, y: Float64, z: Float64) -> None:
-    """Fill x, y and z (N,) with where points from `start` on lie in the map, NaN for no return."""
-    # Flat, and with one pose for all where they have one: so processors place several at once.
-    flat = cloud.points.reshape(-1)[3 * start : 3 * (start + len(x))]
-    which, poses = cloud.which[start : start + len(x)], cloud.poses
-    one = poses[0].copy()
-    for i in range(len(x)):
+@kernel
+def place_points(cloud: Cloud, start: int, place: Float64) -> int:
+    """Fill `place` (3, `SOME`) with where points from `start` on lie in the map; return how many.
+
+    x, y and z are NaN for no return.
+    """
+    # Cut out, and with one pose for all where they have one: so processors place several at once.
+    poses, size = cloud.poses, min(SOME, cloud.points.size // 3 - start)
+    flat = cloud.points[3 * start : 3 * (start + size)]
+    xx, xy, xz, at_x = poses[0, 0, 0], poses[0, 0, 1], poses[0, 0, 2], poses[0, 0, 3]
+    yx, yy, yz, at_y = poses[0, 1, 0], poses[0, 1, 1], poses[0, 1, 2], poses[0, 1, 3]
+    zx, zy, zz, at_z = poses[0, 2, 0], poses[0, 2, 1], poses[0, 2, 2], poses[0, 2, 3]
+    for i in range(size):
         u, v, w = float(flat[3 * i]), float(flat[3 * i + 1]), float(flat[3 * i + 2])
-        size = abs(u) + abs(v) + abs(w)
-        u = u if size > 0.0 and size < FARTHEST_M else np.nan
-        x[i] = one[0, 0] * u + one[0, 1] * v + one[0, 2] * w + one[0, 3]
-        y[i] = one[1, 0] * u + one[1, 1] * v + one[1, 2] * w + one[1, 3]
-        z[i] = one[2, 0] * u + one[2, 1] * v + one[2, 2] * w + one[2, 3]
-    for i in range(len(which)):
-        k, u, v, w = which[i], float(flat[3 * i]), float(flat[3 * i + 1]), float(flat[3 * i + 2])
-        if not np.isnan(x[i]):
-            x[i] = poses[k, 0, 0] * u + poses[k, 0, 1] * v + poses[k, 0, 2] * w + poses[k, 0, 3]
-            y[i] = poses[k, 1, 0] * u + poses[k, 1, 1] * v + poses[k, 1, 2] * w + poses[k, 1, 3]
-            z[i] = poses[k, 2, 0] * u + poses[k, 2, 1] * v + poses[k, 2, 2] * w + poses[k, 2, 3]
+        apart = abs(u) + abs(v) + abs(w)
+        u = u if apart > 0.0 and apart < FARTHEST_M else np.nan
+        place[0, i] = xx * u + xy * v + xz * w + at_x
+        place[1, i] = yx * u + yy * v + yz * w + at_y
+        place[2, i] = zx * u + zy * v + zz * w + at_z
+    for i in range(size if cloud.which.size else 0):
+        k, u, v, w = cloud.which[start + i], flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
+        for axis in range(0 if np.isnan(place[0, i]) else 3):
+            turned = poses[k, axis, 0] * u + poses[k, axis, 1] * v + poses[k, axis, 2] * w
+            place[axis, i] = turned + poses[k, axis, 3]
+    return size
 
 
-@array_kernel
-def count_heights(cloud: Cloud, table: Histogram, start: int) -> int:
-    """Count the heights of the points from `start` on; return where the table was full."""
+@kernel
+def count_heights(cloud: Cloud, table: Histogram, start: int, place: Float64, listed: Int64) -> int:
+    """Count the heights of the points from `start` on; return where the table was full.
+
+    Parameters
+    ----------
+    place, listed
+        (3, `SOME`) and (2, `SOME`) to work with.
+    """
     keys, counts, used = table
-    x, y, z = np.empty(SOME), np.empty(SOME), np.empty(SOME)
-    key, bins = np.empty(SOME, np.int64), np.empty(SOME, np.int64)
-    while start < len(cloud.points):
-        size = min(SOME, len(cloud.points) - start)
-        if 2 * (used[0] + size) > keys.size:
+    while 3 * start < cloud.points.size:
+        if 2 * (used[0] + SOME) > keys.size:
             return start
-        place_points(cloud, start, x[:size], y[:size], z[:size])
-        many = list_heights(x[:size], y[:size], z[:size], cloud.origin, key, bins)
+        size = place_points(cloud, start, place)
+        many = list_heights(place, size, cloud.origin, listed)
         # Loops of their own, so that a processor waits for many places in memory at once.
         for i in range(many):
-            place = find_place(keys, key[i])
-            used[0] += keys[place] == EMPTY
-            keys[place] = key[i]
-            key[i] = place
+            at = find_place(keys, listed[0, i])
+            used[0] += keys[at] == EMPTY
+            keys[at] = listed[0, i]
+            listed[0, i] = at
         for i in range(many):
-            counts[key[i], bins[i]] += 1
+            counts[listed[0, i], listed[1, i]] += 1
         start += size
     return start
 
@@ -128,39 +140,39 @@ def round_mm(metres: float) -> int:
 
 
 @step
-def list_heights(
-    x: Float64, y: Float64, z: Float64, origin: Float64, key: Int64, bins: Int64
-) -> int:
+def list_heights(place: Float64, size: int, origin: Float64, listed: Int64) -> int:
     """List the pieces of columns, and the bins of these, in which points lie; return how many."""
     many = 0
-    for i in range(len(x)):
-        away_x, away_y, rise = x[i] - origin[0], y[i] - origin[1], z[i] - origin[2]
+    for i in range(size):
+        x, y, z = place[0, i], place[1, i], place[2, i]
+        away_x, away_y, rise = x - origin[0], y - origin[1], z - origin[2]
         distance = np.sqrt(away_x * away_x + away_y * away_y)
         reach = RISE * distance
         if distance < FAR_M and -DEEPEST_M - reach <= rise <= reach:
-            row, col = round_mm(y[i]) // COLUMN_MM, round_mm(x[i]) // COLUMN_MM
-            height = round_mm(z[i]) // BIN_MM
-            key[many] = pack(row, col, height >> 4)
-            bins[many] = height & 15
+            row, col = round_mm(y) // COLUMN_MM, round_mm(x) // COLUMN_MM
+            height = round_mm(z) // BIN_MM
+            listed[0, many] = pack(row, col, height >> 4)
+            listed[1, many] = height & 15
             many += 1
     return many
 
 
-@array_kernel
-def add_histogram(keys: Int64, counts: Int32, table: Histogram) -> None:
+@kernel
+def add_histogram(other: Histogram, table: Histogram) -> None:
     """Add pieces of columns to a table that has room for all of them."""
-    for i in range(keys.size):
-        if keys[i] != EMPTY:
-            place = find_place(table.keys, keys[i])
-            if table.keys[place] == EMPTY:
-                table.keys[place] = keys[i]
-                table.used[0] += 1
+    for i in range(other.keys.size):
+        if other.keys[i] != EMPTY:
+            place = find_place(table.keys, other.keys[i])
+            table.used[0] += table.keys[place] == EMPTY
+            table.keys[place] = other.keys[i]
             for j in range(BINS):
-                table.counts[place, j] += counts[i, j]
+                table.counts[place, j] += other.counts[i, j]
 
 
-@array_kernel
-def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight: Int32) -> int:
+@kernel
+def list_peaks(
+    keys: Int64, counts: Int32, bins: Int64, many: Int32, height: Int32, weight: Int32
+) -> int:
     """List the local peaks of columns, lowest first; return how many.
 
     A peak is three bins that hold more than those beside them, and at least 35% of the points
@@ -170,21 +182,26 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
     ----------
     keys, counts
         Pieces in ascending order of their keys.
-    column, height
-        Filled with the packed column of each peak, and its height (mm).
+    bins
+        (`ROOM`,) to work with.
+    many
+        (C,) filled with how many peaks each column has.
+    height, weight
+        Filled with the height of each peak (mm), and its points.
     """
-    found, start = 0, 0
+    found, start, column = 0, 0, 0
     while start < keys.size:
-        stop = start + 1
-        while stop < keys.size and keys[stop] >> 20 == keys[start] >> 20:
+        before, stop = found, start
+        first = last = keys[start] & PIECE
+        while stop < keys.size and keys[stop] >> PIECE_BITS == keys[start] >> PIECE_BITS:
+            last = keys[stop] & PIECE
             stop += 1
-        first = keys[start] & ((1 << PIECE_BITS) - 1)
-        last = keys[stop - 1] & ((1 << PIECE_BITS) - 1)
-        if last - first < 4096:
-            size = (last - first + 1) * BINS
-            bins = np.zeros(size + 2 * AROUND + 2, np.int64)
+        size = (last - first + 1) * BINS
+        if last - first < MOST_PIECES:
+            for i in range(size + 2 * AROUND + 2):
+                bins[i] = 0
             for i in range(start, stop):
-                at = ((keys[i] & ((1 << PIECE_BITS) - 1)) - first) * BINS + AROUND
+                at = ((keys[i] & PIECE) - first) * BINS + AROUND
                 for j in range(BINS):
                     bins[at + j] = counts[i, j]
             bottom = (first - HALF) * BINS
@@ -200,31 +217,28 @@ def list_peaks(keys: Int64, counts: Int32, column: Int64, height: Int32, weight:
                     and here + bins[i] >= bins[i] + 2 * bins[i + 1] + bins[i + 2]
                     and here * 100 >= total * PEAK_PERCENT
                 ):
-                    column[found] = keys[start] >> 20
                     shift = (bins[i + 1] - bins[i - 1]) * BIN_MM // here
                     height[found] = (bottom + i - AROUND) * BIN_MM + BIN_MM // 2 + shift
                     weight[found] = here
                     found += 1
                 total += bins[i + AROUND + 1] - bins[i - AROUND]
+        many[column] = found - before
+        column += 1
         start = stop
     return found
 
 
-@array_kernel
-def find_reach(cloud: Cloud) -> float:
-    """How far no point is, from the sensor or from the points' own zero (m)."""
-    points, _, poses, origin = cloud
-    flat, farthest = points.reshape(-1), np.int32(0)
-    for i in range(len(points)):
-        u, v, w = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
+@kernel
+def find_reach(points: Float32) -> int:
+    """How far points (3 N,) lie from their zero at most, rounded up (m)."""
+    farthest = np.int32(0)
+    for i in range(points.size // 3):
+        u, v, w = points[3 * i], points[3 * i + 1], points[3 * i + 2]
         square = u * u + v * v + w * w
         # Whole metres, of which processors compare several at once.
         square = square if square < np.float32(FARTHEST_M**2) else np.float32(0)
         farthest = max(farthest, np.int32(np.sqrt(square)))
-    away = 0.0
-    for axis in range(3):
-        away += (poses[0, axis, 3] - origin[axis]) ** 2
-    return farthest + 1 + float(np.sqrt(away))
+    return int(farthest) + 1
 
 
 ALL_AT_ONCE = np.zeros(0, np.int32)
@@ -245,12 +259,12 @@ def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
 
 
 def pack_points(points: Float32) -> Float32:
-    """Bring points (N, 3) that may lie among other fields of a message side by side."""
+    """Bring points (N, 3) that may lie among other fields of a message side by side, (3 N,)."""
     if points.flags.carray:
-        return points
+        return points.reshape(-1)
     packed = np.empty((len(points), 1), "V12")  # three floats at once: 2 to 4 times as fast
     packed[:] = points.view("V12")
-    return packed.view(np.float32)
+    return packed.view(np.float32).reshape(-1)
 
 
 def find_moments(cloud: RecordedCloud, moments: int) -> Int32:

@@ -7,7 +7,7 @@ import numpy as np
 from occmap.clouds.kernels.growth import NO_GROUND, Blocks, find_column
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, TILE_BITS
-from occmap.jit import array_kernel, step
+from occmap.jit import kernel, step
 from occmap.types import COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
 
 STEP_MM = 80
@@ -27,6 +27,10 @@ FAR = -(1 << 31) + 1
 """The height of what is too far away"""
 NOTHING = 1 << 62
 """Farther than anything is"""
+END_BITS, HALF_END = 32, 1 << 31
+"""Bits of the column in which a bearing ends, which may be negative"""
+CELLS, INSIDE, HIGHEST = 1 << 2 * TILE_BITS, (1 << TILE_BITS) - 1, 1 << 30
+"""Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
 
 class Canvas(NamedTuple):
@@ -38,14 +42,16 @@ class Canvas(NamedTuple):
     """(2,) row and column of the first tile"""
     places: Int64
     """(T, 2) row and column of each tile"""
-    counts: Int32
-    """(T, 2, 4096) hits and misses"""
-    state: UInt8
-    """(T, 4096) what the cloud at hand says"""
-    ground: Int16
-    """(T, 4096) height of the ground over that of the tile (mm)"""
     base: Int32
     """(T,) height of the tile (mm)"""
+    ground: Int16
+    """(4096 T,) height of the ground over that of the tile (mm)"""
+    state: UInt8
+    """(4096 T,) what the cloud at hand says"""
+    counts: Int32
+    """(2 * 4096 T,) hits of all cells of a tile, and then their misses"""
+    used: Int64
+    """(1,) how many tiles have a place"""
 
 
 @step
@@ -71,49 +77,46 @@ def ground_at(blocks: Blocks, height: Int32, x: float, y: float) -> int:
     return int(np.rint(total))
 
 
-@array_kernel
+@kernel
 def lay_ground(
-    blocks: Blocks, height: Int32, canvas: Canvas, box: Int64, resolution: float, used: int
-) -> int:
-    """Give the tiles of a box that have ground a place; return how many places are used.
-
-    Stops, and returns the places used so far, where no place is left.
+    blocks: Blocks, height: Int32, canvas: Canvas, box: Int64, resolution: float, heights: Int32
+) -> bool:
+    """Give the tiles of a box that have ground a place; return whether there is one for all.
 
     Parameters
     ----------
     box
         (4,) first row and column, last row and column of tiles, from the canvas' corner.
+    heights
+        (4096,) to work with.
     """
-    cells = 1 << TILE_BITS
-    heights = np.empty(cells * cells, np.int32)
     for up in range(box[0], box[2] + 1):
         for right in range(box[1], box[3] + 1):
             if canvas.table[up, right] != -2:
                 continue
-            lowest = 1 << 30
-            for i in range(cells * cells):
+            lowest, tile = HIGHEST, canvas.used[0]
+            for i in range(CELLS):
                 row = ((canvas.corner[0] + up) << TILE_BITS) + (i >> TILE_BITS)
-                col = ((canvas.corner[1] + right) << TILE_BITS) + (i & (cells - 1))
+                col = ((canvas.corner[1] + right) << TILE_BITS) + (i & INSIDE)
                 x, y = (col + 0.5) * resolution, (row + 0.5) * resolution
                 heights[i] = ground_at(blocks, height, x, y)
                 if heights[i] != NO_GROUND:
                     lowest = min(lowest, heights[i])
-            if lowest == 1 << 30:
+            if lowest == HIGHEST:
                 canvas.table[up, right] = -1
                 continue
-            if used == len(canvas.base):
-                return -1 - used
-            canvas.table[up, right] = used
-            canvas.base[used] = lowest
-            canvas.places[used, 0] = canvas.corner[0] + up
-            canvas.places[used, 1] = canvas.corner[1] + right
-            for i in range(cells * cells):
+            if tile == len(canvas.base):
+                return False
+            canvas.used[0] += 1
+            canvas.table[up, right], canvas.base[tile] = tile, lowest
+            canvas.places[tile, 0] = canvas.corner[0] + up
+            canvas.places[tile, 1] = canvas.corner[1] + right
+            for i in range(CELLS):
                 if heights[i] == NO_GROUND:
-                    canvas.state[used, i] = UNKNOWN
+                    canvas.state[tile * CELLS + i] = UNKNOWN
                 else:
-                    canvas.ground[used, i] = min(heights[i] - lowest, 32767)
-            used += 1
-    return used
+                    canvas.ground[tile * CELLS + i] = min(heights[i] - lowest, 32767)
+    return True
 
 
 class Band(NamedTuple):
@@ -142,17 +145,14 @@ def find_cell(canvas: Canvas, row: int, col: int) -> int:
     tile: int = canvas.table[up, right]
     if tile < 0:
         return -1
-    inside = (1 << TILE_BITS) - 1
-    return (tile << 2 * TILE_BITS) | ((row & inside) << TILE_BITS) | (col & inside)
+    return (tile << 2 * TILE_BITS) | ((row & INSIDE) << TILE_BITS) | (col & INSIDE)
 
 
 class Aside(NamedTuple):
     """Some points of a cloud, seen from its sensor; so few that they stay in a core's cache."""
 
-    x: Float64
-    y: Float64
-    z: Float64
-    """m in the map, NaN where nothing came back"""
+    place: Float64
+    """(3, `SOME`) m in the map, NaN where nothing came back; all others are (`SOME`,)"""
     right: Int32
     up: Int32
     """Lattice units from the sensor; both 0 beyond the distances that count"""
@@ -164,29 +164,61 @@ class Aside(NamedTuple):
     """From which height above the ground on it is an obstacle (mm)"""
 
 
-@array_kernel
-def measure_points(some: Aside, origin: Float64, band: Band, scale: float) -> None:
+class Room(NamedTuple):
+    """What a cloud is worked out in."""
+
+    some: Aside
+    apart: Int64
+    """(2, `SECTORS`) of each bearing, how far the farthest floor is (less than 0), and how far the
+    nearest hit"""
+    ends: Int64
+    """(2, `SECTORS`) in which cells: rows from the sensor's times 2^32, and columns"""
+    steep: Float64
+    """(`SECTORS`,) how steeply the hit is seen"""
+    floor: Int32
+    """(N,) the cell of each floor point, which waits for all hits"""
+    floor_apart: Int64
+    floor_steep: Float64
+    floor_bearing: Int16
+    """(N,) each: how far it is, and how and where it is seen"""
+    touched: Int32
+    """(M,) room for the places of cells, and one more"""
+
+
+def make_room(points: int, cells: int) -> Room:
+    """Make room for clouds of so many points, and for so many cells."""
+    right, up, sector, level = np.empty((4, SOME), np.int32)
+    some = Aside(np.empty((3, SOME)), right, up, sector, level, np.empty(SOME))
+    apart, ends = np.empty((2, 2, SECTORS), np.int64)
+    seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
+    bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
+    return Room(some, apart, ends, np.empty(SECTORS), *seen, bearing, touched)
+
+
+@kernel
+def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: float) -> None:
     """Find out what points are seen from their sensor; one loop that processors run in lanes."""
     least, most = band.nearest * band.nearest, band.farthest * band.farthest
     at_x, at_y = np.rint(origin[0] * scale), np.rint(origin[1] * scale)
-    for i in range(len(some.x)):
-        away_x, away_y = some.x[i] - origin[0], some.y[i] - origin[1]
+    for i in range(size):
+        x, y, z = some.place[0, i], some.place[1, i], some.place[2, i]
+        away_x, away_y = x - origin[0], y - origin[1]
         square = away_x * away_x + away_y * away_y
         is_used = least <= square < most
-        right = np.rint(some.x[i] * scale) - at_x if is_used else 0.0
-        up = np.rint(some.y[i] * scale) - at_y if is_used else 0.0
+        right = np.rint(x * scale) - at_x if is_used else 0.0
+        up = np.rint(y * scale) - at_y if is_used else 0.0
         # No quotient of whole numbers as small as these is rounded to a whole one.
         part = np.floor(right * SECTORS_OF_QUARTER / max(abs(right) + abs(up), 1.0))
         sector = SECTORS_OF_QUARTER - part if up >= 0 else 3 * SECTORS_OF_QUARTER + part
         some.right[i], some.up[i] = np.int32(right), np.int32(up)
         some.sector[i] = np.int32(sector if sector < SECTORS else 0.0)
-        some.level[i] = np.int32(np.rint(some.z[i] * 1000) if is_used else FAR)
+        some.level[i] = np.int32(np.rint(z * 1000) if is_used else FAR)
         some.clear[i] = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
 
 
-@array_kernel
+@kernel
 def trace_cloud(
-    cloud: Cloud, band: Band, canvas: Canvas, scale: float, touched: Int32, counts: Int64
+    cloud: Cloud, band: Band, canvas: Canvas, scale: float, room: Room, counts: Int64
 ) -> None:
     """Observe the cells of one cloud, each once: a hit before a miss.
 
@@ -194,43 +226,67 @@ def trace_cloud(
     ----------
     scale
         Lattice units in a metre.
-    touched
-        Room for the places of cells, and one more.
     counts
         (6,) points of each kind; they are added.
     """
-    origin = cloud.origin
-    state, ground = canvas.state.reshape(-1), canvas.ground.reshape(-1)
+    state, apart, ends, touched = canvas.state, room.apart, room.ends, room.touched
+    row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
+    col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
+    many, floors = find_ends(cloud, band, canvas, scale, room, counts)
+    for i in range(floors):
+        at, bearing = room.floor[i], room.floor_bearing[i]
+        # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
+        is_behind = room.floor_apart[i] > apart[OBSTACLE, bearing]
+        if state[at] == 0 and not (is_behind and room.floor_steep[i] < room.steep[bearing]):
+            touched[many] = at
+            many += 1
+            state[at] = MISS
+    for bearing in range(SECTORS):
+        kind = OBSTACLE if apart[OBSTACLE, bearing] < NOTHING else GROUND
+        if apart[kind, bearing] < NOTHING:
+            up = (ends[kind, bearing] + HALF_END) >> END_BITS
+            right = ends[kind, bearing] - (up << END_BITS)
+            many = clear_line((row, col), (up, right), canvas, touched, many)
+    near = NEAR_M * scale / (1 << CELL_SHIFT)
+    for i in range(many):
+        at = touched[i]
+        tile, inside = at >> 2 * TILE_BITS, at & (CELLS - 1)
+        up = (canvas.places[tile, 0] << TILE_BITS) + (inside >> TILE_BITS) - row
+        right = (canvas.places[tile, 1] << TILE_BITS) + (inside & INSIDE) - col
+        weight = NEAR_WEIGHT if up * up + right * right < near * near else 1
+        layer = 2 * tile + (0 if state[at] & HIT else 1)
+        canvas.counts[layer * CELLS + inside] += weight
+        state[at] = 0
+
+
+@kernel
+def find_ends(
+    cloud: Cloud, band: Band, canvas: Canvas, scale: float, room: Room, counts: Int64
+) -> tuple[int, int]:
+    """Mark the cells of hits, and find what the beams of each bearing end at.
+
+    Returns how many cells are touched, and how many points are floor.
+    """
+    some, apart, ends, steep = room.some, room.apart, room.ends, room.steep
+    right, up, sector, level = some.right, some.up, some.sector, some.level
+    origin, state, ground = cloud.origin, canvas.state, canvas.ground
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
-    # Of each bearing, the farthest floor and the nearest hit: how far (floor: less than 0), and in
-    # which cell; of the hit also how steeply it is seen.
-    apart = np.full((2, SECTORS), NOTHING)
-    ends = np.zeros((2, SECTORS, 2), np.int64)
-    steep = np.zeros(SECTORS)
-    # Of each floor point, which waits for all hits: the same, and its bearing.
-    floor, floors = np.empty(len(cloud.points), np.int32), 0
-    floor_apart, floor_steep = np.empty(len(cloud.points), np.int64), np.empty(len(cloud.points))
-    floor_bearing = np.empty(len(cloud.points), np.int16)
-    x, y, z, clear = np.empty(SOME), np.empty(SOME), np.empty(SOME), np.empty(SOME)
-    right, up = np.empty(SOME, np.int32), np.empty(SOME, np.int32)
-    sector, level = np.empty(SOME, np.int32), np.empty(SOME, np.int32)
-    many = 0
-    for start in range(0, len(cloud.points), SOME):
-        size = min(SOME, len(cloud.points) - start)
-        place_points(cloud, start, x[:size], y[:size], z[:size])
-        some = Aside(x[:size], y[:size], z[:size], right, up, sector, level, clear)
-        measure_points(some, origin, band, scale)
+    for i in range(2 * SECTORS):
+        apart[i // SECTORS, i % SECTORS] = NOTHING
+    many, floors = 0, 0
+    for start in range(0, cloud.points.size // 3, SOME):
+        size = place_points(cloud, start, some.place)
+        measure_points(some, size, origin, band, scale)
         for i in range(size):
-            unit_x, unit_y = at_x + right[i], at_y + up[i]
-            row, col = unit_y >> CELL_SHIFT, unit_x >> CELL_SHIFT
+            row, col = (at_y + up[i]) >> CELL_SHIFT, (at_x + right[i]) >> CELL_SHIFT
             at = find_cell(canvas, row, col)
             if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
-                counts[NO_RETURN if np.isnan(x[i]) else TOO_FAR] += 1
+                counts[NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR] += 1
                 continue
             above = level[i] - canvas.base[at >> 2 * TILE_BITS] - ground[at]
             kind = GROUND if above < band.low else OBSTACLE
             kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
-            is_doubtful = kind == OBSTACLE and above < clear[i]
+            is_doubtful = kind == OBSTACLE and above < some.clear[i]
             counts[GROUND if is_doubtful else kind] += 1
             if kind > OBSTACLE or is_doubtful:
                 continue
@@ -241,61 +297,35 @@ def trace_cloud(
             key = far if kind else -far
             known = apart[kind, bearing]
             if kind:
-                touched[many] = at
+                room.touched[many] = at
                 many += state[at] == 0
                 state[at] = HIT
                 if key <= known:
                     steep[bearing] = slope if key < known else max(slope, steep[bearing])
             else:
-                floor[floors], floor_apart[floors] = at, far
-                floor_bearing[floors], floor_steep[floors] = bearing, slope
+                room.floor[floors], room.floor_apart[floors] = at, far
+                room.floor_bearing[floors], room.floor_steep[floors] = bearing, slope
                 floors += 1
-            if key < known or (
-                key == known and (row, col) < (ends[kind, bearing, 0], ends[kind, bearing, 1])
-            ):
-                apart[kind, bearing] = key
-                ends[kind, bearing, 0], ends[kind, bearing, 1] = row, col
-    for i in range(floors):
-        at, bearing = floor[i], floor_bearing[i]
-        # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
-        is_behind = floor_apart[i] > apart[OBSTACLE, bearing]
-        if state[at] == 0 and not (is_behind and floor_steep[i] < steep[bearing]):
-            touched[many] = at
-            many += 1
-            state[at] = MISS
-    for bearing in range(SECTORS):
-        kind = OBSTACLE if apart[OBSTACLE, bearing] < NOTHING else GROUND
-        if apart[kind, bearing] < NOTHING:
-            row, col = ends[kind, bearing, 0], ends[kind, bearing, 1]
-            many = clear_line(
-                at_y >> CELL_SHIFT, at_x >> CELL_SHIFT, row, col, canvas, touched, many
-            )
-    last, near = (1 << TILE_BITS) - 1, NEAR_M * scale / (1 << CELL_SHIFT)
-    for i in range(many):
-        at = touched[i]
-        tile, inside = at >> 2 * TILE_BITS, at & ((1 << 2 * TILE_BITS) - 1)
-        up = (canvas.places[tile, 0] << TILE_BITS) + (inside >> TILE_BITS) - (at_y >> CELL_SHIFT)
-        right = (canvas.places[tile, 1] << TILE_BITS) + (inside & last) - (at_x >> CELL_SHIFT)
-        weight = NEAR_WEIGHT if up * up + right * right < near * near else 1
-        canvas.counts[tile, 0 if state[at] & HIT else 1, inside] += weight
-        state[at] = 0
+            end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
+            if key < known or (key == known and end < ends[kind, bearing]):
+                apart[kind, bearing], ends[kind, bearing] = key, end
+    return many, floors
 
 
-@step
+@kernel
 def clear_line(
-    row: int, col: int, to_row: int, to_col: int, canvas: Canvas, touched: Int32, many: int
+    start: tuple[int, int], away: tuple[int, int], canvas: Canvas, touched: Int32, many: int
 ) -> int:
     """Mark the cells of Bresenham's line before its last one; return how many are touched."""
-    state = canvas.state.reshape(-1)
-    up, right = to_row - row, to_col - col
+    state, (row, col), (up, right) = canvas.state, start, away
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
-    is_steep, last = abs(up) == steps, (1 << TILE_BITS) - 1
+    is_steep = abs(up) == steps
     rest, done = steps, 0
     while done < steps:
         # Up to the tile's border it takes steps along the longer side, and fewer along the other.
-        rows = last - (row & last) if row_way > 0 else row & last
-        cols = last - (col & last) if col_way > 0 else col & last
+        rows = INSIDE - (row & INSIDE) if row_way > 0 else row & INSIDE
+        cols = INSIDE - (col & INSIDE) if col_way > 0 else col & INSIDE
         ahead, aside = (rows, cols) if is_steep else (cols, rows)
         left = min(steps - done, ahead + 1)
         if fewer:
