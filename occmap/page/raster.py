@@ -374,7 +374,7 @@ def plot_map(index: int, shared: Any = None) -> Any:
 
 
 def add_drawing(plot: Any) -> None:
-    """Prepare what a person draws over the map, to save it as a file for `--edits`."""
+    """Prepare what a person draws over the map, to save it as a file for `edits`."""
     shapes = ColumnDataSource({"xs": [], "ys": []})
     style = {"fill_color": EDITED, "fill_alpha": 0.3, "line_color": EDITED, "line_width": 2}
     plot.patches("xs", "ys", source=shapes, name="drawn", **style)

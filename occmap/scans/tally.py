@@ -146,6 +146,10 @@ class ScanCounts:
         return (self.wanted - self.used) / max(self.wanted, 1)
 
 
+def ignore_advance(_scans: int) -> None:
+    """Show no progress; a function with a name, as the tallies of a fleet are pickled."""
+
+
 class Tally:
     """Counts and times that grow while a map is built.
 
@@ -153,9 +157,7 @@ class Tally:
     """
 
     def __init__(
-        self,
-        tell: Callable[[int], None] = lambda _scans: None,
-        recorder: JourneyRecorder | None = None,
+        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""

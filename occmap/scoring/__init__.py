@@ -284,7 +284,8 @@ class HoldOut:
         scans = len(rays.kind)
         kept = (self._seen + np.arange(scans)) % EVERY == FIRST
         self._seen += scans
-        self.sample.add(rays.take(kept))
+        if kept.any():
+            self.sample.add(rays.take(kept))
         return rays.take(~kept)
 
     @property

@@ -155,7 +155,8 @@ def score(
     Raises
     ------
     OccmapError
-        A map or a log cannot be read, or says not where it lies, or the picture cannot be written.
+        A map or a log cannot be read, a map does not say where it lies, or the picture cannot be
+        written.
     """
     truth, picture = against.truth, against.picture
     check_picture(picture, [path, *([truth] if truth else []), *against.logs], [".png"])
@@ -218,7 +219,7 @@ def score_by_logs(
     Raises
     ------
     OccmapError
-        As a build, no beam measured a range, or the map says not where it lies.
+        As a build, no beam measured a range, or the map does not say where it lies.
     """
     place = find_place(written)
     options = replace(options, resolution=place.resolution)
@@ -303,7 +304,7 @@ def score_by_truth(
     Raises
     ------
     MapError
-        One of them says not where it lies, or both together are too large.
+        One of them does not say where it lies, or both together are too large.
     """
     place, shape = cover(written, truth, moved)
     is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)

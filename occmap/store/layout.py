@@ -282,9 +282,3 @@ def compute_digest(manifest: Manifest, blocks: Mapping[Block, str]) -> str:
     meaning = {name: getattr(manifest, name) for name in MEANING}
     lines = [json.dumps(meaning), *(f"{key.row} {key.col} {blocks[key]}" for key in sorted(blocks))]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-
-def digest_evidence(evidence: Evidence) -> str:
-    """The digest that a store of this evidence has."""
-    contents = split_evidence(evidence)
-    return compute_digest(evidence.manifest, {key: hash_content(each) for key, each in contents})

@@ -155,10 +155,10 @@ def tune(
         command=(),
         agreement=after.agreement,
     )
-    if tuning.is_sure and best.is_any:
-        tuning = replace(tuning, command=compose_build(remarks.logs, better, {}))
+    is_told = tuning.is_sure and best.is_any
+    command = compose_build(remarks.logs, better, {}) if is_told else ()
     doubts = list_doubts(tuning, options.posing.time_offset_s)
-    return replace(tuning, notes=[*remarks.notes, *unsearched, *doubts])
+    return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
 
 
 def improve(before: Trial, after: Trial) -> dict[str, Any]:

@@ -13,16 +13,21 @@ ACROSS = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (0.25, 0.05, 0.0)]
 """With a beam of 0.32 m: two that hit the cell at (0.35, 0.05), and one that crosses it"""
 
 
+def save(log: str, *words: object, into: str = "") -> None:
+    """Build evidence of a log."""
+    line = [f"{log}.csv", "--resolution", "0.1", *words, "-o", f"{into or log}.npz"]
+    assert occmap("build", *PLAIN_WORDS, *line).code == 0
+
+
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Work in a folder with two logs, evidence of the first, and the same as log-odds."""
     monkeypatch.chdir(tmp_path)
     write_csv(tmp_path / "a.csv", ACROSS, [0.32])
     write_csv(tmp_path / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
-    for log, name, model in (("a", "a", "simple"), ("b", "b", "simple"), ("a", "q", "quadratic")):
-        rule = model if model == "quadratic" else f"{model}:spread=0"
-        words = ["--resolution", "0.1", "--model", rule, "-o", f"{name}.npz"]
-        assert occmap("build", *PLAIN_WORDS, f"{log}.csv", *words).code == 0
+    for log in "ab":
+        save(log, "--model", "simple:spread=0")
+    save("a", "--model", "quadratic", into="q")
     return tmp_path
 
 
@@ -68,9 +73,8 @@ def test_scans_in_lines() -> None:
 
 def test_log_odds_in_lines() -> None:
     lines = occmap("explain", "q.npz", "0.37", "0.05", "--log", "a.csv").out.splitlines()
-    assert (
-        lines[2] == "seen     log-odds 0.405 of 3 observations"
-    )  # logit(0.6), twice up, once down
+    # logit(0.6), twice up, once down
+    assert lines[2] == "seen     log-odds 0.405 of 3 observations"
     assert lines[8] == ("scans    3 of 3 scans used: log-odds 0.405 of 3 observations")
     assert lines[9].startswith("         stamp (s)  log-odds  observations  sensor at (m)")
     assert [line.split()[1] for line in lines[10:]] == ["0.41", "0.41", "-0.41"]
@@ -79,8 +83,7 @@ def test_log_odds_in_lines() -> None:
 def test_visits_come_by_build() -> None:
     # Two visits, half a minute apart: on the first the cell is hit, on the second it is crossed.
     write_csv(Path("late.csv"), [ACROSS[0], *[(5.0, 5.0, 0.0)] * 29, ACROSS[2]], [0.32])
-    words = ["--resume", "a.npz", "-o", "al.npz", "--resolution", "0.1"]
-    assert occmap("build", *PLAIN_WORDS, "late.csv", *words).code == 0
+    save("late", "--resume", "a.npz", into="al")
     words = ["explain", "al.npz", "0.37", "0.05"]
     assert occmap(*words).out.splitlines()[3:6] == [
         "visits   a.csv: hit on 1 of 1 visit, in slices of time from 0.000 s to 10.000 s",
@@ -99,9 +102,7 @@ def test_visits_come_by_build() -> None:
 
 def test_hits_on_too_few_visits_are_forgotten() -> None:
     write_csv(Path("once.csv"), ACROSS[:1], [0.32])
-    assert (
-        occmap("build", *PLAIN_WORDS, "once.csv", "-o", "once.npz", "--resolution", "0.1").code == 0
-    )
+    save("once")
     words = ["explain", "once.npz", "0.37", "0.05", "--min-passes"]
     assert occmap(*words, "2").out.splitlines()[1:3] == [
         "class    unknown: it was hit, but on fewer visits than --min-passes",
@@ -132,9 +133,7 @@ def test_a_cell_that_nothing_observed() -> None:
 
 def test_a_long_list_is_cut_and_json_is_not() -> None:
     write_csv(Path("long.csv"), ACROSS[:1] * 50, [0.32])
-    assert (
-        occmap("build", *PLAIN_WORDS, "long.csv", "-o", "long.npz", "--resolution", "0.1").code == 0
-    )
+    save("long")
     words = ["explain", "long.npz", "0.37", "0.05", "--log", "long.csv"]
     lines = occmap(*words).out.splitlines()
     assert [line.split()[0] for line in lines[10:-1]] == [f"{s}.000" for s in range(12)]
@@ -145,10 +144,8 @@ def test_a_long_list_is_cut_and_json_is_not() -> None:
 
 def test_another_model_and_other_thresholds() -> None:
     words = ["explain", "a.npz", "0.37", "0.05"]
-    assert (
-        "probability 0.600 by counting:prior=0.5"
-        in occmap(*words, "--model", "counting:strength=2,spread=0,ceiling=1,doubt=0").out
-    )
+    counting = occmap(*words, "--model", "counting:strength=2,spread=0,ceiling=1,doubt=0").out
+    assert "probability 0.600 by counting:" in counting
     assert "class    undecided: " in occmap(*words, "--occupied-thresh", "0.8").out
     assert "p_hit=0.6" in occmap(*words, "--p-hit", "0.6").out
 

@@ -144,11 +144,6 @@ def test_a_cell_that_nothing_observed(tmp_path: Path) -> None:
     assert found.notes == ()
 
 
-def test_a_point_outside_of_the_map(tmp_path: Path) -> None:
-    found = ask(tmp_path, [(0.05, 0.05, 0.0)], (-70, 1e5))
-    assert (found.verdict, found.scans) == ("unknown", ())
-
-
 def test_scans_come_by_time_whatever_the_order_of_the_file(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 3, [0.32])
     lines = log.read_text().splitlines()

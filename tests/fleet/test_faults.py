@@ -25,9 +25,9 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store import open_store, read_all
-from occmap.store.layout import digest_evidence
 from tests.cli.runner import occmap
 from tests.samples import DRIVES
+from tests.store.test_store import digest_evidence
 
 resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL nor such limits")
 LOGS = [DRIVES[0], DRIVES[4]]

@@ -17,7 +17,7 @@ from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError, OutputError
 from occmap.grid.tiles import TILE, pack
 from occmap.store import Store, as_blocks, open_store, read_all
-from occmap.store.layout import BLOCK, Block, digest_evidence, split_evidence
+from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
 from occmap.store.publishing import RenderOptions, render_kept
 from occmap.store.writing import (
     ZarrWriter,
@@ -77,6 +77,12 @@ def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     store = open_store(tmp_path / "m.zarr")
     assert write_bytes(tmp_path, read_all(store)) == (tmp_path / "m.npz").read_bytes()
     assert store.digest == digest_evidence(evidence)
+
+
+def digest_evidence(evidence: Evidence) -> str:
+    """The digest that a store of this evidence has."""
+    blocks = {key: hash_content(content) for key, content in split_evidence(evidence)}
+    return compute_digest(evidence.manifest, blocks)
 
 
 def test_the_same_numbers_in_a_map_that_is_turned_are_another_digest(drive: Evidence) -> None:

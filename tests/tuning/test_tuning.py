@@ -173,13 +173,6 @@ def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Pa
     assert (tuning.correction, tuning.command) == (Correction(), ())
 
 
-def test_a_half_that_is_right_outweighs_one_that_gains(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path, lambda number: 0.15 if number < 207 else 0.0)
-    tuning = tune([scans], follow(poses))
-    assert tuning.time.verdict is Verdict.DISAGREE
-    assert tuning.time.halves[1].correction == Correction()
-
-
 def test_a_correction_is_added_to_the_options_given(tmp_path: Path) -> None:
     scans, poses = write_drive(tmp_path, lambda _: 0.6)
     options = BuildOptions(posing=PosingOptions(poses=str(poses), time_offset_s=-0.5))
