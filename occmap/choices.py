@@ -39,12 +39,6 @@ class Form(NamedTuple):
     """What to type; Python may have it as text, too, or as a tuple of what stands between commas"""
 
 
-def write_values(value: Any) -> list[str]:
-    """Write the value of an option as it is typed; some options are typed once for each item."""
-    one = not isinstance(value, tuple) or isinstance(value, Pose) or isinstance(value[0], float)
-    return [write_value(item) for item in ([value] if one else value)]
-
-
 def write_value(value: Any) -> str:
     """Write a value, or one item of several, as it is typed."""
     if isinstance(value, Pose):
@@ -275,6 +269,11 @@ class Option:
         is_list = self.is_many and not isinstance(value, str)
         none = f", or {self.none[0]}, {self.none[1]}" if self.none[1] else ""
         return f"give {'a list, each item ' * is_list}{form.text}{none}"
+
+    def write(self, value: Any) -> list[str]:
+        """Write its value as it is typed, once for each of several."""
+        several = value if self.is_many else [value]
+        return [self.none[0] if each is None else write_value(each) for each in several]
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""
