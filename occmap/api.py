@@ -121,6 +121,7 @@ class Map(OccupancyMap):
 
 
 AnyPath = str | Path
+AnyPaths = AnyPath | Iterable[AnyPath]
 Paths = tuple[Path, ...]
 
 OF_A_BUILD = {*OF_ONE_MAP, "extent", "margin", "align"}
@@ -131,19 +132,19 @@ OF_A_SCORED_MAP -= {"occupied_thresh", "free_thresh"}
 
 
 @refuse_failures()
-def build_map(*logs: AnyPath, outputs: AnyPath | Iterable[AnyPath] = (), **options: Any) -> Map:
+def build_map(*logs: AnyPaths, outputs: AnyPaths = (), **options: Any) -> Map:
     """Build one occupancy map from all usable scans of one or more logs.
 
     Parameters
     ----------
     logs
-        Paths to recordings of any installed format; a folder or a pattern such as "day/*.bag"
-        stands for all recordings in it.
+        Paths to recordings of any installed format, one by one or as a list; a folder or a pattern
+        such as "day/*.bag" stands for all recordings in it.
     outputs
         Files to write at once; the suffix picks the format. Only a map that was built with an .npz
         among them can be saved as one later: it keeps when its cells were seen, which takes time.
     options
-        By name; None leaves an option at its default:
+        By name, each as Python has it or as it is typed; None leaves an option at its default:
 
         OPTIONS
 
@@ -166,7 +167,7 @@ if build_map.__doc__:  # Python leaves texts out where it is told to
 
 
 @refuse_failures()
-def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
+def check(*logs: AnyPaths, **options: Any) -> inspection.Inspection:
     """Say what is in logs, and what will go wrong with them: `occmap check`.
 
     Parameters
@@ -191,7 +192,7 @@ def check(*logs: AnyPath, **options: Any) -> inspection.Inspection:
 
 @refuse_failures()
 def compare(
-    *logs: AnyPath,
+    *logs: AnyPaths,
     updates: Sequence[str] = (),
     models: Sequence[str | SensorModel] = (),
     picture: AnyPath | None = None,
@@ -230,7 +231,7 @@ def compare(
 
 
 @refuse_failures()
-def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
+def tune(*logs: AnyPaths, **options: Any) -> tuning.Tuning:
     """Search for the time offset and the mount by which a map predicts held-out scans better.
 
     Parameters
@@ -254,9 +255,7 @@ def tune(*logs: AnyPath, **options: Any) -> tuning.Tuning:
 
 
 @refuse_failures()
-def merge(
-    *paths: AnyPath, subtract: Iterable[AnyPath] = (), fit: bool = False, **options: Any
-) -> Map:
+def merge(*paths: AnyPaths, subtract: AnyPaths = (), fit: bool = False, **options: Any) -> Map:
     """Add saved evidence (.npz) exactly, or take some of it away; one file alone is rendered.
 
     Parameters
@@ -321,7 +320,7 @@ def diff(
 def score(  # noqa: PLR0913  what a caller gives, by name
     path: AnyPath,
     *,
-    logs: AnyPath | Iterable[AnyPath] = (),
+    logs: AnyPaths = (),
     truth: AnyPath | None = None,
     within_m: float = maps.WITHIN_M,
     fit: bool = False,
@@ -373,8 +372,8 @@ def explain(
     x: float,
     y: float,
     *,
-    logs: AnyPath | Iterable[AnyPath] = (),
-    poses: AnyPath | Iterable[AnyPath] = (),
+    logs: AnyPaths = (),
+    poses: AnyPaths = (),
     **options: Any,
 ) -> explanation.Explanation:
     """Say what was seen at a point of saved evidence, and by which scans: `occmap explain`.
@@ -422,7 +421,7 @@ def read_log(path: AnyPath) -> Log:
 
 
 def read_request(
-    logs: Sequence[AnyPath],
+    logs: Sequence[AnyPaths],
     options: Mapping[str, Any],
     call: str,
     of_one_map: Container[str] = OF_A_BUILD,
@@ -440,7 +439,7 @@ def read_request(
     return find_inputs(list_paths(logs, call), chosen.reading, others), chosen
 
 
-def list_paths(paths: Sequence[AnyPath], call: str) -> Paths:
+def list_paths(paths: Sequence[AnyPaths], call: str) -> Paths:
     """Make paths of what a function was called with, one by one or as a list.
 
     Raises

@@ -39,12 +39,6 @@ class Form(NamedTuple):
     """What to type; Python may have it as text, too, or as a tuple of what stands between commas"""
 
 
-def write_values(value: Any) -> list[str]:
-    """Write the value of an option as it is typed; some options are typed once for each item."""
-    one = not isinstance(value, tuple) or isinstance(value, Pose) or isinstance(value[0], float)
-    return [write_value(item) for item in ([value] if one else value)]
-
-
 def write_value(value: Any) -> str:
     """Write a value, or one item of several, as it is typed."""
     if isinstance(value, Pose):
@@ -221,8 +215,8 @@ class Option:
     """Stands for the value on the command line; "": its unit"""
     flag: str = ""
     """How it is typed; where it is declared, "" is like its name, without the unit"""
-    form: Form | None = None
-    """What a value looks like, or each of several; None: as usual for the type"""
+    form: Any = None
+    """What a value looks like, or each of several (`Form`); None where it is declared: as usual"""
     bounds: tuple[float, float] = (-math.inf, math.inf)
     """The least and the largest value; nan is never within them"""
     none: tuple[str, str] = ("", "")
@@ -258,30 +252,32 @@ class Option:
             It is not of the option's type: there are too many or too few numbers, an angle is in
             degrees, and so on.
         """
-        form = self.form or find_form(self.kind)
         try:
-            return form.read(value)
+            return self.form.read(value)
         except UsageError as error:
-            fix = error.fix or self._tell(form, value)
+            fix = error.fix or self._tell(value)
             raise UsageError(error.found, where=f"`{self.name}={value}`", fix=fix) from None
         except (TypeError, ValueError, OverflowError):
             if self.none[0] and str(value) == self.none[0]:
                 return None
-            fix = self._tell(form, value)
-            raise UsageError(f"`{self.name}` is {value!r}", fix=fix) from None
+            raise UsageError(f"`{self.name}` is {value!r}", fix=self._tell(value)) from None
 
-    def _tell(self, form: Form, value: Any) -> str:
+    def _tell(self, value: Any) -> str:
         """Say what to give; what is typed is one of several values, and no list."""
         is_list = self.is_many and not isinstance(value, str)
         none = f", or {self.none[0]}, {self.none[1]}" if self.none[1] else ""
-        return f"give {'a list, each item ' * is_list}{form.text}{none}"
+        return f"give {'a list, each item ' * is_list}{self.form.text}{none}"
+
+    def write(self, value: Any) -> list[str]:
+        """Write its value as it is typed, once for each of several."""
+        several = value if self.is_many else [value]
+        return [self.none[0] if each is None else write_value(each) for each in several]
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""
-        takes = self.unit or (self.form or find_form(self.kind)).text
         default = f'"{self.default}"' if isinstance(self.default, str) else self.default
         none = f" None: {self.none[1]}." if self.none[1] else ""
-        return f"{self.name} = {default} ({takes}): {self.help}{none}"
+        return f"{self.name} = {default} ({self.unit or self.form.text}): {self.help}{none}"
 
 
 def option(default: Any, text: str = "", **declared: Any) -> Any:
@@ -308,7 +304,7 @@ def list_options(kind: Any) -> dict[str, Option]:
         found[name] = replace(
             declared,
             name=name,
-            **read_hint(hint),
+            **read_hint(hint, declared.form),
             default=each.default if each.default_factory is MISSING else each.default_factory(),
             flag="--" + (declared.flag or name.removesuffix("_s").replace("_", "-")),
             metavar=declared.metavar or declared.unit.upper(),
@@ -326,13 +322,14 @@ def list_values(options: Any) -> dict[str, Any]:
     return found
 
 
-def read_hint(hint: Any) -> dict[str, Any]:
+def read_hint(hint: Any, form: Form | None) -> dict[str, Any]:
     """Tell from its type what an option takes: values of one kind, several of them, or None."""
     takes_none = NoneType in get_args(hint)
     kind = next(each for each in get_args(hint) if each is not NoneType) if takes_none else hint
     is_many = get_args(kind)[1:] == (Ellipsis,)
     kind = get_args(kind)[0] if is_many else kind
-    return {"kind": kind, "is_many": is_many, "takes_none": takes_none}
+    form = form or find_form(kind)
+    return {"kind": kind, "is_many": is_many, "takes_none": takes_none, "form": form}
 
 
 def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> Any:
@@ -343,7 +340,7 @@ def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> An
     form
         What a value looks like, or each of several; None: as usual for the type.
     """
-    return Option(name=name, form=form, **read_hint(hint)).read(value)
+    return Option(name=name, **read_hint(hint, form)).read(value)
 
 
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from occmap.choices import check_bounds, list_options, list_values, option, write_values
+from occmap.choices import check_bounds, list_options, list_values, option
 from occmap.clouds import CloudOptions
 from occmap.errors import require
 from occmap.evidence import check_passes
@@ -210,7 +210,7 @@ def compose_build(
         Values of options by name, which go before those of `options`.
     """
     given = {
-        name: [OPTIONS[name].none[0]] if value is None else write_values(value)
+        name: OPTIONS[name].write(value)
         for name, value in list_values(options).items()
         if value != OPTIONS[name].default and name not in {*OF_ONE_MAP, "jobs"}
     }

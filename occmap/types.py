@@ -9,12 +9,15 @@ left, z up, yaw counter-clockwise.
 """
 
 import math
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
-from typing import NamedTuple, Self, TypeAlias
+from functools import wraps
+from typing import Any, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from occmap.errors import DamageError
 from occmap.values import as_number, as_ranges, as_stamp, as_text, shorten
@@ -65,8 +68,59 @@ UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """The pose of a scan that has none, in a log that states poses beside its scans."""
 
 
-class _ScanFields(NamedTuple):
-    """What a scan holds; a NamedTuple, since a log has tens of thousands."""
+UNSTATED: Any = None
+"""The time of a record in a format that holds one time only: the stamp stands for it"""
+Made = TypeVar("Made", bound=NamedTuple)
+
+
+def checked(*checks: Callable[[Any], Any]) -> Callable[[type[Made]], type[Made]]:
+    """Let a recorded value check its fields as it is made; `_replace` takes them as they are.
+
+    Its first field is the stamp, and the last one is when it was recorded.
+    """
+
+    def decorate(kind: type[Made]) -> type[Made]:
+        make = kind.__new__
+
+        @wraps(make)
+        def make_checked(cls: Any, *values: Any, **named: Any) -> Any:
+            made = make(cls, *values, **named)
+            fields = made if made[-1] is not UNSTATED else (*made[:-1], made[0])
+            return tuple.__new__(cls, map(operator.call, checks, fields))
+
+        kind.__new__ = make_checked  # type: ignore[method-assign]
+        return kind
+
+    return decorate
+
+
+def as_pose(pose: Any) -> Pose:
+    """Convert the seven numbers of a pose to floats; raises DamageError."""
+    if not isinstance(pose, Pose):
+        raise DamageError(f"holds {shorten(pose)} where a Pose belongs")
+    is_plain = {*map(type, pose)} == {float}
+    return pose if is_plain else Pose._make(map(as_number, pose))
+
+
+def as_stated_pose(pose: Any) -> Pose | None:
+    """Convert a pose as `as_pose` does, where a log states one."""
+    return None if pose is None else as_pose(pose)
+
+
+@checked(
+    *(as_stamp, as_text, as_number, as_number, as_ranges),
+    *(as_number, as_number, as_number, as_stated_pose, as_text, as_stamp),
+)
+class Scan(NamedTuple):
+    """One turn of a laser as it was recorded: no value is interpreted yet.
+
+    It is a NamedTuple, since a log has tens of thousands.
+
+    Raises
+    ------
+    DamageError
+        A value is not of its type: a number, text, a time that fits 64 bits, or ranges in one row.
+    """
 
     stamp_ns: int
     frame: str
@@ -75,61 +129,18 @@ class _ScanFields(NamedTuple):
     angle_increment: float
     """From one beam to the next (rad); negative for a clockwise or upside-down driver."""
     ranges: Float32
-    """(B,) m, with whatever the driver wrote where nothing came back."""
+    """(B,) m, with whatever the driver wrote where nothing came back; they are copied."""
     range_min: float
     range_max: float
     """Limits of the sensor (m); 0 and inf where the log states none."""
-    time_increment: float
+    time_increment: float = 0.0
     """Between beams (s)."""
-    pose: Pose | None
+    pose: Pose | None = None
     """The sensor in the map frame; None: the log does not state poses beside its scans."""
-    topic: str
+    topic: str = ""
     """The stream in its log that the scan came from."""
-    record_ns: int
+    record_ns: int = UNSTATED
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
-
-
-class Scan(_ScanFields):
-    """One turn of a laser as it was recorded: no value is interpreted yet.
-
-    Raises
-    ------
-    DamageError
-        A value is not of its type: a number, text, a time that fits 64 bits, or ranges in one row.
-    """
-
-    __slots__ = ()
-
-    def __new__(  # noqa: PLR0913, PLR0917  its fields
-        cls,
-        stamp_ns: int,
-        frame: str,
-        angle_min: float,
-        angle_increment: float,
-        ranges: ArrayLike,
-        range_min: float,
-        range_max: float,
-        time_increment: float = 0.0,
-        pose: Pose | None = None,
-        topic: str = "",
-        record_ns: int | None = None,
-    ) -> Self:
-        """Check every value and copy the ranges; without a record time the stamp stands for it."""
-        stamp_ns = as_stamp(stamp_ns)
-        return super().__new__(
-            cls,
-            stamp_ns,
-            as_text(frame),
-            as_number(angle_min),
-            as_number(angle_increment),
-            as_ranges(ranges),
-            as_number(range_min),
-            as_number(range_max),
-            as_number(time_increment),
-            None if pose is None else as_pose(pose),
-            as_text(topic),
-            stamp_ns if record_ns is None else as_stamp(record_ns),
-        )
 
     @property
     def first(self) -> Self:
@@ -223,21 +234,8 @@ class Moments(NamedTuple):
     """False: they only count the scans, whose times are not known"""
 
 
-class _PoseFields(NamedTuple):
-    """What a pose sample holds."""
-
-    stamp_ns: int
-    parent: str
-    child: str
-    """"" where the source does not name what moved (PoseStamped, Path, a TUM file)."""
-    pose: Pose
-    static: bool
-    """True: it holds at all times, and the stamp means nothing."""
-    topic: str
-    record_ns: int
-
-
-class PoseSample(_PoseFields):
+@checked(as_stamp, as_text, as_text, as_pose, bool, as_text, as_stamp)
+class PoseSample(NamedTuple):
     """Where frame `child` was in frame `parent` at one moment, from any kind of source.
 
     Raises
@@ -246,25 +244,16 @@ class PoseSample(_PoseFields):
         A value is not of its type: a number, text, or a time that fits 64 bits.
     """
 
-    __slots__ = ()
-
-    def __new__(  # noqa: PLR0913, PLR0917  its fields
-        cls,
-        stamp_ns: int,
-        parent: str,
-        child: str,
-        pose: Pose,
-        static: bool = False,
-        topic: str = "",
-        record_ns: int | None = None,
-    ) -> Self:
-        """Check every value; without a record time the stamp stands for it."""
-        stamp_ns = as_stamp(stamp_ns)
-        record_ns = stamp_ns if record_ns is None else as_stamp(record_ns)
-        parent, child, topic = as_text(parent), as_text(child), as_text(topic)
-        return super().__new__(
-            cls, stamp_ns, parent, child, as_pose(pose), static, topic, record_ns
-        )
+    stamp_ns: int
+    parent: str
+    child: str
+    """"" where the source does not name what moved (PoseStamped, Path, a TUM file)."""
+    pose: Pose
+    static: bool = False
+    """True: it holds at all times, and the stamp means nothing."""
+    topic: str = ""
+    record_ns: int = UNSTATED
+    """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -483,11 +472,3 @@ class Rays(NamedTuple):
     def end(self) -> Float64:
         """(S, B, 2) m, where each beam ended."""
         return self.origin + self.distance[..., None] * self.direction
-
-
-def as_pose(pose: Pose) -> Pose:
-    """Convert the seven numbers of a pose to floats; raises DamageError."""
-    if not isinstance(pose, Pose):
-        raise DamageError(f"holds {shorten(pose)} where a Pose belongs")
-    is_plain = all(type(number) is float for number in pose)
-    return pose if is_plain else Pose._make(map(as_number, pose))

@@ -481,7 +481,8 @@ def test_a_frame_that_is_found_once_another_is_known_has_no_fault() -> None:
     here = Pose.planar(0, 0, 0)
     fixed = bolted("zenith", "base", here), bolted("zenith", "a", here), bolted("base", "b", here)
     scans = [
-        Scan(0, frame, 0.0, 0.1, [1.0, 2.0], 0.0, 9.0, topic=f"/{frame}") for frame in ("a", "b")
+        Scan(0, frame, 0.0, 0.1, np.array([1, 2], np.float32), 0.0, 9.0, topic=f"/{frame}")
+        for frame in ("a", "b")
     ]
     log = Recorded(Path("log"), [], [], [*drive("world", "base"), *fixed], scans)
     posing = prepare(log, scans, BuildOptions())
@@ -605,7 +606,18 @@ def test_simulated_time_is_told_from_a_clock_that_drifts(
     stamps = StampLog()
     for index in range(100):
         recorded = 1_700_000_000 * 10**9 + index * 10**9
-        stamps.add(Scan(round(pace * index * 1e9), "", 0, 0.1, [1.0], 0, 9, record_ns=recorded))
+        stamps.add(
+            Scan(
+                round(pace * index * 1e9),
+                "",
+                0,
+                0.1,
+                np.ones(1, np.float32),
+                0,
+                9,
+                record_ns=recorded,
+            )
+        )
     times = stamps.sum_up(Stamps.HEADER, poses_ns)
     assert times.simulated == simulated
     assert times.drift_s == pytest.approx(0 if simulated else -0.2 * 90, abs=0.5)

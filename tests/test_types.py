@@ -98,7 +98,7 @@ def test_a_range_beyond_float32_is_infinite() -> None:
 
 
 def test_without_a_record_time_the_stamp_stands_for_it() -> None:
-    assert Scan(5, "laser", 0, 0.1, [1.0], 0, math.inf).record_ns == 5
+    assert Scan(5, "laser", 0, 0.1, np.ones(1, np.float32), 0, math.inf).record_ns == 5
     assert PoseSample(5, "map", "base", HERE).record_ns == 5
 
 

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -148,11 +147,10 @@ def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
       occmap score map.yaml --truth plan.yaml --fit -o score.png
       occmap score map.yaml --truth plan.yaml --fail-if "edges_found < 95%"
     """
-    common, against = take(BuildOptions, values), take(Against, values)
-    if against.logs:
-        found = options.gather_logs(console, against.logs, common)
-        against = replace(against, logs=tuple(found))
-    made = score(path, against, common, console.advance)
+    common = take(BuildOptions, values)
+    if values["logs"]:
+        values["logs"] = tuple(options.gather_logs(console, values["logs"], common))
+    made = score(path, take(Against, values), common, console.advance)
     return Answer(made, write_rows(list_score(made)))
 
 

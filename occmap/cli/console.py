@@ -217,6 +217,4 @@ def clean(line: str) -> str:
 
 def discard(stream: Any) -> None:
     """Let what is still in the buffer of a stream vanish, or Python would complain at its exit."""
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, stream.fileno())
-    os.close(nothing)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

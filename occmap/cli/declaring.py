@@ -20,7 +20,7 @@ import click
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import OccmapError, UsageError
-from occmap.options import FLAGS
+from occmap.options import FLAGS, OPTIONS
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
@@ -39,15 +39,9 @@ PATH = click.Path(path_type=Path, readable=False)
 class Option(click.Option):
     """An option that stands under a heading of --help."""
 
-    def __init__(self, section: str, *names: str, bare: str = "", **settings: Any) -> None:
-        """Declare it; `bare` is the word for a number that may be left out, as in `--align`.
-
-        click has such options, too, but they take a log that follows for the number, and refuse a
-        negative one.
-        """
+    def __init__(self, section: str, *names: str, **settings: Any) -> None:
         super().__init__(names, **settings)
         self.section = section
-        self.bare = bare
 
 
 class Command(click.Command):
@@ -59,17 +53,19 @@ class Command(click.Command):
     """The options that --help lists, where it leaves the others to --help-all; none: all"""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Fill in the numbers that are left out; raises UsageError for `-o=map.pgm`."""
-        options = [each for each in self.params if isinstance(each, Option) and each.bare]
-        bare = {name: option.bare for option in options for name in option.opts}
-        words = []
+        """Fill in the number that --align may lack; raises UsageError for `-o=map.pgm`.
+
+        click has options without a value, too, but they take a log that follows for the number, and
+        refuse a negative one.
+        """
+        flag, bare, words = OPTIONS["align"].flag, OPTIONS["align"].none[0], []
         for word, following in zip_longest(args, args[1:], fillvalue=""):
             if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
                 fix = f"write {word[:2]} {word[3:]}"
                 raise UsageError("a short option takes no =", where=word, fix=fix)
             words.append(word)
-            if word in bare and following != bare[word] and not NUMBER.fullmatch(following):
-                words.append(bare[word])
+            if word == flag and following != bare and not NUMBER.fullmatch(following):
+                words.append(bare)
         return super().parse_args(ctx, words)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

@@ -203,15 +203,15 @@ def list_around(explanation: Explanation) -> Iterator[str]:
         )
 
 
-def list_builds(explanation: Explanation) -> Iterator[Row]:
+def list_builds(explanation: Explanation) -> list[Row]:
     """Say on how many visits each build observed the cell, and when; and then all together."""
-    shown = explanation.builds[:MOST_BUILDS]
-    for index, build in enumerate(shown):
-        yield "" if index else "visits", f"{join_names(build.logs)}: {describe_visits(build)}"
-    if len(shown) < len(explanation.builds):
-        yield "", f"and {len(explanation.builds) - len(shown):,} more builds: --json lists all"
-    if len(shown) > 1 and explanation.visits:
-        yield "", f"together: {describe_visits(explanation.visits)}"
+    builds = explanation.builds
+    shown = [f"{join_names(each.logs)}: {describe_visits(each)}" for each in builds[:MOST_BUILDS]]
+    if len(builds) > MOST_BUILDS:
+        shown.append(f"and {len(builds) - MOST_BUILDS:,} more builds: --json lists all")
+    if len(builds) > 1 and explanation.visits:
+        shown.append(f"together: {describe_visits(explanation.visits)}")
+    return label_first("visits", shown)
 
 
 def describe_visits(visits: Visits) -> str:

@@ -103,9 +103,7 @@ LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG
 RESOLUTION = field(MAP, "resolution", "-r")
 MAX_CELLS = field(MAP, "max_cells", type=click.IntRange(min=1))
 MIN_PASSES = field(MAP, "min_passes")
-ALIGN = field(
-    MAP, "align", bare=OPTIONS["align"].none[0], metavar="[DEG]", show_default="not turned"
-)
+ALIGN = field(MAP, "align", metavar="[DEG]", show_default="not turned")
 LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
 FRAMING = group(MAP, Framing)
 RANGES_READ = group("What a range means", ReturnOptions)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from occmap.errors import DamageError
 from occmap.readers import Echo, Role
@@ -41,7 +40,7 @@ from occmap.readers.fields import (
 )
 from occmap.readers.messages import FromBytes, Locate, Parse, Rows, Stacked, read_scan_run
 from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
-from occmap.values import as_number
+from occmap.values import as_float32, as_number
 
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 """From a decoded message, its topic and its record time in ns"""
@@ -150,7 +149,7 @@ def convert_multi_echo(echo: Echo, message: Any, topic: str, record_ns: int) -> 
     return _make_scan(message, np.array(ranges, np.float64), topic, record_ns)
 
 
-def _make_scan(message: Any, ranges: ArrayLike, topic: str, record_ns: int) -> Scan:
+def _make_scan(message: Any, ranges: Any, topic: str, record_ns: int) -> Scan:
     return Scan(
         stamp_ns=get_stamp(message, "header.stamp"),
         frame=get_frame(message, "header.frame_id"),
@@ -171,7 +170,7 @@ def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:
     Where it states an origin other than its frame's, it gets a frame of its own, whose pose
     `convert_origin` gives.
     """
-    ranges = get_row(message, "ranges")
+    ranges = as_float32(get_row(message, "ranges"))
     start, end = (as_number(get(message, name)) for name in ("start_angle", "end_angle"))
     origin = convert_origin(message, topic, record_ns)
     return Scan(

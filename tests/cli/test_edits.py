@@ -91,24 +91,22 @@ def test_a_keepout_mask_has_what_is_forbidden() -> None:
     assert "mode: trinary" in Path("keepout.yaml").read_text()
 
 
-def test_a_keepout_mask_without_edits_says_what_to_give() -> None:
-    error = read_error(occmap("build", DRIVE, "-o", "m.pgm", "-o", "site.keepout.pgm"), 2)
-    assert "site.keepout.pgm" in error
+@pytest.mark.parametrize(
+    ("edits", "words", "found"),
+    [
+        ("", "-o m.pgm -o site.keepout.pgm", ["site.keepout.pgm", "--edits"]),
+        ("free,box,1,2\n", "-o m.pgm --edits edits.csv", ["edits.csv: line 1"]),
+        ("free,box,1,2,3,4\n", "-o edits.csv --edits edits.csv", ["edits.csv: is an input"]),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_before_the_work(
+    edits: str, words: str, found: list[str]
+) -> None:
+    Path("edits.csv").write_text(edits)
+    error = read_error(occmap("build", DRIVE, *words.split()), 2)
+    assert all(each in error for each in found)
+    assert Path("edits.csv").read_text() == edits
     assert not list(Path().glob("*.pgm"))
-    assert "--edits" in error
-
-
-def test_a_file_that_is_wrong_is_refused_before_the_work() -> None:
-    Path("edits.csv").write_text("free,box,1,2\n")
-    error = read_error(occmap("build", DRIVE, "-o", "m.pgm", "--edits", "edits.csv"), 2)
-    assert "edits.csv: line 1" in error
-    assert not Path("m.pgm").exists()
-
-
-def test_the_file_of_edits_is_never_written_over() -> None:
-    error = read_error(occmap("build", DRIVE, "-o", "edits.csv", "--edits", "edits.csv"), 2)
-    assert "edits.csv" in error
-    assert Path("edits.csv").read_text().startswith("free,box")
 
 
 def test_edits_may_come_from_a_pipe() -> None:

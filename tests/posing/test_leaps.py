@@ -151,7 +151,7 @@ def test_lasers_are_judged_one_by_one() -> None:
             frame,
             0.0,
             0.1,
-            np.ones(3 + second % 2),
+            np.ones(3 + second % 2, np.float32),
             0.0,
             10.0,
             pose=Pose.planar(4e3 if second in leaps else x + second / 2, 0.0, 0.0),
