@@ -147,7 +147,7 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
         frame=kind.frame,
         angle_min=angle_min,
         angle_increment=increment,
-        ranges=np.zeros(0),
+        ranges=np.zeros(0, np.float32),
         range_min=0.0,
         range_max=range_max,
         pose=IDENTITY if kind.behind else None,

@@ -243,7 +243,7 @@ class CsvLog(TextLog):
             frame=stated["frame"],
             angle_min=stated["angle_min"],
             angle_increment=stated["angle_increment"],
-            ranges=np.zeros(0),
+            ranges=np.zeros(0, np.float32),
             range_min=stated["range_min"],
             range_max=stated["range_max"],
             pose=IDENTITY if "x" in self._stated else None,
