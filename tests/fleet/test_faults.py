@@ -122,6 +122,21 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     assert {path: path.stat().st_mtime_ns for path in done} == done
 
 
+def test_a_store_whose_driver_was_killed_is_begun_anew(address: str, tmp_path: Path) -> None:
+    scratch, output = tmp_path / "scratch", tmp_path / "map.zarr"
+    line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
+    line += ["--dask", address, "--scratch", str(scratch)]
+    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
+        wait_for(tmp_path, ".occmap-*.tmp/slices/*/c")
+        first.kill()
+    assert not output.exists()
+    Fleet(address, scratch).build(LOGS, OPTIONS, [output], ignore_progress)
+    build(LOGS, OPTIONS, [tmp_path / "alone.zarr"])
+    digests = {open_store(path).digest for path in tmp_path.glob("*.zarr")}
+    assert len(digests) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "map.zarr"]
+
+
 @contextmanager
 def start_apart(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Start a scheduler and a worker in processes of their own; give the first, and its address."""
