@@ -97,7 +97,7 @@ class Fleet:
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
     ) -> Observed:
-        """Trace all usable scans of logs by many workers, as `observing.observe` does by one.
+        """Trace all usable scans of logs by many workers, as `occmap.scans.tracing.observe` does.
 
         Raises
         ------
