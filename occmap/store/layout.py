@@ -114,10 +114,7 @@ def cut_tiles(cells: Int64) -> Int64:
 
 
 FORMAT, VERSION = "occmap store", 2
-LAYERS = {
-    "counts": ("hits", "misses"),
-    "log_odds": ("log_odds", "observations"),
-}
+LAYERS = {"counts": ("hits", "misses"), "log_odds": ("log_odds", "observations")}
 """Names of the two arrays of numbers, by the kind of evidence"""
 TABLE = ("place", "cells", "reach", "sha256", "logs")
 """Arrays of the table of blocks"""
