@@ -208,26 +208,19 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
 
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     """Say which logs count more than once. Parts of one log that share no scan do not."""
-    files = defaultdict(list)
+    uses = defaultdict(list)
     for build in builds:
         for entry in list_inputs(build):
-            files[entry["sha256"]].append((build["options"]["selection"], entry["name"]))
-    said: dict[str, tuple[int, bool]] = {}  # of a folder as often as of any file in it
-    for same in files.values():
-        selections, name = [selection for selection, _ in same], same[-1][1].partition("/")[0]
-        pairs = combinations(selections, 2)
-        in_part = any(one != other and overlap(one, other) for one, other in pairs)
-        most, was_in_part = said.get(name, (1, False))
-        said[name] = max(most, *map(selections.count, selections)), in_part or was_in_part
-    for name, (most, in_part) in said.items():
-        times = "twice" if most == 2 else f"{most} times"
-        if in_part:
-            times = "more than once, in part" if most == 1 else f"{times}, and more in part"
-        if most > 1 or in_part:
-            yield (
-                f"{name} is in it {times}, and what it observed counts as often; to take it out "
-                "once, build it again alone, and let `occmap merge` subtract that"
-            )
+            # Of a folder, the inputs are called folder/file.
+            name = entry["name"].partition("/")[0]
+            uses[entry["sha256"]].append((name, build["options"]["selection"]))
+    pairs = (pair for of_file in uses.values() for pair in combinations(of_file, 2))
+    names = dict.fromkeys(name for (_, one), (name, other) in pairs if overlap(one, other))
+    for name in names:
+        yield (
+            f"{name} is in it more than once, in whole or in part, and what it observed counts as "
+            "often; to take it out once, build it again alone, and let `occmap merge` subtract that"
+        )
 
 
 def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:

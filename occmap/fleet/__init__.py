@@ -97,7 +97,7 @@ class Fleet:
     def observe(
         self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
     ) -> Observed:
-        """Trace all usable scans of logs by many workers, as `observing.observe` does by one.
+        """Trace all usable scans of logs by many workers, as `occmap.scans.tracing.observe` does.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Fleet:
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
                 manifest = manifests.plan_manifest(options, [made])
-            with make_folder(output) as store:
+            with make_folder(output, f".occmap-{work.setting.folder.name}.tmp") as store:
                 with tally.time("fold"):
                     create_store(store, manifest, [job.block for job in work.reductions])
                     jobs = [replace(job, store=store) for job in work.reductions]

@@ -202,11 +202,8 @@ def refuse_unfit(cluster: Cluster) -> None:
     """
     mine, theirs = list_versions(), cluster.ask(list_versions)
     if other := [each for each in theirs if each != mine]:
-        runs = other[0] if isinstance(other[0], dict) else {}
-        wrong = [name for name in mine if runs.get(name) != mine[name]]
-        there, here = (", ".join(f"{name} {of.get(name)}" for name in wrong) for of in (runs, mine))
         workers = f"{len(other)} of {count(len(theirs), 'worker')}"
-        found = f"{workers} run {there}, where {here} runs here"
+        found = f"{workers} run {other[0]}, where {mine} runs here"
         raise FleetError(found, fix="install the same versions everywhere")
     if cluster.memory is not None and cluster.memory < LEAST_BYTES:
         found = (
@@ -216,9 +213,9 @@ def refuse_unfit(cluster: Cluster) -> None:
         raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
-def list_versions() -> dict[str, str]:
+def list_versions() -> str:
     """Versions of what decides which cells a scan observes."""
-    return {name: version(name) for name in MUST_EQUAL}
+    return ", ".join(f"{name} {version(name)}" for name in MUST_EQUAL)
 
 
 def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:

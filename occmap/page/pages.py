@@ -1,7 +1,7 @@
 """The pages of one map, of several ways to map the same logs, and of two maps."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,23 +80,19 @@ def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> St
     return stage
 
 
-def list_losses(made: raster.Raster, product: Product, evidence: Evidence) -> list[str]:
+def list_losses(made: raster.Raster, product: Product, evidence: Evidence) -> Iterator[str]:
     """Say what the page does not show as it is."""
-    losses = []
     if made.step > 1:
-        losses.append(
+        yield (
             f"The map is too large for a page: of each {made.step} x {made.step} cells the one "
             "most likely occupied is shown."
         )
     if made.rounding:
-        losses.append(f"So that the page stays small, counts are off by up to {made.rounding:.0%}.")
+        yield f"So that the page stays small, counts are off by up to {made.rounding:.0%}."
     if product.journey is None:
-        losses.append("This map is of saved evidence, which does not keep where the robot went.")
+        yield "This map is of saved evidence, which does not keep where the robot went."
     elif len(evidence.manifest.builds) > 1:
-        losses.append(
-            "The way and the scans are those of this build, without what it was added to."
-        )
-    return losses
+        yield "The way and the scans are those of this build, without what it was added to."
 
 
 def pack_scans(journey: Journey) -> dict[str, Any]:

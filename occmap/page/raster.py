@@ -163,10 +163,8 @@ def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[
 
 def classify(grid: OccupancyMap) -> NDArray[np.uint8]:
     """(H, W) what each cell is."""
-    classes = np.where(grid.observed, UNDECIDED, UNKNOWN).astype(np.uint8)
-    classes[grid.free] = FREE
-    classes[grid.occupied] = OCCUPIED
-    return classes
+    masks, classes = [grid.occupied, grid.free, grid.observed], [OCCUPIED, FREE, UNDECIDED]
+    return np.select(masks, classes, UNKNOWN).astype(np.uint8)
 
 
 def read_seen(seen: Seen, box: CellBox) -> Layers:
@@ -233,14 +231,10 @@ def pack(array: NDArray[Any]) -> Packed:
     """Pack (H, W) numbers from 0 to 2^32 - 1; larger ones become the largest."""
     largest = min(int(array.max(initial=0)), 2**32 - 1)
     planes = max(-(-largest.bit_length() // 8), 1)
-    numbers = np.minimum(array, 2**32 - 1).astype(np.uint32) if planes > 1 else array
-    squeeze = zlib.compressobj(6)
-    data = b"".join(
-        squeeze.compress(((numbers >> (8 * plane)) & 255).astype(np.uint8).tobytes())
-        for plane in range(planes)
-    )
+    numbers = np.minimum(array, largest).astype("<u4").reshape(-1, 1)
+    data = zlib.compress(numbers.view(np.uint8)[:, :planes].T.tobytes(), 6)
     rows, columns = array.shape
-    return Packed(rows, columns, planes, largest, b64encode(data + squeeze.flush()).decode())
+    return Packed(rows, columns, planes, largest, b64encode(data).decode())
 
 
 CLASS_NAMES = ("unknown", "free", "undecided", "occupied")

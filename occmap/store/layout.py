@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, Slices, sum_tiles
+from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid import CellBox
@@ -114,10 +114,7 @@ def cut_tiles(cells: Int64) -> Int64:
 
 
 FORMAT, VERSION = "occmap store", 2
-LAYERS = {
-    "counts": ("hits", "misses"),
-    "log_odds": ("log_odds", "observations"),
-}
+LAYERS = {"counts": ("hits", "misses"), "log_odds": ("log_odds", "observations")}
 """Names of the two arrays of numbers, by the kind of evidence"""
 TABLE = ("place", "cells", "reach", "sha256", "logs")
 """Arrays of the table of blocks"""
@@ -217,17 +214,6 @@ def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]
 def list_builds(content: Evidence) -> tuple[int, ...]:
     """List the builds that observed something: the others do not change what a block is."""
     return tuple(build for build, each in enumerate(content.slices) if len(each.numbers))
-
-
-def describe_block(block: Block, content: Evidence) -> BlockRecord:
-    """Say what the table holds of a block."""
-    seen = (spread_cells(block, content) != 0).any(axis=0)
-    row, col = block.box.row, block.box.col
-    # Of a block where nothing was observed, an empty box at its corner.
-    reach = CellBox.around(seen, row, col) or CellBox(row, col, row, col)
-    count = int(np.count_nonzero(seen))
-    total = sum_tiles(content.tiles.tolist(), content.cells)
-    return BlockRecord(block, count, reach, hash_content(content), list_builds(content), total)
 
 
 def make_table(records: Sequence[BlockRecord], manifest: Manifest) -> dict[str, Any]:

@@ -14,16 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from occmap import evidence, writers
-from occmap.cells import (
-    About,
-    Box,
-    CellClass,
-    Decision,
-    Evidence,
-    Manifest,
-    OccupancyMap,
-    to_log_odds,
-)
+from occmap.cells import About, Box, CellClass, Decision, Evidence, Manifest, OccupancyMap
 from occmap.choices import option
 from occmap.errors import UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
@@ -46,8 +37,8 @@ KEPT_BLOCKS = 18
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
-CLASS_LOG_ODDS = np.array([0, to_log_odds(0.01), to_log_odds(0.99)], np.float32)
-"""Of a pixel of each CellClass, of which nothing else is known"""
+CLASS_LOG_ODDS = np.log([1, 1 / 99, 99]).astype(np.float32)
+"""Of a pixel of each CellClass, of which nothing else is known: 0.5, 0.01 and 0.99"""
 
 
 @dataclass(frozen=True)
@@ -125,13 +116,12 @@ class BlockMap:
 
         Cell by cell it is the map of `render_lasting`.
         """
-        log_odds = np.full(box.shape, to_log_odds(self.model.prior), np.float32)
-        observed, found = np.zeros(box.shape, np.bool_), np.zeros(4, np.int64)
+        nothing, found = evidence.make_empty(self.source.manifest), np.zeros(4, np.int64)
+        made = evidence.paint_box(nothing, self.model, box)
         for window, piece, of_piece in self.list_pieces(box):
-            log_odds[window], observed[window] = piece.log_odds, piece.observed
+            made.log_odds[window], made.observed[window] = piece.log_odds, piece.observed
             found += of_piece
-        x, y, _, _ = Lattice(self.resolution).measure(box)
-        return OccupancyMap(log_odds, observed, self.resolution, (x, y), self.decision), found
+        return made, found
 
     def list_pieces(self, box: CellBox) -> Iterator[Piece]:
         """Paint all of it, or a part, piece by piece; the rest of that was not observed.

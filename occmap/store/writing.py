@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, keep_largest
+from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, keep_largest, sum_tiles
 from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
 from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
 from occmap.store import Blocks, as_blocks, layout
-from occmap.store.layout import BLOCK, Block, BlockRecord, spread_cells
+from occmap.store.layout import BLOCK, Block, BlockRecord
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
 from occmap.writers.npz import compute_checksum, pack_ground, pack_slices
@@ -123,17 +123,20 @@ def write_block(path: Path, block: Block, content: Evidence) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    builds = layout.list_builds(content)
+    builds, numbers = layout.list_builds(content), layout.spread_cells(block, content)
     packed = pack_slices([content.slices[build] for build in builds])
     data, arrays = layout.pack_arrays({"builds": np.array(builds, "<i8"), **packed})
     with edit_store(path) as root:
         head = root.attrs["occmap"]
         place = layout.find_place(block, head["offset"])
-        names = layout.LAYERS[head["kind"]]
-        for name, numbers in zip(names, spread_cells(block, content), strict=True):
-            root[name][place] = numbers
+        for name, layer in zip(layout.LAYERS[head["kind"]], numbers, strict=True):
+            root[name][place] = layer
         add_list(root["slices"], f"{block.row}.{block.col}", data, {"arrays": arrays})
-    return layout.describe_block(block, content)
+    seen, corner = (numbers != 0).any(axis=0), block.box[:2]
+    # Of a block where nothing was observed, an empty box at its corner.
+    reach = CellBox.around(seen, *corner) or CellBox(*corner, *corner)
+    digest, total = layout.hash_content(content), sum_tiles(content.tiles.tolist(), content.cells)
+    return BlockRecord(block, int(np.count_nonzero(seen)), reach, digest, builds, total)
 
 
 def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, OccupancyMap]:

@@ -76,9 +76,7 @@ class WriteOptions:
         metavar="P",
     )
     shade: Shade = option(
-        Shade.DARK_OCCUPIED,
-        "PNG: light is occupied, as in Elfes' figures.",
-        flag="light-occupied",
+        Shade.DARK_OCCUPIED, "PNG: light is occupied, as in Elfes' figures.", flag="light-occupied"
     )
 
     edits: Path | None = option(

@@ -119,11 +119,16 @@ def name_temporary(target: Path) -> Path:
 
 
 @contextmanager
-def make_folder(path: Path) -> Iterator[Path]:
+def make_folder(path: Path, name: str = "") -> Iterator[Path]:
     """Make a folder that appears whole, or replaces the one at `path`, when the block ends well.
 
     Where the machine stops between two renames, the one before is still there, under a name that
     ends in `.past`.
+
+    Parameters
+    ----------
+    name
+        What it is called until then. What a process that was killed left under that name goes.
 
     Raises
     ------
@@ -131,7 +136,8 @@ def make_folder(path: Path) -> Iterator[Path]:
         It cannot be put there.
     """
     target = follow_links(path)
-    temporary = name_temporary(target)
+    temporary = target.with_name(name) if name else name_temporary(target)
+    shutil.rmtree(temporary, ignore_errors=True)
     past = temporary.with_suffix(".past")
     try:
         with refuse_unwritable(path):
@@ -158,7 +164,8 @@ def keep_access(new: Path, old: Path) -> None:
     if (now.st_uid, now.st_gid) != (kept.st_uid, kept.st_gid):
         with suppress(PermissionError):  # only root may give files away
             os.chown(new, kept.st_uid, kept.st_gid)
-    new.chmod(stat.S_IMODE(kept.st_mode))
+    if now.st_mode != kept.st_mode:  # not every file system can change it
+        new.chmod(stat.S_IMODE(kept.st_mode))
 
 
 def sync_folder(folder: Path) -> None:

@@ -136,7 +136,7 @@ def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
     assert report.beams == ReturnCounts(hit=10)
     assert report.scans.used == 2 * made["scans"]["used"]
     (note,) = report.notes
-    assert note.startswith("drive.csv is in it twice, and ")
+    assert note.startswith("drive.csv is in it more than once")
 
 
 def test_each_observation_adds_what_it_says_beyond_the_prior_by_hand() -> None:

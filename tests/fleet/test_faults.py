@@ -100,6 +100,13 @@ def test_a_worker_is_killed_while_it_writes_a_store(
         assert (one.root["classes"][level][:] == other.root["classes"][level][:]).all()
 
 
+def start_build(address: str, scratch: Path, output: Path) -> subprocess.Popen[str]:
+    """Start a build by workers in a process of its own."""
+    line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
+    line += ["--dask", address, "--scratch", str(scratch)]
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
 @pytest.mark.parametrize("phase", ["*/*.survey_log", "*/*.trace_log", "*/*.reduce_block"])
 def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     address: str,
@@ -109,9 +116,7 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scratch, output = tmp_path / "scratch", tmp_path / "map.npz"
-    line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
-    line += ["--dask", address, "--scratch", str(scratch)]
-    with subprocess.Popen(line, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
+    with start_build(address, scratch, output) as first:
         done = {path: path.stat().st_mtime_ns for path in wait_for(scratch, phase)}
         first.kill()
     assert not output.exists()
@@ -120,6 +125,19 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     build(LOGS, OPTIONS, [output], observe=observe)
     assert output.read_bytes() == expected
     assert {path: path.stat().st_mtime_ns for path in done} == done
+
+
+def test_a_store_whose_driver_was_killed_is_begun_anew(address: str, tmp_path: Path) -> None:
+    scratch, output = tmp_path / "scratch", tmp_path / "map.zarr"
+    with start_build(address, scratch, output) as first:
+        wait_for(tmp_path, ".occmap-*.tmp/slices/*/c")
+        first.kill()
+    assert not output.exists()
+    Fleet(address, scratch).build(LOGS, OPTIONS, [output], ignore_progress)
+    build(LOGS, OPTIONS, [tmp_path / "alone.zarr"])
+    digests = {open_store(path).digest for path in tmp_path.glob("*.zarr")}
+    assert len(digests) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "map.zarr"]
 
 
 @contextmanager
@@ -153,13 +171,13 @@ def test_a_scheduler_is_killed(tmp_path: Path, expected: bytes) -> None:
     """What is done by then is done for the next scheduler, too."""
     folder, scratch, output = tmp_path / "dask", tmp_path / "scratch", tmp_path / "map.npz"
     folder.mkdir()
-    with start_apart(folder) as (address, scheduler):
-        line = [sys.executable, "-m", "occmap", "build", *map(str, LOGS), "-o", str(output)]
-        line += ["--dask", address, "--scratch", str(scratch)]
-        with subprocess.Popen(line, stdout=-1, stderr=-1, text=True) as building:
-            (found, *_) = wait_for(scratch, "*/*.trace_log")
-            scheduler.kill()
-            _, said = building.communicate(timeout=PATIENCE_S)
+    with (
+        start_apart(folder) as (address, scheduler),
+        start_build(address, scratch, output) as building,
+    ):
+        (found, *_) = wait_for(scratch, "*/*.trace_log")
+        scheduler.kill()
+        _, said = building.communicate(timeout=PATIENCE_S)
     assert building.returncode == 1
     (told,) = said.splitlines()
     for part in (f"{address}: the scheduler is gone", "of 2 tasks", "same command", found.parent):

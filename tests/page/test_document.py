@@ -115,20 +115,15 @@ def test_options_are_spelled_as_flags_in_facts_lists_and_tables() -> None:
     assert text not in texts
 
 
-def test_a_comparison_says_what_the_json_says(tmp_path: Path) -> None:
-    path = tmp_path / "c.html"
-    made = api.compare(DRIVE, models=["simple"], resolution=0.2, picture=path)
+def test_a_comparison_says_what_the_json_says_and_what_to_type(tmp_path: Path) -> None:
+    path, log = tmp_path / "c.html", tmp_path / "my room.csv"
+    shutil.copy(DRIVE, log)
+    made = api.compare(log, models=["simple"], resolution=0.2, picture=path)
     texts = read(path).texts
+    assert shlex.join(made.command) in texts
     for each in made.to_json()["variants"]:
         row = texts[texts.index("as good within the error", texts.index("variant")) :]
         assert row[row.index(each["name"]) + 1] == f"{each['share']:.4f}"
-
-
-def test_a_comparison_says_what_to_type_of_a_log_whose_name_has_a_space(tmp_path: Path) -> None:
-    log = tmp_path / "my room.csv"
-    shutil.copy(DRIVE, log)
-    made = api.compare(log, models=["simple"], resolution=0.4, picture=tmp_path / "c.html")
-    assert shlex.join(made.command) in read(tmp_path / "c.html").texts
 
 
 def test_a_difference_says_what_the_json_says(
