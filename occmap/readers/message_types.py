@@ -9,6 +9,7 @@ Fields are checked before anything is computed of them; `Scan` and `PoseSample` 
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -39,7 +40,7 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.messages import FromBytes, Locate, Parse, Rows, Stacked, read_scan_run
+from occmap.readers.messages import FromBytes, Locate, Parser, Rows, Stacked, read_scan_run
 from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
 from occmap.values import as_number
 
@@ -61,8 +62,8 @@ class MessageType(NamedTuple):
     convert: Callable[..., Any] | None = None
     """Makes a scan or a cloud of what `needs` says, and of what `to_poses` takes"""
     to_poses: ToPoses | None = None
-    parse: Parse | None = None
-    """Decodes a message, in place of a library that would take too long"""
+    parser: Callable[[Channel], Parser] | None = None
+    """Makes what reads a channel's messages, where a library takes too long"""
     needs: type[Echo | Camera] | None = None
     many: ReadMany | None = None
     """Reads many messages that are laid out alike"""
@@ -219,7 +220,9 @@ _TF = PoseFields(
     items="transforms",
 )
 
-_LIVOX = MessageType(Role.CLOUD, convert_livox, parse=parse_livox)
+_LIVOX = MessageType(
+    Role.CLOUD, convert_livox, parser=lambda channel: Parser(partial(parse_livox, channel.encoding))
+)
 
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan, many=read_scan_run),
@@ -259,7 +262,10 @@ PACKETS = {
 """Types of raw packets, and the node of their driver that makes clouds of them"""
 
 
-def find_type(channel: Channel) -> MessageType | None:
+UNUSED = MessageType(Role.OTHER)
+
+
+def find_type(channel: Channel) -> MessageType:
     """Find how messages are read, if at all: ROS and Foxglove each write them in two ways."""
     encodings = {"cdr", "ros1"} if "/" in channel.type else {"json", "protobuf"}
-    return TYPES.get(channel.kind) if channel.encoding in encodings else None
+    return TYPES.get(channel.kind, UNUSED) if channel.encoding in encodings else UNUSED
