@@ -16,19 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from occmap.errors import DamageError
-from occmap.readers import Echo, Role
-from occmap.readers.cloud_messages import (
-    FOXGLOVE_KINDS,
-    Camera,
-    convert_cloud,
-    convert_compressed_depth,
-    convert_depth,
-    convert_livox,
-    make_cloud,
-    parse_livox,
-    read_fields,
-    view_columns,
-)
+from occmap.readers import Echo, Role, cloud_messages
 from occmap.readers.containers import Channel
 from occmap.readers.fields import (
     get,
@@ -64,7 +52,7 @@ class MessageType(NamedTuple):
     to_poses: ToPoses | None = None
     parser: Callable[[Channel], Parser] | None = None
     """Makes what reads a channel's messages, where a library takes too long"""
-    needs: type[Echo | Camera] | None = None
+    needs: type[Echo | cloud_messages.Camera] | None = None
     many: ReadMany | None = None
     """Reads many messages that are laid out alike"""
 
@@ -201,9 +189,11 @@ def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     origin = convert_origin(message, topic, record_ns)
     frame = origin[0].child if origin else get_frame(message, "frame_id")
     data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
-    fields = read_fields(message, "type", FOXGLOVE_KINDS)
-    columns = view_columns(data, fields, (1, len(data) // max(step, 1)), (len(data), step))
-    return make_cloud(columns, frame, stamp_ns, topic, record_ns)
+    fields = cloud_messages.read_fields(message, "type", cloud_messages.FOXGLOVE_KINDS)
+    columns = cloud_messages.view_columns(
+        data, fields, (1, len(data) // max(step, 1)), (len(data), step)
+    )
+    return cloud_messages.make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
 FOXGLOVE = PoseFields("timestamp", "frame_id", unset_rotation=IDENTITY[3:])
@@ -221,18 +211,22 @@ _TF = PoseFields(
 )
 
 _LIVOX = MessageType(
-    Role.CLOUD, convert_livox, parser=lambda channel: Parser(partial(parse_livox, channel.encoding))
+    Role.CLOUD,
+    cloud_messages.convert_livox,
+    parser=lambda channel: Parser(partial(cloud_messages.parse_livox, channel.encoding)),
 )
 
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan, many=read_scan_run),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo, needs=Echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, cloud_messages.convert_cloud),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,
-    "sensor_msgs/msg/Image": MessageType(Role.CLOUD, convert_depth, needs=Camera),
+    "sensor_msgs/msg/Image": MessageType(
+        Role.CLOUD, cloud_messages.convert_depth, needs=cloud_messages.Camera
+    ),
     "sensor_msgs/msg/CompressedImage": MessageType(
-        Role.CLOUD, convert_compressed_depth, needs=Camera
+        Role.CLOUD, cloud_messages.convert_compressed_depth, needs=cloud_messages.Camera
     ),
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
     "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
