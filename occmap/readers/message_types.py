@@ -84,8 +84,10 @@ class PoseFields(NamedTuple):
         samples = []
         for item in get_list(message, self.items) if self.items else [message]:
             stamp_ns = get_stamp(message if look(item, self.stamp) is None else item, self.stamp)
-            is_framed = look(item, self.parent) or look(message, self.parent) is None
-            parent = get_frame(item if is_framed else message, self.parent)
+            of_all = look(message, self.parent) is not None
+            named = look(item, self.parent)
+            is_unnamed = named is None or (isinstance(named, str) and not named)
+            parent = get_frame(message if of_all and is_unnamed else item, self.parent)
             child = get_frame(item, self.child) if self.child else ""
             pose = self.read_pose(item)
             samples.append(PoseSample(stamp_ns, parent, child, pose, static, topic, record_ns))
