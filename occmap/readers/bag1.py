@@ -9,32 +9,23 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 from occmap.errors import LogError
+from occmap.readers import records
 from occmap.readers.containers import Buffer, Channel, inflate
-from occmap.readers.records import (
-    CHUNK,
-    DESCRIPTION,
-    OTHER,
-    Bytes,
-    Descriptions,
-    FileBytes,
-    Record,
-    RecordSource,
-    Summary,
-)
+from occmap.readers.records import Bytes, Descriptions, FileBytes, Record, RecordSource, Summary
 
-MESSAGE, BAG, INDEX, CHUNK_RECORD, CHUNK_INFO, CONNECTION = range(2, 8)
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
 """The opcodes."""
 _INFO_ENTRY = struct.Struct("<II")
 """An entry of the record about a chunk: a connection, and how many messages it has there."""
 _ENTRY_BYTES = {INDEX: 12, CHUNK_INFO: _INFO_ENTRY.size}
 """Bytes of an entry; the header states how many there are. Behind a chunk: a time and an offset."""
 _KINDS: Mapping[int, tuple[int, Collection[bytes]]] = {
-    MESSAGE: (OTHER, {b"conn", b"time"}),
-    CONNECTION: (DESCRIPTION, {b"conn", b"topic"}),
-    CHUNK_RECORD: (CHUNK, {b"compression", b"size"}),
-    INDEX: (OTHER, {b"conn", b"count"}),
-    CHUNK_INFO: (OTHER, {b"chunk_pos", b"count"}),
-    BAG: (OTHER, ()),
+    MESSAGE: (records.OTHER, {b"conn", b"time"}),
+    CONNECTION: (records.DESCRIPTION, {b"conn", b"topic"}),
+    CHUNK: (records.CHUNK, {b"compression", b"size"}),
+    INDEX: (records.OTHER, {b"conn", b"count"}),
+    CHUNK_INFO: (records.OTHER, {b"chunk_pos", b"count"}),
+    BAG: (records.OTHER, ()),
 }
 """What records are to `records` (a message is its channel), and the fields that each must have."""
 _LONGEST_HEADER = 1 << 12

@@ -295,14 +295,13 @@ class CarmenLog(TextLog):
         if is_timed:
             columns |= {"stamp": -3, "record": -1}
             kinds[[-3, -1]] = decimals.SECONDS
-        if keyword == "ODOM":
-            kinds[1:4] = decimals.FINITE
-            beams = 0
-        else:
-            beams = lists[0].stop - lists[0].start
-            kinds[lists[0]] = np.arange(decimals.RANGE, decimals.RANGE + beams)
         if kind.before:
             kinds[[_ANGLE_MIN, _INCREMENT, _RANGE_MAX]] = decimals.SAME
+        ranges = lists[0] if lists else slice(0, 0)
+        beams = ranges.stop - ranges.start
+        kinds[ranges] = decimals.RANGE + np.arange(beams)
+        if keyword == "ODOM":
+            kinds[1:4] = decimals.FINITE
         scan = state_geometry(keyword, words, beams)
         return Pattern(b" ", kinds, [""] * len(words), columns, {"time_increment": 0.0}, scan)
 

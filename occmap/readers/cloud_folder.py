@@ -11,6 +11,7 @@ DamageError where they are not what they should be.
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -46,7 +47,7 @@ _PLY_KINDS = {
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_PLY_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_PLY_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_BYTES = 1 << 31
 """What a file may unpack to; a cloud of a hundred million points has less."""
 
@@ -63,31 +64,24 @@ def read_cloud(path: Path) -> Points:
     """
     data = path.read_bytes()
     is_nuscenes = path.name.lower().endswith(".pcd.bin")  # whose points have their ring, too
-    points = read_bin(data, 5) if is_nuscenes else READERS[path.suffix.lower()](data)
-    _require_places(points.columns)
-    return points
+    return read_bin(data, 5) if is_nuscenes else READERS[path.suffix.lower()](data)
 
 
 def read_pcd(data: bytes) -> Points:
     """Read a PCD: ascii, binary or binary_compressed."""
     header: dict[str, list[str]] = {}
     at = 0
-    while "DATA" not in header:
-        line, at = _take_line(data, at)
-        word, *values = line.split() or [""]
-        header[word.upper()] = values
-    try:
-        names, points = header["FIELDS"], int(header["POINTS"][0])
-        counts = list(map(int, header.get("COUNT", ["1"] * len(names))))
+    with _refuse_header():
+        while "DATA" not in header:
+            line, at = _take_line(data, at)
+            word, *values = line.split() or [""]
+            header[word.upper()] = values
+        names, points = header["FIELDS"], _read_count(header["POINTS"][0])
+        counts = map(int, header.get("COUNT", ["1"] * len(names)))
         sizes = zip(header["TYPE"], header["SIZE"], strict=True)
         kinds = [f"<{_PCD_KINDS[kind]}{size}" for kind, size in sizes]
-        layout = _make_layout(list(zip(names, kinds, counts, strict=True)))
+        layout = _make_layout(zip(names, kinds, counts, strict=True))
         form = header["DATA"][0]
-        if points < 0:
-            raise ValueError(f"{points} points")
-    except (KeyError, IndexError, ValueError, TypeError) as error:
-        raise DamageError(f"has a header that cannot be read ({shorten(str(error))})") from None
-    _require_places(names)
     if form == "ascii":
         return _parse_text(data, at, layout, points)
     if form == "binary":
@@ -154,36 +148,40 @@ def inflate_lzf(packed: UInt8, out: UInt8) -> int:
 
 
 def read_ply(data: bytes) -> Points:
-    """Read the vertices of a PLY: ascii or binary."""
-    order, elements, at = _read_ply_header(data)
-    for name, rows, fields in elements:
-        if any(len(each) != 2 or each[0] not in _PLY_KINDS for each in fields):
-            raise DamageError(f"has lists among the properties of its {name}: write it without")
-        kinds = ((each[1], (order or "<") + _PLY_KINDS[each[0]], 1) for each in fields)
-        layout = _make_layout(list(kinds))
-        if name == "vertex":
-            _require_places(layout.names or ())
-            return _view(data, at, layout, rows) if order else _parse_text(data, at, layout, rows)
-        if not order:
-            raise DamageError(f"has its {name} before its vertices, as text: write them behind")
-        at += rows * layout.itemsize
-    raise DamageError("holds no vertices")
+    """Read the vertices of a PLY, ascii or binary; they are the first of its elements."""
+    elements: list[tuple[list[str], list[list[str]]]] = []
+    form, word, at = "", "", 0
+    with _refuse_header():
+        while word != "end_header":
+            line, at = _take_line(data, at)
+            word, *values = line.split() or [""]
+            if word == "format":
+                form = values[0]
+            elif word == "element":
+                elements.append((values, []))
+            elif word == "property":
+                elements[-1][1].append(values)
+        (name, count), properties = elements[0]
+        if name != "vertex" or any(len(each) != 2 for each in properties):
+            raise ValueError(f"{name} or lists stand before the vertices")
+        order, points = _PLY_ORDERS[form], _read_count(count)
+        layout = _make_layout((name, order + _PLY_KINDS[kind], 1) for kind, name in properties)
+    return (_parse_text if form == "ascii" else _view)(data, at, layout, points)
 
 
-def _read_ply_header(data: bytes) -> tuple[str, list[tuple[str, int, list[list[str]]]], int]:
-    """Read the byte order ("": text), the elements with their properties, and where they begin."""
-    order, line, at = None, "", 0
-    elements: list[tuple[str, int, list[list[str]]]] = []
-    while order is None or not line.startswith("end_header"):
-        line, at = _take_line(data, at)
-        word, *values = line.split() or [""]
-        if word == "format" and values:
-            order = _PLY_ORDERS.get(values[0])
-        elif word == "element" and len(values) == 2 and values[1].isdecimal():
-            elements.append((values[0], int(values[1]), []))
-        elif word == "property" and elements:
-            elements[-1][2].append(values)
-    return order, elements, at
+@contextmanager
+def _refuse_header() -> Iterator[None]:
+    """Say that a header is not as its format has it."""
+    try:
+        yield
+    except (KeyError, IndexError, ValueError, TypeError) as error:
+        raise DamageError(f"has a header that cannot be read ({shorten(str(error))})") from None
+
+
+def _read_count(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError(f"{text} points")
+    return int(text)
 
 
 def read_bin(data: bytes, values: int = 4) -> Points:
@@ -209,12 +207,6 @@ def read_npy(data: bytes) -> Points:
     return Points(dict(zip("xyz", array.T, strict=False)), len(array))
 
 
-def _require_places(columns: Iterable[str]) -> None:
-    """Raise DamageError where x, y or z is not among the fields of points."""
-    if missing := sorted(set("xyz").difference(columns)):
-        raise DamageError(f"has no field {missing[0]} among {', '.join(columns) or 'none'}")
-
-
 def _take_line(data: bytes, at: int) -> tuple[str, int]:
     """Take a line of a header, and find where the next one begins."""
     end = data.find(b"\n", at, at + 4096)
@@ -223,14 +215,12 @@ def _take_line(data: bytes, at: int) -> tuple[str, int]:
     return data[at:end].decode("ascii", "replace"), end + 1
 
 
-def _make_layout(fields: list[tuple[str, str, int]]) -> np.dtype[Any]:
+def _make_layout(fields: Iterable[tuple[str, str, int]]) -> np.dtype[Any]:
     """Make the layout of one point; names that repeat, as those of padding, get a number."""
-    known: set[str] = set()
-    parts = []
+    parts: dict[str, tuple[str, tuple[int]]] = {}
     for number, (name, kind, many) in enumerate(fields):
-        parts.append((f"{name}#{number}" if name in known else name, kind, (many,)))
-        known.add(name)
-    return np.dtype(parts)
+        parts[f"{name}#{number}" if name in parts else name] = kind, (many,)
+    return np.dtype([(name, *part) for name, part in parts.items()])
 
 
 def _view(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
@@ -242,17 +232,16 @@ def _view(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
 
 def _parse_text(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
     """Parse a line of numbers for each point: as many as are whole."""
-    width = sum(layout[name].shape[0] for name in layout.names or ())
-    lines = data[at:].split(b"\n", points)[:points]
-    words = [line.split() for line in lines]
-    whole = next((n for n, each in enumerate(words) if len(each) != width), len(words))
+    names = layout.names or ()
+    starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
+    words = [line.split() for line in data[at:].split(b"\n", points)[:points]]
+    whole = next((n for n, each in enumerate(words) if len(each) != starts[-1]), len(words))
     try:
-        rows = np.array(words[:whole], np.float64).reshape(whole, width)
+        rows = np.array(words[:whole], np.float64).reshape(whole, starts[-1])
     except ValueError as error:
         raise DamageError(f"holds something else where numbers belong ({error})") from None
-    starts = np.cumsum([0, *(layout[name].shape[0] for name in layout.names or ())])
-    names = zip(layout.names or (), starts.tolist(), strict=False)
-    return Points({name: rows[:, start] for name, start in names}, points)
+    columns = {name: rows[:, start] for name, start in zip(names, starts, strict=False)}
+    return Points(columns, points)
 
 
 READERS: Mapping[str, Read] = {

@@ -119,8 +119,8 @@ def make_cloud(
     columns: Mapping[str, NDArray[Any]], frame: str, stamp_ns: int, topic: str, record_ns: int
 ) -> Cloud:
     """Make a cloud of the fields of its points; raises DamageError where x, y or z is absent."""
-    if not all(name in columns for name in "xyz"):
-        raise DamageError("is a cloud of points without x, y and z")
+    if missing := [name for name in "xyz" if name not in columns]:
+        raise DamageError(f"has no field {missing[0]} among {', '.join(columns) or 'none'}")
     points = stack_points([columns[name] for name in "xyz"])
     for name in TIME_FIELDS:
         if name in columns:
@@ -224,7 +224,7 @@ def tell_clouds(clouds: Iterable[Cloud], path: Path, notes: NoteList) -> Iterato
         raise LogError(f"no cloud on {topic} holds a point", where=path, fix=fix)
 
 
-def parse_livox(data: memoryview, encoding: str) -> Mapping[str, Any]:
+def parse_livox(encoding: str, data: memoryview) -> Mapping[str, Any]:
     """Parse a livox_ros_driver/CustomMsg, whose points a library would read one by one."""
     raw = bytes(data) + b"\0"  # CDR leaves out what would fill up the last point
     end = 16 + int.from_bytes(raw[12:16], "little")  # of the frame's name
@@ -243,14 +243,9 @@ def parse_livox(data: memoryview, encoding: str) -> Mapping[str, Any]:
 
 
 def convert_livox(message: Any, topic: str, record_ns: int) -> Cloud:
-    """Convert what `parse_livox` gives: its times are ns after the stamp."""
+    """Convert what `parse_livox` gives."""
     stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
-    columns = dict(message["points"])
-    offset_ns = columns.pop("offset_time").astype(np.int64)
-    cloud = make_cloud(columns, frame, stamp_ns, topic, record_ns)
-    if offset_ns.any() and offset_ns.max() <= LONGEST_SWEEP_NS:
-        return cloud._replace(offset_ns=offset_ns, times="offset_time, in ns after the stamp")
-    return cloud
+    return make_cloud(message["points"], frame, stamp_ns, topic, record_ns)
 
 
 def read_camera(message: Any) -> Camera:

@@ -43,11 +43,11 @@ class Words(NamedTuple):
     numbers: Float64
     """(N, S) other numbers, likewise; by word, since few words of a line are no ranges"""
     times: Int64
-    """(N, S) ns"""
+    """(N, S) ns; a hash of a word that is the SAME"""
     left: Int64
     """(M, 4) row, column, start and end of words that the kernel leaves to Python"""
 
-    def take(self, lines: slice | list[int]) -> "Words":
+    def take(self, lines: list[int]) -> "Words":
         """Select some of the lines."""
         return Words(self.ranges[lines], self.numbers[:, lines], self.times[:, lines], self.left)
 
@@ -107,7 +107,9 @@ def parse_words(
             words.times[col, row] = value
         else:
             words.numbers[col, row] = value
-    return words.take(slice(alike)), {row: fault for row, fault in faults.items() if row < alike}
+    if alike < len(starts):  # copied, so that few lines do not keep the room for all
+        words = words.take(list(range(alike)))
+    return words, {row: fault for row, fault in faults.items() if row < alike}
 
 
 @lru_cache(maxsize=64)

@@ -16,19 +16,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
-from occmap.readers import Probe
+from occmap.readers import Probe, records
 from occmap.readers.containers import Buffer, Channel, inflate
-from occmap.readers.records import (
-    CHUNK,
-    DESCRIPTION,
-    OTHER,
-    Bytes,
-    Descriptions,
-    FileBytes,
-    Record,
-    RecordSource,
-    Summary,
-)
+from occmap.readers.records import Bytes, Descriptions, FileBytes, Record, RecordSource, Summary
 from occmap.readers.ros_log import RosReader
 from occmap.report import count
 
@@ -51,7 +41,11 @@ _MOST_HEAD = 1 << 10
 """The fields of a chunk before its records are shorter, with the name of its compression."""
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
-_KINDS = {Opcode.SCHEMA: DESCRIPTION, Opcode.CHANNEL: DESCRIPTION, Opcode.CHUNK: CHUNK}
+_KINDS = {
+    Opcode.SCHEMA: records.DESCRIPTION,
+    Opcode.CHANNEL: records.DESCRIPTION,
+    Opcode.CHUNK: records.CHUNK,
+}
 _MESSAGE = int(Opcode.MESSAGE)
 _OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
 """Of the other records that may be anywhere, with those that anybody may use."""
@@ -82,14 +76,14 @@ class McapSource(RecordSource):
         opcode, length = _HEAD.unpack_from(head)
         end = at + _HEAD.size + length
         if opcode == Opcode.FOOTER and end == len(block) - len(self.magic):
-            return OTHER, 0, at, at, len(block)
+            return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:
             return None
-        kind = _KINDS.get(opcode, OTHER)
+        kind = _KINDS.get(opcode, records.OTHER)
         start = at + _HEAD.size
-        chunk = kind == OTHER and _CHUNK_HEAD.match(block[start : start + _LONGEST_HEAD])
+        chunk = kind == records.OTHER and _CHUNK_HEAD.match(block[start : start + _LONGEST_HEAD])
         if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
-            kind = CHUNK  # whatever its opcode says
+            kind = records.CHUNK  # whatever its opcode says
         return kind, 0, at, at, end
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
@@ -158,11 +152,11 @@ class McapSource(RecordSource):
             raise ValueError("its checksum is another")
         return self._gather(self._split(section, 0), is_checked=footer.summary_crc != 0)
 
-    def _gather(self, records: Iterable[bytes], *, is_checked: bool) -> Summary:
+    def _gather(self, section: Iterable[bytes], *, is_checked: bool) -> Summary:
         """Gather what the records of the summary say; an index of chunks must be checked."""
         summary, statistics = Summary(), None
         descriptions: Descriptions = {}
-        for record in records:
+        for record in section:
             if record[0] in {Opcode.SCHEMA, Opcode.CHANNEL}:
                 descriptions[record] = 0
             elif record[0] == Opcode.CHUNK_INDEX and is_checked:

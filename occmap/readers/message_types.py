@@ -9,24 +9,13 @@ Fields are checked before anything is computed of them; `Scan` and `PoseSample` 
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.readers import Echo, Role
-from occmap.readers.cloud_messages import (
-    FOXGLOVE_KINDS,
-    Camera,
-    convert_cloud,
-    convert_compressed_depth,
-    convert_depth,
-    convert_livox,
-    make_cloud,
-    parse_livox,
-    read_fields,
-    view_columns,
-)
+from occmap.readers import Echo, Role, cloud_messages
 from occmap.readers.containers import Channel
 from occmap.readers.fields import (
     get,
@@ -38,7 +27,7 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.messages import FromBytes, Locate, Parse, Rows, Stacked, read_scan_run
+from occmap.readers.messages import FromBytes, Locate, Parser, Rows, Stacked, read_scan_run
 from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
 from occmap.values import as_float32, as_number
 
@@ -60,9 +49,9 @@ class MessageType(NamedTuple):
     convert: Callable[..., Any] | None = None
     """Makes a scan or a cloud of what `needs` says, and of what `to_poses` takes"""
     to_poses: ToPoses | None = None
-    parse: Parse | None = None
-    """Decodes a message, in place of a library that would take too long"""
-    needs: type[Echo | Camera] | None = None
+    parser: Callable[[Channel], Parser] | None = None
+    """Makes what reads a channel's messages, where a library takes too long"""
+    needs: type[Echo | cloud_messages.Camera] | None = None
     many: ReadMany | None = None
     """Reads many messages that are laid out alike"""
 
@@ -94,8 +83,10 @@ class PoseFields(NamedTuple):
         samples = []
         for item in get_list(message, self.items) if self.items else [message]:
             stamp_ns = get_stamp(message if look(item, self.stamp) is None else item, self.stamp)
-            is_framed = look(item, self.parent) or look(message, self.parent) is None
-            parent = get_frame(item if is_framed else message, self.parent)
+            of_all = look(message, self.parent) is not None
+            named = look(item, self.parent)
+            is_unnamed = named is None or (isinstance(named, str) and not named)
+            parent = get_frame(message if of_all and is_unnamed else item, self.parent)
             child = get_frame(item, self.child) if self.child else ""
             pose = self.read_pose(item)
             samples.append(PoseSample(stamp_ns, parent, child, pose, static, topic, record_ns))
@@ -199,9 +190,11 @@ def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     origin = convert_origin(message, topic, record_ns)
     frame = origin[0].child if origin else get_frame(message, "frame_id")
     data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
-    fields = read_fields(message, "type", FOXGLOVE_KINDS)
-    columns = view_columns(data, fields, (1, len(data) // max(step, 1)), (len(data), step))
-    return make_cloud(columns, frame, stamp_ns, topic, record_ns)
+    fields = cloud_messages.read_fields(message, "type", cloud_messages.FOXGLOVE_KINDS)
+    columns = cloud_messages.view_columns(
+        data, fields, (1, len(data) // max(step, 1)), (len(data), step)
+    )
+    return cloud_messages.make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
 FOXGLOVE = PoseFields("timestamp", "frame_id", unset_rotation=IDENTITY[3:])
@@ -218,17 +211,23 @@ _TF = PoseFields(
     items="transforms",
 )
 
-_LIVOX = MessageType(Role.CLOUD, convert_livox, parse=parse_livox)
+_LIVOX = MessageType(
+    Role.CLOUD,
+    cloud_messages.convert_livox,
+    parser=lambda channel: Parser(partial(cloud_messages.parse_livox, channel.encoding)),
+)
 
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan, many=read_scan_run),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo, needs=Echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, convert_cloud),
+    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, cloud_messages.convert_cloud),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,
-    "sensor_msgs/msg/Image": MessageType(Role.CLOUD, convert_depth, needs=Camera),
+    "sensor_msgs/msg/Image": MessageType(
+        Role.CLOUD, cloud_messages.convert_depth, needs=cloud_messages.Camera
+    ),
     "sensor_msgs/msg/CompressedImage": MessageType(
-        Role.CLOUD, convert_compressed_depth, needs=Camera
+        Role.CLOUD, cloud_messages.convert_compressed_depth, needs=cloud_messages.Camera
     ),
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
     "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
@@ -258,7 +257,10 @@ PACKETS = {
 """Types of raw packets, and the node of their driver that makes clouds of them"""
 
 
-def find_type(channel: Channel) -> MessageType | None:
+UNUSED = MessageType(Role.OTHER)
+
+
+def find_type(channel: Channel) -> MessageType:
     """Find how messages are read, if at all: ROS and Foxglove each write them in two ways."""
     encodings = {"cdr", "ros1"} if "/" in channel.type else {"json", "protobuf"}
-    return TYPES.get(channel.kind) if channel.encoding in encodings else None
+    return TYPES.get(channel.kind, UNUSED) if channel.encoding in encodings else UNUSED

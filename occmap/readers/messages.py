@@ -26,8 +26,6 @@ from occmap.types import Bool, Int64, Scan, ScanRun
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
 """From a message's bytes and its record time in ns; it raises DamageError."""
-Parse: TypeAlias = Callable[[memoryview, str], Any]
-"""From a message's bytes, and how they are written, to its fields."""
 
 
 class Place(NamedTuple):
@@ -41,9 +39,16 @@ class Place(NamedTuple):
 Locate: TypeAlias = Callable[[bytes], Mapping[str, Place]]
 """From a message to where its numbers lie, by their dotted names; raises DamageError"""
 
-_Parser: TypeAlias = tuple[Callable[[memoryview], Any], tuple[type[Exception], ...], Locate | None]
-"""From a message's bytes to its fields, what it raises on bytes that are not well formed, and what
-finds its numbers, if they lie as ROS lays them out"""
+
+class Parser(NamedTuple):
+    """What makes fields of the bytes of a message."""
+
+    parse: Callable[[memoryview], Any]
+    errors: tuple[type[Exception], ...] = ()
+    """What it raises on bytes that are not well formed"""
+    locate: Locate | None = None
+    """Finds the numbers of a message, if they lie as ROS lays them out"""
+
 
 # What rosbags raises on definitions and on bytes that are not well formed.
 _DEFINITION_ERRORS = (
@@ -70,48 +75,8 @@ MAX_PLACES = 1 << 16
 """Numbers of a message that are looked for, at most; one with more is read by itself."""
 
 
-def make_reader(
-    channel: Channel, convert: Callable[[Any, str, int], T], parse_whole: Parse | None = None
-) -> tuple[FromBytes[T], Locate | None]:
-    """Build the function that reads a channel's messages: decodes and converts them.
-
-    Parameters
-    ----------
-    convert
-        Takes a decoded message, its topic and its record time in ns.
-    parse_whole
-        Decodes a message in place of what the log's definition says.
-
-    Returns
-    -------
-    read, locate
-        By which many of the messages can be read at once, where ROS lays them out.
-
-    Raises
-    ------
-    LogError
-        The channel's message definition cannot be understood.
-    """
-    topic, kind = channel.topic, channel.kind
-    parser: _Parser
-    if parse_whole:
-        parser = lambda data: parse_whole(data, channel.encoding), (), None
-    else:
-        parser = _PARSERS[channel.encoding](channel)
-    parse, errors, locate = parser
-
-    def read(data: memoryview, record_ns: int) -> T:
-        try:
-            message = parse(data)
-        except errors as error:
-            raise DamageError(f"is not a {kind} ({type(error).__name__})") from error
-        return convert(message, topic, record_ns)
-
-    return read, locate
-
-
 @lru_cache(maxsize=64)
-def _make_ros_parser(text: str, kind: str, encoding: str) -> _Parser:
+def _make_ros_parser(text: str, kind: str, encoding: str) -> Parser:
     """Make what reads a message by the log's definition of it, or by ROS's where it has none.
 
     Cached, since all logs of a robot have the same definitions.
@@ -129,7 +94,7 @@ def _make_ros_parser(text: str, kind: str, encoding: str) -> _Parser:
         raise _refuse(kind, error) from error
     locate = partial(_locate, store.fielddefs, name, encoding == "cdr")
     deserialise = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-    return lambda data: deserialise(data, name), _DECODE_ERRORS, locate
+    return Parser(lambda data: deserialise(data, name), _DECODE_ERRORS, locate)
 
 
 def _refuse(kind: str, why: Exception) -> LogError:
@@ -202,11 +167,12 @@ def _count_values(types: Typesdict, name: str, counts: dict[str, int]) -> int:
     return total
 
 
-def _make_json_parser(_channel: Channel) -> _Parser:
-    return lambda data: json.loads(bytes(data)), (ValueError, RecursionError, MemoryError), None
+def _make_json_parser(_channel: Channel) -> Parser:
+    errors = ValueError, RecursionError, MemoryError
+    return Parser(lambda data: json.loads(bytes(data)), errors)
 
 
-def _make_protobuf_parser(channel: Channel) -> _Parser:
+def _make_protobuf_parser(channel: Channel) -> Parser:
     """Make what reads a message by the descriptors that lie in the log.
 
     Raises
@@ -223,7 +189,7 @@ def _make_protobuf_parser(channel: Channel) -> _Parser:
         message_class = _load_message(channel)
     except (DecodeError, KeyError, TypeError, ValueError) as error:
         raise _refuse(channel.type, error) from error
-    return lambda data: message_class.FromString(bytes(data)), (DecodeError,), None
+    return Parser(lambda data: message_class.FromString(bytes(data)), (DecodeError,))
 
 
 def _load_message(channel: Channel) -> Any:
@@ -236,13 +202,14 @@ def _load_message(channel: Channel) -> Any:
     return message_factory.GetMessages(files)[channel.type]
 
 
-_PARSERS: Mapping[str, Callable[[Channel], _Parser]] = {
+PARSERS: Mapping[str, Callable[[Channel], Parser]] = {
     "cdr": lambda channel: _make_ros_parser(channel.definition, channel.type, "cdr"),
     "ros1": lambda channel: _make_ros_parser(channel.definition, channel.type, "ros1"),
     "json": _make_json_parser,
     "protobuf": _make_protobuf_parser,
 }
-"""What makes the parser of each way in which messages are written."""
+"""What makes the parser of each way in which messages are written; raises LogError where the
+channel's message definition cannot be understood."""
 
 
 Stacked: TypeAlias = tuple[bytes, int]

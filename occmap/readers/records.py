@@ -53,7 +53,8 @@ class FileBytes:
     def __getitem__(self, part: slice) -> memoryview:
         """Read some; of what is too long to be sound, only the first ones."""
         self._file.seek(min(part.start, self._size))
-        return memoryview(self._file.read(min(part.stop - part.start, MAX_INFLATED)))
+        # A record of a wrong length may be found to end before its message begins.
+        return memoryview(self._file.read(min(max(part.stop - part.start, 0), MAX_INFLATED)))
 
 
 Bytes: TypeAlias = FileBytes | memoryview

@@ -15,19 +15,19 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, cast
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
-from occmap.readers.message_types import PACKETS, TYPES, MessageType, find_type
-from occmap.readers.messages import Stacked, make_reader
+from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
+from occmap.readers.messages import PARSERS, Stacked
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
-Convert: TypeAlias = Callable[[Any, str, int], list[T]]
-"""From a decoded message, its topic and its record time in ns."""
+Convert: TypeAlias = Callable[[Any, str, int], Any]
+"""From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
 MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
@@ -62,19 +62,21 @@ class RosLog:
         self.path = source.path
         self.notes = source.notes
         self._source = source
-        self._types: dict[Channel, MessageType | None] = {}
+        self._types: dict[Channel, MessageType] = {}
         for channel in source.channels:
             kind, name = find_type(channel), f"{channel.count} messages on {channel.topic}"
-            if channel.count and kind is None and channel.kind in TYPES:
+            if channel.count and kind is UNUSED and channel.kind in TYPES:
                 found = f"{name} are {channel.type} in {channel.encoding!r}"
                 self.notes.add_damage(f"{found}: they are not used")
             if channel.count and (node := PACKETS.get(channel.kind)):
                 found = f"{name} are packets of a lidar"
                 self.notes.add(f"{found}: record the clouds that {node} makes of them")
-            if kind and kind.convert and kind.needs is Echo:
+            if kind.convert and kind.needs is Echo:
                 kind = kind._replace(convert=partial(kind.convert, options.echo))
-            if kind and kind.needs is Camera:
-                kind = self._bind_camera(channel, kind)
+            if kind.convert and kind.needs is Camera:
+                camera = self._find_camera(channel)
+                convert = partial(kind.convert, camera)
+                kind = kind._replace(convert=convert) if camera else UNUSED
             self._types[channel] = kind
 
     @property
@@ -82,7 +84,7 @@ class RosLog:
         """Every topic, with the messages of all its publishers."""
         counts: Counter[tuple[str, str, Role]] = Counter()
         for channel, kind in self._types.items():
-            counts[channel.topic, channel.type, kind.role if kind else Role.OTHER] += channel.count
+            counts[channel.topic, channel.type, kind.role] += channel.count
         return [Stream(topic, kind, n, role) for (topic, kind, role), n in counts.items()]
 
     def poses(self) -> Iterator[PoseSample]:
@@ -107,16 +109,16 @@ class RosLog:
         clouds = self._read(self._make_sensor_readers(Role.CLOUD, topics))
         return tell_clouds(clouds, self.path, self.notes)
 
-    def _bind_camera(self, channel: Channel, kind: MessageType) -> MessageType | None:
-        """Let a type know its camera; None where images are not depths, or of no known camera."""
-        if not channel.count or not kind.convert or not self._take_first(channel, is_depth):
+    def _find_camera(self, channel: Channel) -> Camera | None:
+        """Find the camera of images; None where they are not depths, or of no known camera."""
+        if not channel.count or not self._take_first(channel, is_depth):
             return None
         place = channel.topic.removesuffix("/compressedDepth").rpartition("/")[0]
         name = f"{place}/camera_info"
         infos = (each for each in self._source.channels if each.topic == name)
         cameras = (self._take_first(each, read_camera) for each in infos)
         if camera := next((each for each in cameras if each), None):
-            return kind._replace(convert=partial(kind.convert, camera))
+            return camera
         found = f"{channel.count} depth images on {channel.topic} are not used"
         self.notes.add(f"{found}: no CameraInfo comes on {name}; record it with them")
         return None
@@ -124,51 +126,49 @@ class RosLog:
     def _take_first(self, channel: Channel, read: Callable[[Any], T]) -> T | None:
         """Read the first message of a channel that can be read."""
         with suppress(LogError), refuse_unreadable(self.path):
-            reader = _ChannelReader(channel, lambda message, *_: [read(message)])
+            reader = _ChannelReader(channel, UNUSED, lambda message, *_: read(message))
             for _, record_ns, data in self._source.messages({channel}):
-                found: Sequence[T] = reader.read(data, record_ns)
-                if found:
-                    return found[0]
+                for found in reader.read(data, record_ns):
+                    return cast(T, found)
         return None
 
-    def _make_pose_readers(self) -> "_Readers[PoseSample]":
-        kinds = self._types.items()
-        return self._make_readers((channel, kind.to_poses) for channel, kind in kinds if kind)
+    def _make_pose_readers(self) -> "_Readers":
+        return self._make_readers((of, kind.to_poses) for of, kind in self._types.items())
 
-    def _make_sensor_readers(self, role: Role, topics: Collection[str]) -> "_Readers[Any]":
+    def _make_sensor_readers(self, role: Role, topics: Collection[str]) -> "_Readers":
         return self._make_readers(
-            (channel, kind.convert and partial(_list_one, kind.convert))
+            (channel, kind.convert)
             for channel, kind in self._types.items()
-            if kind and kind.role is role and channel.topic in topics
+            if kind.role is role and channel.topic in topics
         )
 
-    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert[T] | None]]) -> "_Readers[T]":
+    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert | None]]) -> "_Readers":
         """Build a reader for each channel; note and leave out what cannot be understood."""
         readers = {}
         for channel, convert in wanted:
             if convert is None:
                 continue
             try:
-                readers[channel] = _ChannelReader(channel, convert, self._types[channel])
+                readers[channel] = _ChannelReader(channel, self._types[channel], convert)
             except LogError as error:
                 found = error.placed(channel.topic)
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
         return readers
 
-    def _read(self, readers: "_Readers[T]") -> Iterator[T]:
+    def _read(self, readers: "_Readers") -> Iterator[Any]:
         """Read messages one by one, passing over those that are damaged."""
         for channel, record_ns, data in self._messages(readers):
             yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
-    def _read_stacked(self, readers: "_Readers[T]", most_kinds: int) -> Iterator[Any]:
+    def _read_stacked(self, readers: "_Readers", most_kinds: int) -> Iterator[Any]:
         """Read messages of one channel and length together, of `most_kinds` kinds at a time."""
         for channel, stack in self._stack(readers, most_kinds):
             yield from readers[channel].read_many(stack)
         self._note_damage(readers)
 
     def _stack(
-        self, readers: "_Readers[T]", most_kinds: int
+        self, readers: "_Readers", most_kinds: int
     ) -> Iterator[tuple[Channel, Sequence[Stacked]]]:
         """Gather messages by channel and length."""
         stacks: dict[tuple[Channel, int], list[Stacked]] = {}
@@ -184,7 +184,7 @@ class RosLog:
                 yield channel, stacks.pop(kind)
         yield from ((of, stack) for (of, _), stack in stacks.items())
 
-    def _messages(self, readers: "_Readers[T]") -> Iterator[RawMessage]:
+    def _messages(self, readers: "_Readers") -> Iterator[RawMessage]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
         if readers:
             with refuse_unreadable(self.path):
@@ -192,7 +192,7 @@ class RosLog:
                     readers[message[0]].messages += 1
                     yield message
 
-    def _note_damage(self, readers: "_Readers[T]") -> None:
+    def _note_damage(self, readers: "_Readers") -> None:
         """Say what of the messages was lost or damaged."""
         for channel, reader in readers.items():
             topic, announced = channel.topic, channel.count
@@ -207,32 +207,40 @@ class RosLog:
                 self.notes.add_damage(f"{text} and not used: the first {reader.first_fault}")
 
 
-class _ChannelReader(Generic[T]):
+class _ChannelReader:
     """Reads the messages of a channel by the log's own definition of their type.
 
     Where that cannot be understood, the standard definition stands in.
     """
 
-    def __init__(
-        self, channel: Channel, convert: Convert[T], kind: MessageType | None = None
-    ) -> None:
+    def __init__(self, channel: Channel, kind: MessageType, convert: Convert) -> None:
         self.messages = self.failures = 0
         self.uses_standard = False
         self.first_fault = ""
-        self._many, parse = (kind.many, kind.parse) if kind else (None, None)
+        self._channel, self._convert, self._many = channel, convert, kind.many
+        make = kind.parser or PARSERS[channel.encoding]
         try:
-            self._decode, self._locate = make_reader(channel, convert, parse)
+            self._parser = make(channel)
         except LogError:
             if not channel.definition:
                 raise
-            standard = replace(channel, definition="")
-            self._decode, self._locate = make_reader(standard, convert, parse)
+            self._parser = make(replace(channel, definition=""))
             self.uses_standard = True
 
-    def read(self, data: Buffer, record_ns: int) -> Sequence[T]:
+    def decode(self, data: Buffer, record_ns: int) -> list[Any]:
+        """Decode and convert a message; raises DamageError."""
+        try:
+            message = self._parser.parse(memoryview(data))
+        except self._parser.errors as error:
+            found = f"is not a {self._channel.kind} ({type(error).__name__})"
+            raise DamageError(found) from error
+        made = self._convert(message, self._channel.topic, record_ns)
+        return made if isinstance(made, list) else [made]
+
+    def read(self, data: Buffer, record_ns: int) -> Sequence[Any]:
         """Read what a message holds. One that is damaged is counted, and gives nothing."""
         try:
-            return self._decode(memoryview(data), record_ns)
+            return self.decode(data, record_ns)
         except DamageError as error:
             self.failures += 1
             self.first_fault = self.first_fault or str(error)
@@ -240,16 +248,12 @@ class _ChannelReader(Generic[T]):
 
     def read_many(self, stack: Sequence[Stacked]) -> Iterator[Any]:
         """Read messages of one length; one by one those that are damaged or not alike."""
-        if self._locate and self._many:
+        if self._parser.locate and self._many:
             with suppress(DamageError):  # of the first; one by one it is counted
-                together, stack = self._many(stack, self._locate, self._decode)
+                together, stack = self._many(stack, self._parser.locate, self.decode)
                 yield from together
         for data, record_ns in stack:
             yield from self.read(data, record_ns)
 
 
-_Readers: TypeAlias = Mapping[Channel, _ChannelReader[T]]
-
-
-def _list_one(convert: Callable[..., T], message: Any, topic: str, record_ns: int) -> list[T]:
-    return [convert(message, topic, record_ns)]
+_Readers: TypeAlias = Mapping[Channel, _ChannelReader]

@@ -50,8 +50,6 @@ class Line(NamedTuple):
     number: int
     raw: bytes
     """Without its line end"""
-    ended: bool
-    """False for a last line without a line end: the file may be cut within it"""
 
     @property
     def text(self) -> str:
@@ -70,7 +68,7 @@ class Block:
     starts: Int64
     """(S + 1,) where each line begins in the text, and where the last one ends"""
     ended: bool = True
-    """False for a block of only the last line, where that has no line end"""
+    """False for a block of only the last line, where that has no line end: it may be cut"""
 
     def __len__(self) -> int:
         """How many lines there are."""
@@ -79,7 +77,7 @@ class Block:
     def get_line(self, at: int) -> Line:
         """Get one of the lines."""
         start, end = self.starts[at : at + 2].tolist()
-        return Line(self.number + at, self.text[start : end - 1], self.ended)
+        return Line(self.number + at, self.text[start : end - 1])
 
 
 def make_block(number: int, text: bytes, ended: bool = True) -> Block:
@@ -297,13 +295,13 @@ class TextLog(ABC):
         faults: dict[int, str] = {}
         runs = [run for rows in lines.values() for run in self._parse_kind(block, rows, faults)]
         rows = sorted(row for rows in lines.values() for row in rows)
-        if block.ended or not faults:
-            tally.add(block, rows, faults)
-        else:
+        if faults and not block.ended:
             self._note_cut(block)
-        if rows and not block.ended and not faults:
-            text = f"line {block.number}, the last, has no line end; it is taken as whole"
-            self.notes.add(text)
+        else:
+            tally.add(block, rows, faults)
+            if rows and not block.ended:
+                text = f"line {block.number}, the last, has no line end; it is taken as whole"
+                self.notes.add(text)
         if len(runs) == 1:
             return [runs[0][1]]
         scans = {

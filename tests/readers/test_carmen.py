@@ -164,19 +164,6 @@ def test_a_cut_odometry_line_is_damage(tmp_path: Path) -> None:
     assert [note.damage for note in log.notes].count(True) == 1
 
 
-def test_a_cut_gzip_log_keeps_what_is_before(tmp_path: Path) -> None:
-    packed = gzip.compress("".join(flaser(stamp / 7) for stamp in range(500)).encode())
-    path = tmp_path / "cut.log.gz"
-    path.write_bytes(packed[: len(packed) // 2])
-    log = CarmenReader().open(path)
-    found = stamps(log)
-    assert found == pytest.approx([stamp / 7 for stamp in range(len(found))])
-    assert 100 < len(found) < 400
-    assert [note.text for note in log.notes if note.damage] == [
-        f"the gzip data is cut short; all after line {len(found)} is lost"
-    ]
-
-
 def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
     content = "".join([OFFSET, ODOM.format(1), flaser(1), raw(2), flaser(3)]).encode()
     path = tmp_path / "flipped.log"

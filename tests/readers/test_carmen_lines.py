@@ -1,7 +1,6 @@
 """CARMEN lines, written by hand, against the values that they state."""
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -175,16 +174,6 @@ ROBOT_LINES = [
     f"ROBOTLASER1 {CONFIG} 2 1.5 50 1 0 1 -2 0.25 4 5 6 7 8 9 10 11 1.25 robot 0",
     f"ROBOTLASER1 1{CONFIG[1:]} 2 2.5 60 1 9 3 -4 7.25 0 0 0 0 0 0 0 0 2 robot 3",
 ]
-RAW_LINES = [
-    f"RAWLASER1 {CONFIG} 3 1.5 50 2 0 1.25 robot 1.25",
-    f"RAWLASER1 {CONFIG} 3 2.5 60 2 0 2 robot 2",
-]
-
-
-@pytest.mark.parametrize("lines", [LINES, ROBOT_LINES, RAW_LINES])
-def test_lines_parsed_together_are_as_parsed_alone(lines: Sequence[str]) -> None:
-    together = flatten(parse(*lines))
-    assert list_fields(together) == list_fields(map(parse_scan, lines))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import csv
 import gzip
 import math
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -271,15 +270,6 @@ def test_a_cut_gzip_keeps_what_is_before(tmp_path: Path) -> None:
     assert 500 < len(scans) < 1500
     assert log.streams[0].count == len(scans)
     assert [note.damage for note in log.notes] == [True]
-
-
-def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
-    content = "".join([CONSTANTS, f"{HEADER}\n", *[f"{ROW}\n"] * 5]).encode()
-    for at in range(len(content)):
-        flipped = bytearray(content)
-        flipped[at] ^= 1 << at % 8
-        with suppress(LogError):
-            assert len(read_text(tmp_path, bytes(flipped))) <= 6
 
 
 @settings(max_examples=30)

@@ -16,7 +16,7 @@ from google.protobuf.descriptor_pb2 import (
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from occmap.readers.containers import Channel
-from occmap.readers.messages import make_reader
+from occmap.readers.messages import PARSERS
 from occmap.readers.ros_log import RosLog
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
@@ -32,7 +32,7 @@ MEMORY = 64_000_000
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    make_reader(Channel("/warm", SCAN, "cdr"), lambda *_: None)  # loads rosbags' own types
+    PARSERS["cdr"](Channel("/warm", SCAN, "cdr"))  # loads rosbags' own types
     tracemalloc.start()
     try:
         with alarm(5):
