@@ -124,6 +124,10 @@ _WITHIN = local()
 """How long the stages within the running one took so far, thread by thread (s)"""
 
 
+def ignore_advance(_scans: int) -> None:  # no lambda: workers give their tallies as pickles
+    """Show no progress."""
+
+
 @dataclass(frozen=True)
 class ScanCounts:
     """What became of the scans."""
@@ -153,9 +157,7 @@ class Tally:
     """
 
     def __init__(
-        self,
-        tell: Callable[[int], None] = lambda _scans: None,
-        recorder: JourneyRecorder | None = None,
+        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
     ) -> None:
         self.tell = tell
         """Called now and then with the scans read since the last call"""
