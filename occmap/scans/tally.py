@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import chain
 from pathlib import Path
@@ -150,31 +150,30 @@ class ScanCounts:
         return (self.wanted - self.used) / max(self.wanted, 1)
 
 
+@dataclass(eq=False)
 class Tally:
     """Counts and times that grow while a map is built.
 
     Any thread may call `time`; all other methods belong to one thread.
     """
 
-    def __init__(
-        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
-    ) -> None:
-        self.tell = tell
-        """Called now and then with the scans read since the last call"""
-        self.advanced = 0
-        """Scans that were reported so far"""
-        self.recorder = recorder
-        """Learns where the scans were taken, where an output wants that"""
-        self.seconds: dict[str, float] = {}
-        self.scans_read = self.scans_used = 0
-        self.dropped: dict[str, int] = {}
-        self.beams = ReturnCounts()
-        self.points: dict[str, int] = {}
-        """What became of the points of clouds, by kind"""
-        self.frames: dict[str, str | None] = {}
-        """In which frame each log is mapped; None where it states poses and names no frame"""
-        self.lasers = 0
-        """The most topics of scans that any log has"""
+    tell: Callable[[int], None] = ignore_advance
+    """Called now and then with the scans read since the last call"""
+    recorder: JourneyRecorder | None = None
+    """Learns where the scans were taken, where an output wants that"""
+    advanced: int = 0
+    """Scans that were reported so far"""
+    seconds: dict[str, float] = field(default_factory=dict)
+    scans_read: int = 0
+    scans_used: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    beams: ReturnCounts = field(default_factory=ReturnCounts)
+    points: dict[str, int] = field(default_factory=dict)
+    """What became of the points of clouds, by kind"""
+    frames: dict[str, str | None] = field(default_factory=dict)
+    """In which frame each log is mapped; None where it states poses and names no frame"""
+    lasers: int = 0
+    """The most topics of scans that any log has"""
 
     @property
     def scans(self) -> ScanCounts:
