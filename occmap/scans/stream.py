@@ -206,6 +206,12 @@ class Drive:
         self.is_settled = True
         return all([self.limits.settle(), self.poser.settle()])
 
+    def rounds(self) -> Iterator[None]:
+        """Give a round in which to read all scans, and one more where they do not settle so."""
+        yield
+        if not self.settle():
+            yield
+
     def foresee(self) -> bool:
         """Read all scans for limits and leaps alone, and settle them."""
         self.limits = RangeLimits(self.options.returns)

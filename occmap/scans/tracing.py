@@ -171,14 +171,12 @@ def measure_spread(points: Float64) -> float:
 def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:
     """Let a finder of the ground see the clouds of a log."""
     drive = open_drive(log, options)
-    for _ in range(2):  # the second time without clouds that leap away, where there are some
+    for _ in drive.rounds():  # the second time without clouds that leap away
         seen = finder.start_over()
         with name_log(log.path), Workers(seen.add, options.jobs) as workers:
             for attached in drive.read(Tally(), seen.wants):
                 if attached.posed is not None:
                     workers.give(attached.posed)
-        if drive.settle():
-            break
     finder.join(seen.count())
 
 
