@@ -44,9 +44,9 @@ MOST_CELLS = 10**8
 
 
 class Sample:
-    """Takes every n-th scan of one topic of those that a drive reads, as many as are expected.
+    """Takes every n-th scan of one topic that a drive reads; n follows from how many it has.
 
-    Of a part of a log all are kept: how many scans lie between two times is not known before they
+    Of a part of a log every scan is taken: how many lie between two times is not known before they
     are read.
     """
 

@@ -207,7 +207,7 @@ class Drive:
         return all([self.limits.settle(), self.poser.settle()])
 
     def rounds(self) -> Iterator[None]:
-        """Give a round in which to read all scans, and one more where they do not settle so."""
+        """Yield once, and once more if by then all scans showed other limits, or leaps."""
         yield
         if not self.settle():
             yield
