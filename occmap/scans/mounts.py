@@ -77,9 +77,8 @@ def sample_scans(drive: Drive) -> list[PosedScans]:
     """Pose some of the scans that a build uses, spread evenly over a log."""
     for _ in drive.rounds():  # the second time without scans that leap away
         samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(drive))
-        for _, posed, _ in drive.read(Tally()):
-            if posed is not None:
-                samples[posed.batch.topic].take(posed)
+        for posed in drive.read(Tally()):
+            samples[posed.batch.topic].take(posed)
     return [part for sample in samples.values() for part in sample.parts]
 
 
