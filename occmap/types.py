@@ -335,16 +335,6 @@ class PosedScans:
         return self.position[:, 0], self.rotation[:, 0]
 
 
-class Attached(NamedTuple):
-    """Some scans, and what became of them when poses were attached to them."""
-
-    batch: ScanBatch
-    posed: PosedScans | None
-    """Those that have poses; None where none has"""
-    dropped: dict[str, int]
-    """How many have none, by reason (`occmap.posing.DropReason`)"""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
     """Where one laser of one log was at the scans that went into a map, as they were recorded."""

@@ -366,7 +366,7 @@ def find_sightings(
         drive = open_drive(log, use.options)
         drive.foresee()
         spec = plan_grid(use.options)
-        for posed in (each.posed for each in drive.read(tally) if each.posed):
+        for posed in drive.read(tally):
             rays, beams = interpret(posed, use.options.returns)
             numbers = look_at_cell(rays, spec, cell.row, cell.column)
             for scan in np.flatnonzero(numbers.any(axis=1)).tolist():

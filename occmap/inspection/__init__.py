@@ -303,14 +303,12 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
         And why the log cannot be read to its end, "" where it can.
     """
     drive, problem = Drive(log, poser, options), ""
-    for _ in range(2):
+    for _ in drive.rounds():
         survey = Survey(drive)
         try:
             survey.survey()
         except LogError as error:
             problem = str(error.placed(log.path))
-        if drive.settle():
-            break
     return survey, problem
 
 

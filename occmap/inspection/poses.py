@@ -35,8 +35,7 @@ WELL_POSED = 0.9
 def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
     """Find out by which of the two times of a message more scans have a pose."""
     chosen = posing.poser.options.stamps
-    scans = topic.left_out.total() + topic.posed + topic.dropped.total()
-    if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * scans:
+    if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * topic.read:
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     others = replace(posing.poser.options, stamps=other)
@@ -80,7 +79,7 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
         stated=stated,
         chain=chain.frames if chain else (),
         posed=topic.posed,
-        dropped=dict(topic.dropped),
+        dropped=dict(posing.poser.count_lost(topic.stream.topic)),
         problem="; ".join(map(str, faults)),
         assumed=format_mount(posing.assumed) if posing.assumed and faults else "",
         is_guess=posing.is_guess and bool(faults),
@@ -122,9 +121,8 @@ def list_floor_concerns(
     share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
     seen: defaultdict[str, list[PosedScans]] = defaultdict(list)
     drive = Drive(log, poser, options)  # which knows by now what leaps away
-    for _, posed, _ in drive.read(Tally(), lambda ns, _: draw(ns) < share):
-        if posed is not None:
-            seen[posed.batch.topic].append(posed)
+    for posed in drive.read(Tally(), lambda ns, _: draw(ns) < share):
+        seen[posed.batch.topic].append(posed)
     for topic, clouds in sorted(seen.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         if concern := find_misplaced(mount, clouds):

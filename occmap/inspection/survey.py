@@ -324,7 +324,6 @@ class TopicSurvey:
     read: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
     posed: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
     stated: bool = True
     """Every scan so far had its pose beside it"""
 
@@ -363,16 +362,17 @@ class Survey(Selector):
 
     def survey(self) -> None:
         """Read all scans once, holding no more than a batch of each topic."""
-        for batch, posed, dropped in self.drive.read(Tally(), selector=self):
-            survey = self.topics[batch.topic]
-            survey.census.add(batch)
-            survey.dropped.update(dropped)
-            if posed is not None:
-                survey.posed += len(posed.batch.stamp_ns)
-                if survey.is_sampled:
-                    survey.sample.take(posed)
-                rays, _ = interpret(posed, self.drive.options.returns)
-                self.extent.add(rays)
+        for posed in self.drive.read(Tally(), selector=self):
+            survey = self.topics[posed.batch.topic]
+            survey.posed += len(posed.batch.stamp_ns)
+            if survey.is_sampled:
+                survey.sample.take(posed)
+            rays, _ = interpret(posed, self.drive.options.returns)
+            self.extent.add(rays)
+
+    def look(self, batch: ScanBatch) -> None:
+        """Count the ranges of a batch."""
+        self.topics[batch.topic].census.add(batch)
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Count scans, and take note of what their topic has."""

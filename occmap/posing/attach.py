@@ -12,14 +12,14 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, DropReason, PosingOptions, chain
+from occmap.posing import Concern, Deskew, PosingOptions, chain
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
-from occmap.types import IDENTITY, Attached, Float64, Int64, Pose, ScanBatch
+from occmap.types import IDENTITY, Float64, Int64, Pose, PosedScans, ScanBatch, Trajectory
 
 POSES_OF_BODY = (
     "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
@@ -27,6 +27,8 @@ POSES_OF_BODY = (
 )
 TWIN_SHARE = 0.5
 """Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
+STATED_FRAME, STATED_LASER = "map", "laser"
+"""Names for the frames of logs that state poses beside their scans and name no frame."""
 Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
 
@@ -104,18 +106,6 @@ class Poser:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         return failures
 
-    def attach(self, batches: Iterable[ScanBatch]) -> Iterator[Attached]:
-        """Give each scan the pose of its sensor, or each beam where the scan is de-skewed.
-
-        A pose that the log states beside the scan is used as it is, unless the user named a
-        trajectory; where the user gave the sensor's pose, it is taken to be the body's. Where only
-        some scans of a batch are de-skewed, it comes in two parts. Scans in a frame that no chain
-        leads to are dropped and counted, and so are those that are known to leap away.
-        """
-        for batch in batches:
-            if len(batch.stamp_ns):
-                yield from self._look_up(batch)
-
     def start_over(self) -> None:
         """Forget the scans that were seen, since they are about to come once more."""
         self.courses.clear()
@@ -123,7 +113,7 @@ class Poser:
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
         max_speed = self.options.max_speed
-        return any(has_leap(course.build(), max_speed) for course in self.courses.values())
+        return any(has_leap(course.build(), max_speed) for _, course in self._list_posed())
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
@@ -131,7 +121,7 @@ class Poser:
         From then on those that leap away are left out.
         """
         max_speed = self.options.max_speed
-        for laser, course in sorted(self.courses.items()):
+        for laser, course in self._list_posed():
             track = course.build()
             if not (outliers := find_outliers(track, max_speed)).any():
                 continue
@@ -149,20 +139,30 @@ class Poser:
         moved = np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         return np.clip(moved, -MAX_STAMP_NS, MAX_STAMP_NS)
 
-    def _look_up(self, batch: ScanBatch) -> Iterator[Attached]:
-        """Look up where the sensor was at the moments of some scans, by stated poses or a chain."""
+    def attach(self, batch: ScanBatch) -> Iterator[PosedScans]:
+        """Give each scan of a batch the pose of its sensor, or each beam where it is de-skewed.
+
+        A pose that the log states beside the scan is used as it is, unless the user named a
+        trajectory; where the user gave the sensor's pose, it is taken to be the body's. Where only
+        some scans of the batch are de-skewed, it comes in two parts. Scans in a frame that no chain
+        leads to are left out, and so are those that are known to leap away.
+        """
+        if not len(batch.stamp_ns):
+            return
         if batch.pose is not None and self.sources.trajectory is None:
-            yield self._keep(batch, self._read_stated(batch.pose), None, None)
+            yield from self._keep(batch, self._read_stated(batch.pose), None, None)
             return
         if batch.frame not in self.chains:
             self.find_chains([batch.frame])
         way = self.chains.get(batch.frame)
         if way is None:
-            yield Attached(batch, None, {DropReason.NO_TRANSFORM: len(batch.stamp_ns)})
+            course = self.courses.setdefault((batch.topic, batch.frame), Course())
+            status = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
+            course.lose(batch.stamp_ns, status)
             return
         stamp_ns = self._convert(batch.stamp_ns)
         if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
-            yield self._keep(batch, way.at(stamp_ns), way, carrier.at(stamp_ns))
+            yield from self._keep(batch, way.at(stamp_ns), way, carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         deskew = Deskew.AUTO if batch.clouds else self.options.deskew
@@ -171,9 +171,9 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield self._keep(part, way.at(moment_ns.ravel()), way, None)
+            yield from self._keep(part, way.at(moment_ns.ravel()), way, None)
         if not deskewed.all():
-            yield self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way, None)
+            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way, None)
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -196,8 +196,8 @@ class Poser:
 
     def _keep(
         self, batch: ScanBatch, found: Transforms, way: Chain | None, seen_from: Transforms | None
-    ) -> Attached:
-        """Keep the scans (S) that have a pose at all of their K moments; count the others.
+    ) -> Iterator[PosedScans]:
+        """Keep the scans (S) that have a pose at all of their K moments; record all of them.
 
         Parameters
         ----------
@@ -214,21 +214,39 @@ class Poser:
         if laser in self.leaps:
             status[np.isin(stamp_ns, self.leaps[laser])] = Status.LEAP
         kept = status == Status.POSED
-        lost = Counter(status[~kept].tolist())
-        dropped: dict[str, int] = {
-            DropReason[Status(code).name]: lost[code] for code in sorted(lost)
-        }
-        if not kept.any():
-            return Attached(batch, None, dropped)
-        posed = chain.place_beams(batch, kept, self._above.then(found))
-        if seen_from is not None:
-            posed = replace(posed, origin=self._above.then(seen_from).position[kept])
-        self.courses.setdefault(laser, Course(way)).see(posed, stamp_ns[kept])
-        return Attached(batch, posed, dropped)
+        course = self.courses.setdefault(laser, Course())
+        course.chain = way
+        if not kept.all():
+            course.lose(batch.stamp_ns[~kept], status[~kept])
+        if kept.any():
+            posed = chain.place_beams(batch, kept, self._above.then(found))
+            if seen_from is not None:
+                posed = replace(posed, origin=self._above.then(seen_from).position[kept])
+            course.see(posed, stamp_ns[kept])
+            yield posed
+
+    def _list_posed(self) -> list[tuple[Laser, Course]]:
+        """List the sensors of which some scan has a pose."""
+        return [(laser, each) for laser, each in sorted(self.courses.items()) if each.is_posed]
+
+    def count_lost(self, topic: str | None = None) -> Counter[str]:
+        """Count the scans without a usable pose by reason, of one topic or of all."""
+        courses = (each for (name, _), each in self.courses.items() if topic in (None, name))
+        return Counter(reason for each in courses for _, reason in each.list_lost())
+
+    def list_trajectories(self, log: str) -> Iterator[Trajectory]:
+        """List where each laser of a log was at its scans, by the log's own clock."""
+        parent = (self.fixed or STATED_FRAME).lstrip("/")
+        for (topic, frame), course in self.courses.items():
+            # A laser that is in the frame of the map gets one of its own.
+            name = STATED_LASER if frame.lstrip("/") == parent else frame.lstrip("/")
+            stamp_ns, pose = course.list_poses()
+            lost = tuple(course.list_lost())
+            yield Trajectory(log, topic, parent, name, stamp_ns - self._offset_ns, pose, lost)
 
     def find_stance(self, topic: str) -> Stance | None:
         """Find how the sensor of a topic sat; None where no scan had a pose."""
-        courses = (each for (name, _), each in self.courses.items() if name == topic)
+        courses = (each for (name, _), each in self._list_posed() if name == topic)
         return next((Stance.measure(each.build()) for each in courses), None)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
@@ -245,7 +263,7 @@ class Poser:
         """
         jumped = None
         yield from self._list_twins()
-        for (topic, _), course in sorted(self.courses.items()):
+        for (topic, _), course in self._list_posed():
             track = course.build()
             if stands(track):
                 self._note(f"{topic}: {STANDS}")
@@ -262,7 +280,7 @@ class Poser:
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:
         """Say which topics hold the scans of another one, such as those that were filtered."""
         known: dict[str, tuple[str, Int64]] = {}
-        for (topic, frame), course in sorted(self.courses.items()):
+        for (topic, frame), course in self._list_posed():
             mine = course.build().stamp_ns
             other, stamp_ns = known.setdefault(frame, (topic, mine))
             if topic != other and np.isin(mine, stamp_ns).mean() > TWIN_SHARE:

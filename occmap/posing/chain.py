@@ -43,6 +43,7 @@ class Status(IntEnum):
     GAP = 3
     UNUSABLE = 4
     LEAP = 5
+    NO_TRANSFORM = 6
 
 
 class Transforms(NamedTuple):

@@ -12,11 +12,11 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.posing import Concern, Stamps, tracks
+from occmap.posing import Concern, DropReason, Stamps, tracks
 from occmap.posing.chain import Chain, Moving, Status, make_chain
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import Track, TrackBuilder
-from occmap.types import Float64, Int64, PosedScans
+from occmap.types import Float64, Int64, PosedScans, UInt8
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
@@ -216,17 +216,15 @@ STANDS = (
 
 
 class Course:
-    """Where one sensor was at its scans; grows with those that it is shown, 72 bytes each.
+    """What became of the scans of one sensor, and where it was: 72 bytes for each with a pose."""
 
-    Parameters
-    ----------
-    chain
-        What its poses are looked up in; None where they stand beside the scans.
-    """
-
-    def __init__(self, chain: Chain | None = None) -> None:
-        self._chain = chain
+    def __init__(self) -> None:
+        self.chain: Chain | None = None
+        """What its poses are looked up in; None where they stand beside the scans"""
+        self.is_posed = False
+        """Some scan has a pose"""
         self._poses = TrackBuilder()
+        self._lost: list[tuple[Int64, UInt8]] = []
         self.is_of_clouds = False
         """Its sensor has no scan plane"""
 
@@ -235,8 +233,23 @@ class Course:
 
         Of de-skewed scans, those of their first beams count.
         """
-        self.is_of_clouds = posed.batch.clouds is not None
+        self.is_posed, self.is_of_clouds = True, posed.batch.clouds is not None
         self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
+
+    def lose(self, stamp_ns: Int64, status: UInt8) -> None:
+        """Record scans (S,) that have no usable pose, with their own stamps."""
+        self._lost.append((stamp_ns, status))
+
+    def list_lost(self) -> Iterator[tuple[int, DropReason]]:
+        """List the stamps of scans that have no usable pose, each with the reason."""
+        for stamp_ns, status in self._lost:
+            for each, code in zip(stamp_ns.tolist(), status.tolist(), strict=True):
+                yield each, DropReason[Status(code).name]
+
+    def list_poses(self) -> tuple[Int64, Float64]:
+        """List the stamps (N,) and poses (N, 7) of the scans that were seen, in their order."""
+        times, poses = self._poses.samples
+        return times[:, 0].copy(), poses.copy()
 
     def build(self) -> Track:
         """Put all that was seen, at least one scan, in the order of time."""
@@ -246,7 +259,7 @@ class Course:
 
     def warn_of_mixed(self) -> Concern | None:
         """Say if a track holds poses of two times, or of two nodes, among each other."""
-        legs = self._chain.legs if self._chain else ()
+        legs = self.chain.legs if self.chain else ()
         for step in (leg.step for leg in legs if isinstance(leg, Moving)):
             name, track = f"{step.parent} -> {step.child}", step.track
             if track.set_back_s > SET_BACK_S:
@@ -262,7 +275,7 @@ class Course:
     def find_jumps(self, track: Track) -> list[Jump]:
         """Find when it jumped; poses beside scans show that only when all of them are known."""
         stated = [Edge("", "", track, Source.ODOMETRY)]
-        return find_jumps(self._chain or make_chain(stated, None))
+        return find_jumps(self.chain or make_chain(stated, None))
 
 
 def stands(track: Track) -> bool:

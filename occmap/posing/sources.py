@@ -138,10 +138,9 @@ def _rank(edges: Iterable[Edge]) -> list[Edge]:
 
 def _name_body(edge: Edge) -> Edge:
     """Name the body of odometry that names none, in a log without other frames, as REP 105 does."""
-    is_odometry = last_part(edge.parent) == frames.FIXED_NAMES[1] and not _is_intention(edge.topic)
-    return (
-        replace(edge, child=frames.BASE_NAMES[0]) if is_odometry and len(edge.track) > 1 else edge
-    )
+    is_odometry = last_part(edge.parent) == frames.FIXED_NAMES[1] and len(edge.track) > 1
+    is_robot = is_odometry and not _is_intention(edge.topic)
+    return replace(edge, child=frames.BASE_NAMES[0]) if is_robot else edge
 
 
 def _is_intention(topic: str) -> bool:
@@ -180,7 +179,7 @@ def _find_trajectory(
             return edge
     if name.strip("/") in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
-    if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no such topic
+    if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no topic's name
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
     found = "holds no such topic of poses" if recording else "neither a file nor a topic with poses"

@@ -188,9 +188,15 @@ class TrackBuilder:
         self._values.frombytes(np.asarray(pose, np.float64).reshape(-1, 7)[sound].tobytes())
 
     @property
+    def samples(self) -> tuple[Int64, Float64]:
+        """(N, 2) stamps and times of recording, and (N, 7) poses, as they came."""
+        times = np.frombuffer(self._times, np.int64).reshape(-1, 2)
+        return times, np.frombuffer(self._values, np.float64).reshape(-1, 7)
+
+    @property
     def changes(self) -> bool:
         """Whether usable samples differ, even those with the same stamp."""
-        values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
+        _, values = self.samples
         usable, norm = find_usable(values)
         unit = values[usable, 3:] / norm[usable, None]
         return differ(values[usable, :3], unit)
@@ -201,8 +207,7 @@ class TrackBuilder:
         Of several samples with one stamp the one recorded last stays, and of those recorded at
         once the one that was added last.
         """
-        times = np.frombuffer(self._times, np.int64).reshape(-1, 2)
-        values = np.frombuffer(self._values, np.float64).reshape(-1, 7)
+        times, values = self.samples
         usable, norm = find_usable(values)
         self.unusable += int(len(values) - usable.sum())
         kept = np.flatnonzero(usable)

@@ -44,9 +44,9 @@ MOST_CELLS = 10**8
 
 
 class Sample:
-    """Takes every n-th scan of one topic of those that a drive reads, as many as are expected.
+    """Takes every n-th scan of one topic that a drive reads; n follows from how many it has.
 
-    Of a part of a log all are kept: how many scans lie between two times is not known before they
+    Of a part of a log every scan is taken: how many lie between two times is not known before they
     are read.
     """
 
@@ -75,13 +75,10 @@ class Sample:
 
 def sample_scans(drive: Drive) -> list[PosedScans]:
     """Pose some of the scans that a build uses, spread evenly over a log."""
-    for _ in range(2):  # the second time without scans that leap away
+    for _ in drive.rounds():  # the second time without scans that leap away
         samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(drive))
-        for _, posed, _ in drive.read(Tally()):
-            if posed is not None:
-                samples[posed.batch.topic].take(posed)
-        if drive.settle():
-            break
+        for posed in drive.read(Tally()):
+            samples[posed.batch.topic].take(posed)
     return [part for sample in samples.values() for part in sample.parts]
 
 

@@ -16,7 +16,7 @@ from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import RangeLimits, drop_own_points, read_limits
 from occmap.sensor.models import RadialModel
-from occmap.types import Attached, Cloud, Recorded, Scan, ScanBatch, ScanRun, Update
+from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun, Update
 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
@@ -57,6 +57,9 @@ class Selector:
         self.read += some.scans
         if reason is not None:
             self.left_out[reason] += 1
+
+    def look(self, batch: ScanBatch) -> None:
+        """Take a look at scans that are used, of which some may have no pose."""
 
     def _split(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Split runs, but for those of which the user wants every scan, and that can be used."""
@@ -206,6 +209,12 @@ class Drive:
         self.is_settled = True
         return all([self.limits.settle(), self.poser.settle()])
 
+    def rounds(self) -> Iterator[None]:
+        """Yield once, and once more if by then all scans showed other limits, or leaps."""
+        yield
+        if not self.settle():
+            yield
+
     def foresee(self) -> bool:
         """Read all scans for limits and leaps alone, and settle them."""
         self.limits = RangeLimits(self.options.returns)
@@ -218,8 +227,8 @@ class Drive:
         tally: Tally,
         wants: Callable[[int, int], bool] | None = None,
         selector: Selector | None = None,
-    ) -> Iterator[Attached]:
-        """Read the scans that are used, holding no more than a batch; count what becomes of all.
+    ) -> Iterator[PosedScans]:
+        """Read the scans that are used and have poses, batch by batch; count what becomes of all.
 
         Parameters
         ----------
@@ -240,19 +249,16 @@ class Drive:
                 if not isinstance(some, Cloud)
                 or wants(stamps.choose(some.stamp_ns, some.record_ns), len(some.points))
             )
-        batches = stack(chosen, stamps)
-        limited = tally.time_each("read", map(self.limits.apply, batches))
-        for attached in tally.time_each("pose", self.poser.attach(limited)):
-            batch = attached.batch
+        limited = map(self.limits.apply, stack(chosen, stamps))
+        for batch in tally.time_each("read", limited):
+            selector.look(batch)
             beams = batch.ranges.shape[1]
             if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
                 self._odd[f"{batch.topic}: {oddity}"] = None
-            tally.drop(attached.dropped)
-            posed = attached.posed
-            if posed is not None and batch.clouds is not None:
-                posed = drop_own_points(posed, self.options.returns)
-            yield attached._replace(posed=posed)
+            for posed in tally.time_each("pose", self.poser.attach(batch)):
+                yield drop_own_points(posed, self.options.returns) if batch.clouds else posed
             tally.advance(len(batch.stamp_ns))
+        tally.drop(self.poser.count_lost())
         tally.frames[str(self.log.path)] = self.poser.fixed
         tally.lasers = max(tally.lasers, len(self.topics))
         tally.scans_read += selector.read

@@ -1,12 +1,9 @@
 """What becomes of scans, what is timed meanwhile, and where the robot went."""
 
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import chain
-from pathlib import Path
 from threading import Lock, local
 from time import perf_counter
 from typing import Any, TypeVar
@@ -15,29 +12,25 @@ import numpy as np
 
 from occmap.errors import LogError, MapError, PoseError
 from occmap.posing import DropReason
-from occmap.posing.tracks import list_poses
 from occmap.report import Count, write_counts, write_unused
 from occmap.sensor import ReturnCounts
-from occmap.types import Attached, Journey, Kind, Rays, ScanHits, Trajectory
+from occmap.types import Journey, Kind, Rays, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
 SHOWN_HITS = 400
 """How many hits of a scan are shown: enough to draw its walls, however many beams it has."""
-STATED_FRAME, STATED_LASER = "map", "laser"
-"""Names for the frames of logs that state poses beside their scans and name no frame."""
 
 
 class JourneyRecorder:
-    """Takes the poses of all scans, and the hits of some; one thread at a time may call it."""
+    """Keeps where lasers went, and the hits of some scans; one thread at a time may call it."""
 
     def __init__(self, every: int) -> None:
         """Keep the hits of every n-th scan."""
         self._every = every
-        self._pieces: list[Trajectory] = []
-        """Of each batch, in the order in which they were recorded"""
-        self._scans: list[ScanHits] = []
         self._seen = 0
+        self.trajectories: list[Trajectory] = []
+        self.scans: list[ScanHits] = []
 
     def start_over(self) -> "JourneyRecorder":
         """Make an empty recorder with the same settings."""
@@ -45,26 +38,8 @@ class JourneyRecorder:
 
     def add(self, other: "JourneyRecorder") -> None:
         """Add what another recorder took."""
-        self._pieces += other._pieces
-        self._scans += other._scans
-
-    def follow(self, log: Path, parent: str | None, attached: Attached) -> None:
-        """Record the poses of a batch.
-
-        Parameters
-        ----------
-        parent
-            The frame of the map; None where the log states poses and names no frames.
-        """
-        batch, posed, reasons = attached
-        stamp_ns, pose = np.zeros(0, np.int64), np.zeros((0, 7))
-        if posed is not None:
-            stamp_ns, pose = posed.batch.stamp_ns, list_poses(posed)
-        lost = np.setdiff1d(batch.stamp_ns, stamp_ns).tolist() if reasons else []
-        why = ", or ".join(map(str, reasons))  # it is not known which reason is whose
-        dropped = tuple((each, why) for each in lost)
-        frames = (parent or STATED_FRAME).lstrip("/"), batch.frame.lstrip("/")
-        self._pieces.append(Trajectory(str(log), batch.topic, *frames, stamp_ns, pose, dropped))
+        self.trajectories += other.trajectories
+        self.scans += other.scans
 
     def sample(self, rays: Rays) -> None:
         """Keep the hits of every n-th scan."""
@@ -74,26 +49,11 @@ class JourneyRecorder:
         for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
             hits = end[kind == Kind.HIT].astype(np.float32)
             hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
-            self._scans.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
+            self.scans.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
 
     def finish(self) -> Journey:
-        """Return what was kept, laser by laser, in the order in which it was recorded."""
-        lasers: defaultdict[tuple[str, str, str], list[Trajectory]] = defaultdict(list)
-        for piece in self._pieces:
-            lasers[piece.log, piece.topic, piece.frame].append(piece)
-        return Journey(tuple(map(join_pieces, lasers.values())), tuple(self._scans))
-
-
-def join_pieces(pieces: Sequence[Trajectory]) -> Trajectory:
-    """Join what is known of one laser; one that is in the frame of the map gets one of its own."""
-    first = pieces[0]
-    return replace(
-        first,
-        frame=STATED_LASER if first.frame == first.parent else first.frame,
-        stamp_ns=np.concatenate([piece.stamp_ns for piece in pieces]),
-        pose=np.concatenate([piece.pose for piece in pieces]),
-        dropped=tuple(chain.from_iterable(piece.dropped for piece in pieces)),
-    )
+        """Return what was kept, in the order in which it was recorded."""
+        return Journey(tuple(self.trajectories), tuple(self.scans))
 
 
 Item = TypeVar("Item")
@@ -124,6 +84,10 @@ _WITHIN = local()
 """How long the stages within the running one took so far, thread by thread (s)"""
 
 
+def ignore_advance(_scans: int) -> None:  # no lambda: workers give their tallies as pickles
+    """Show no progress."""
+
+
 @dataclass(frozen=True)
 class ScanCounts:
     """What became of the scans."""
@@ -146,35 +110,30 @@ class ScanCounts:
         return (self.wanted - self.used) / max(self.wanted, 1)
 
 
-def ignore_advance(_scans: int) -> None:
-    """Show no progress; a function with a name, as the tallies of a fleet are pickled."""
-
-
+@dataclass(eq=False)
 class Tally:
     """Counts and times that grow while a map is built.
 
     Any thread may call `time`; all other methods belong to one thread.
     """
 
-    def __init__(
-        self, tell: Callable[[int], None] = ignore_advance, recorder: JourneyRecorder | None = None
-    ) -> None:
-        self.tell = tell
-        """Called now and then with the scans read since the last call"""
-        self.advanced = 0
-        """Scans that were reported so far"""
-        self.recorder = recorder
-        """Learns where the scans were taken, where an output wants that"""
-        self.seconds: dict[str, float] = {}
-        self.scans_read = self.scans_used = 0
-        self.dropped: dict[str, int] = {}
-        self.beams = ReturnCounts()
-        self.points: dict[str, int] = {}
-        """What became of the points of clouds, by kind"""
-        self.frames: dict[str, str | None] = {}
-        """In which frame each log is mapped; None where it states poses and names no frame"""
-        self.lasers = 0
-        """The most topics of scans that any log has"""
+    tell: Callable[[int], None] = ignore_advance
+    """Called now and then with the scans read since the last call"""
+    recorder: JourneyRecorder | None = None
+    """Learns where the scans were taken, where an output wants that"""
+    advanced: int = 0
+    """Scans that were reported so far"""
+    seconds: dict[str, float] = field(default_factory=dict)
+    scans_read: int = 0
+    scans_used: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    beams: ReturnCounts = field(default_factory=ReturnCounts)
+    points: dict[str, int] = field(default_factory=dict)
+    """What became of the points of clouds, by kind"""
+    frames: dict[str, str | None] = field(default_factory=dict)
+    """In which frame each log is mapped; None where it states poses and names no frame"""
+    lasers: int = 0
+    """The most topics of scans that any log has"""
 
     @property
     def scans(self) -> ScanCounts:

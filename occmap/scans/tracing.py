@@ -75,6 +75,9 @@ def trace_logs(
         if all(right):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
+    if counts.recorder:
+        for drive in drives:
+            counts.recorder.trajectories += drive.poser.list_trajectories(str(drive.log.path))
     tally.add(counts)
     return taker, [(drive.log, drive.list_notes()) for drive in drives]
 
@@ -184,14 +187,11 @@ def measure_spread(points: Float64) -> float:
 def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:
     """Let a finder of the ground see the clouds of a log."""
     drive = open_drive(log, options)
-    for _ in range(2):  # the second time without clouds that leap away, where there are some
+    for _ in drive.rounds():  # the second time without clouds that leap away
         seen = finder.start_over()
         with name_log(log.path), Workers(seen.add, options.jobs) as workers:
-            for attached in drive.read(Tally(), seen.wants):
-                if attached.posed is not None:
-                    workers.give(attached.posed)
-        if drive.settle():
-            break
+            for posed in drive.read(Tally(), seen.wants):
+                workers.give(posed)
     finder.join(seen.count())
 
 
@@ -205,21 +205,18 @@ def trace_stream(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: 
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
-        for attached in drive.read(tally):
-            if tally.recorder:
-                tally.recorder.follow(drive.log.path, drive.poser.fixed, attached)
-            posed = attached.posed
-            if posed is not None and posed.batch.clouds:
+        for posed in drive.read(tally):
+            if posed.batch.clouds:
                 tally.use(len(posed.batch.stamp_ns), ReturnCounts())
                 workers.give(posed)
-            elif posed is not None:
-                with tally.time("interpret"):
-                    rays, beams = interpret(posed, options.returns)
-                tally.use(len(rays.kind), beams)
-                reach.stretch(rays)
-                if tally.recorder:
-                    tally.recorder.sample(rays)
-                (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
+                continue
+            with tally.time("interpret"):
+                rays, beams = interpret(posed, options.returns)
+            tally.use(len(rays.kind), beams)
+            reach.stretch(rays)
+            if tally.recorder:
+                tally.recorder.sample(rays)
+            (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
 
 
 Progress: TypeAlias = Callable[[int, int], None]

@@ -439,9 +439,8 @@ class RangeLimits:
         """Say what the user should know of each topic, and how to change it."""
         for topic, tally in self._tallies.items():
             unstated = math.isinf(tally.stated)
-            limit = "no usable range limit"
-            if not unstated:
-                limit = f"{tally.stated:g} m as its range limit"
+            stated = f"{tally.stated:g} m as its range limit"
+            limit = "no usable range limit" if unstated else stated
             band = tally.find_band()
             count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
             if band is not None:

@@ -122,8 +122,8 @@ probability = partial(option, bounds=(1e-9, 1 - 1e-6))
 below_half = partial(option, bounds=(1e-9, 0.499))
 share = partial(option, bounds=(0, 1))
 weight = partial(option, bounds=(1e-6, 1e6))
-clamp_min = partial(option, NO_CLAMP["clamp_min"], bounds=(0, 0.499))
-clamp_max = partial(option, NO_CLAMP["clamp_max"], bounds=(0.501, 1))
+low_clamp = partial(option, NO_CLAMP["clamp_min"], bounds=(0, 0.499))
+high_clamp = partial(option, NO_CLAMP["clamp_max"], bounds=(0.501, 1))
 """The kinds of parameters that models have; weights are in observations"""
 
 
@@ -162,8 +162,8 @@ class SimpleModel:
     """A cell is called occupied where its probability is above this, free where it is below"""
     spread: float = share(0.08)
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
-    clamp_min: float = clamp_min()
-    clamp_max: float = clamp_max()
+    clamp_min: float = low_clamp()
+    clamp_max: float = high_clamp()
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -196,8 +196,8 @@ class CountingModel:
     more than one that is not there, so one hit outweighs two misses"""
     spread: float = share(0.08)
     """The share of a hit that counts for each of the four cells beside it; its square at corners"""
-    clamp_min: float = clamp_min()
-    clamp_max: float = clamp_max()
+    clamp_min: float = low_clamp()
+    clamp_max: float = high_clamp()
     ceiling: float = option(0.8, bounds=(1e-6, 1))
     """The chance that a beam stops in a cell which stopped all beams before it; see `calibrate`"""
     doubt: float = share(0.02)
@@ -257,8 +257,8 @@ class QuadraticModel:
     prior: float = probability(0.5)
     cut: float = probability(0.5)
     """A cell is called occupied where its probability is above this, free where it is below"""
-    clamp_min: float = clamp_min()
-    clamp_max: float = clamp_max()
+    clamp_min: float = low_clamp()
+    clamp_max: float = high_clamp()
 
     def __post_init__(self) -> None:
         check_bounds(self)

@@ -56,7 +56,7 @@ class KeptLog:
     def pose(self, options: PosingOptions) -> list[PosedScans]:
         """Pose the scans with other options; those that then have no pose are left out."""
         poser = Poser(self.poser.sources, options, self.poser.fixed)
-        return [posed for _, posed, _ in poser.attach(self.batches) if posed is not None]
+        return [posed for batch in self.batches for posed in poser.attach(batch)]
 
     def may_deskew(self, options: PosingOptions) -> bool:
         """Whether all scans say believably when each beam was measured, and no option uses it."""
@@ -109,9 +109,8 @@ def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: 
     drive = mounts.open_drive(log, options)
     drive.foresee()
     sample = Sample[ScanBatch](most)
-    for _, posed, _ in drive.read(tally):
-        if posed is not None:
-            sample.add(posed.batch)
+    for posed in drive.read(tally):
+        sample.add(posed.batch)
     tally.scans_used += sample.seen
     remarks.note(log.path, log.notes, drive.list_notes())
     return KeptLog(str(log.path), drive.poser, tuple(sample.parts))

@@ -1,7 +1,6 @@
 """Small logs for the tests of posing, written down as a person would."""
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -42,11 +41,9 @@ def batch_at(
 
 def attach(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[str, int]]:
     """The scans that get poses, and how many get none, by reason."""
-    parts = list(poser.attach(batches))
-    dropped: Counter[str] = Counter()
-    for part in parts:
-        dropped.update(part.dropped)
-    return [part.posed for part in parts if part.posed is not None], dict(dropped)
+    before = poser.count_lost()
+    posed = [part for batch in batches for part in poser.attach(batch)]
+    return posed, dict(poser.count_lost() - before)
 
 
 def attach_twice(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[str, int]]:

@@ -99,44 +99,37 @@ def test_tally_of_the_table() -> None:
     assert sum(counts) == len(TABLE)
 
 
-def test_no_return_clears_as_far_as_the_sensor_sees_where_that_is_nearer() -> None:
-    kind, distance, _ = classify(make_batch([[INF]]), ReturnOptions(no_return=NoReturn.CLEAR))
-    assert (kind[0, 0], distance[0, 0]) == (FREE, 10.0)
+CLEAR = NoReturn.CLEAR
+LIMITS_OF_BOTH = {
+    "the sensor's is nearer": ([INF], 10.0, ReturnOptions(no_return=CLEAR), [FREE], [10.0]),
+    "the user's is nearer": (
+        [INF, 7.0], INF, ReturnOptions(max_range=6.0, no_return=CLEAR), [FREE, FREE], [6.0, 6.0],
+    ),
+    "there is none": ([INF, 1e30], INF, ReturnOptions(no_return=CLEAR), [SKIP, HIT], [0.0, 1e30]),
+    "the user's is for the sensor": (
+        [4.0, 6.0], 10.0, ReturnOptions(range_max=5.0), [HIT, SKIP], [4.0, 0.0],
+    ),
+    "they cross": (
+        [1.0, 6.0, 9.0, 11.0, INF], 5.0, ReturnOptions(8.0, 10.0, no_return=CLEAR),
+        [SKIP, SKIP, FREE, FREE, FREE], [0.0, 0.0, 5.0, 5.0, 5.0],
+    ),
+    **{
+        f"no float32 holds {limit}": (
+            [3.0, INF], 10.0, ReturnOptions(range_max=limit), [HIT, SKIP], [3.0, 0.0],
+        )
+        for limit in (1e39, 1.7976931348623157e308, INF)
+    },
+}  # fmt: skip
+"""Ranges, the limit that a log states, what a user says; what the ranges mean, and their reach"""
 
 
-def test_without_any_limit_a_no_return_clears_nothing() -> None:
-    batch = make_batch([[INF, 1e30]], range_max=INF)
-    kind, _, counts = classify(batch, ReturnOptions(no_return=NoReturn.CLEAR))
-    assert kind.tolist() == [[SKIP, HIT]]
-    assert (counts.no_return, counts.hit) == (1, 1)
-
-
-def test_without_a_limit_of_the_sensor_a_no_return_clears_to_the_users() -> None:
-    options = ReturnOptions(max_range=6.0, no_return=NoReturn.CLEAR)
-    kind, distance, _ = classify(make_batch([[INF, 7.0]], range_max=INF), options)
-    assert kind.tolist() == [[FREE, FREE]]
-    assert distance.tolist() == [[6.0, 6.0]]
-
-
-@pytest.mark.parametrize("range_max", [1e39, 1.7976931348623157e308, INF])
-def test_a_limit_that_no_float32_can_hold_is_none(range_max: float) -> None:
-    options = ReturnOptions(range_max=range_max)
-    kind, _, _ = classify(make_batch([[3.0, INF]], range_min=1e-300), options)
-    assert kind.tolist() == [[HIT, SKIP]]
-
-
-def test_the_users_sensor_limit_replaces_that_of_the_log() -> None:
-    kind, _, counts = classify(make_batch([[4.0, 6.0]]), ReturnOptions(range_max=5.0))
-    assert kind.tolist() == [[HIT, SKIP]]
-    assert counts.no_return == 1
-
-
-def test_limits_that_cross_count_each_beam_once() -> None:
-    batch = make_batch([[1.0, 6.0, 9.0, 11.0, INF]], range_max=5.0)
-    options = ReturnOptions(min_range=8.0, max_range=10.0, no_return=NoReturn.CLEAR)
-    kind, _, counts = classify(batch, options)
-    assert kind.tolist() == [[SKIP, SKIP, FREE, FREE, FREE]]
-    assert counts == ReturnCounts(no_return=3, too_close=2)
+@pytest.mark.parametrize("case", LIMITS_OF_BOTH)
+def test_the_limits_of_a_sensor_and_of_a_user_hold_together(case: str) -> None:
+    ranges, range_max, options, kinds, reach = LIMITS_OF_BOTH[case]
+    kind, distance, counts = classify(make_batch([ranges], 1e-300, range_max), options)
+    assert kind.tolist() == [kinds]
+    assert distance[0].tolist() == np.array(reach, np.float32).tolist()
+    assert sum(counts) == len(ranges)
 
 
 LIMITS = st.sampled_from([0.0, 0.1, 2.5, 10.0, INF])
