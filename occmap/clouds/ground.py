@@ -112,10 +112,8 @@ class GroundFinder:
         path, sample = [], []
         place, listed = np.empty((3, SOME)), np.empty((2, SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
-            start = 0
-            while 3 * (start := count_heights(cloud, table, start, place, listed)) < len(
-                cloud.points
-            ):
+            start, points = 0, len(cloud.points) // 3
+            while (start := count_heights(cloud, table, start, place, listed)) < points:
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
@@ -156,7 +154,27 @@ class GroundFinder:
             No ground is found.
         """
         table, path, _ = self.count()
-        return find_ground(table, path, options, known)
+        columns = read_columns(table, path, known)
+        blocks = columns.blocks
+        depths = measure_depth(columns, path, options.sensor_height)
+        if options.ground == FLAT:
+            return make_flat(path, depths.ground), []
+        height = grow(columns, path, depths, known)
+        measured = height != NO_GROUND
+        if not measured.any():
+            raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
+        fill(blocks, height, FILLED)
+        plane = fit_plane(blocks, height, measured)
+        if plane is not None:
+            beyond = height == NO_GROUND
+            fill(blocks, height, LEVEL_FILLED - FILLED)
+            beyond &= height != NO_GROUND
+            height[beyond] = plane[beyond]
+        note = (
+            f"the sensor is {depths.ground / 1000:.2f} m above the ground, which was found for "
+            f"{np.count_nonzero(measured):,} of {columns.filled:,} columns of 0.15 m"
+        )
+        return pack_ground(blocks, height, measured), [note, *list_storeys(path)]
 
 
 def sample_points(cloud: Cloud) -> Float64:
@@ -204,39 +222,6 @@ class Columns(NamedTuple):
     peaks: Peaks
     filled: int
     """How many columns hold points"""
-
-
-def find_ground(
-    table: Histogram, path: Int64, options: CloudOptions, known: Ground | None
-) -> tuple[Ground, list[str]]:
-    """Find the ground from counted heights and from where the sensor went (P, 3; mm).
-
-    Raises
-    ------
-    MapError
-        No ground is found.
-    """
-    columns = read_columns(table, path, known)
-    blocks = columns.blocks
-    depths = measure_depth(columns, path, options.sensor_height)
-    if options.ground == FLAT:
-        return make_flat(path, depths.ground), []
-    height = grow(columns, path, depths, known)
-    measured = height != NO_GROUND
-    if not measured.any():
-        raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-    fill(blocks, height, FILLED)
-    plane = fit_plane(blocks, height, measured)
-    if plane is not None:
-        beyond = height == NO_GROUND
-        fill(blocks, height, LEVEL_FILLED - FILLED)
-        beyond &= height != NO_GROUND
-        height[beyond] = plane[beyond]
-    note = (
-        f"the sensor is {depths.ground / 1000:.2f} m above the ground, which was found for "
-        f"{np.count_nonzero(measured):,} of {columns.filled:,} columns of 0.15 m"
-    )
-    return pack_ground(blocks, height, measured), [note, *list_storeys(path)]
 
 
 class Depths(NamedTuple):
