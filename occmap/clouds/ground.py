@@ -295,15 +295,13 @@ def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
 
     Sums are of integers, so that all machines find the same plane.
     """
-    at = np.arange(len(height))
-    block, row, col = at >> 2 * BLOCK_BITS, at >> BLOCK_BITS & BLOCK - 1, at & BLOCK - 1
-    row += blocks.places[block, 0] * BLOCK
-    col += blocks.places[block, 1] * BLOCK
-    if np.count_nonzero(measured) < LEAST_LEVEL:
+    at = np.flatnonzero(measured)
+    if len(at) < LEAST_LEVEL:
         return None
-    used = measured
+    row, col = list_places(blocks, at)
+    level_mm, used = height[at].astype(np.int64), np.ones(len(at), np.bool_)
     for _ in range(ROUNDS):
-        x, y, z = (each[used].astype(np.int64) for each in (col, row, height))
+        x, y, z = col[used], row[used], level_mm[used]
         count, middle = len(x), (int(x.sum()) // len(x), int(y.sum()) // len(x))
         x, y = x - middle[0], y - middle[1]
         terms = [np.ones_like(x), x, y]
@@ -313,14 +311,22 @@ def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
         if count < LEAST_LEVEL or whole == 0:
             return None
         level, along, aside = (
-            measure_volume([[*row[:n], rise, *row[n + 1 :]] for row, rise in both]) / whole
+            measure_volume([[*terms[:n], rise, *terms[n + 1 :]] for terms, rise in both]) / whole
             for n in range(3)
         )
-        plane = level + along * (col - middle[0]) + aside * (row - middle[1])
-        off = np.abs(height - plane)
-        used = measured & (off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3))
-    share = np.count_nonzero(off[measured] < LEVEL_MM) / np.count_nonzero(measured)
-    return np.rint(plane).astype(np.int32) if share >= LEVEL_SHARE else None
+        off = np.abs(level_mm - (level + along * (col - middle[0]) + aside * (row - middle[1])))
+        used = off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3)
+    if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
+        return None
+    row, col = list_places(blocks, np.arange(len(height)))
+    plane = level + along * (col - middle[0]) + aside * (row - middle[1])
+    return np.rint(plane).astype(np.int32)
+
+
+def list_places(blocks: Blocks, at: Int64) -> tuple[Int64, Int64]:
+    """The rows and the columns of columns (N,), by where they lie in flat arrays."""
+    row, col = blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK
+    return row + (at >> BLOCK_BITS & BLOCK - 1), col + (at & BLOCK - 1)
 
 
 def measure_volume(rows: list[list[int]]) -> int:
