@@ -5,7 +5,7 @@ otherwise than they are said to.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from itertools import product
 from threading import Lock
 from typing import NamedTuple
@@ -448,95 +448,8 @@ def make_flat(path: Int64, depth: int) -> Ground:
     return Ground(places, height, np.ones(height.shape, np.bool_))
 
 
-NEAREST_M, FARTHEST_M = 1.0, 8.0
-"""Floor is looked for between these distances: farther away, poses that are off move it more."""
-FLOOR_M = 0.25
-"""No floor lies farther from the ground that was found."""
-BESIDE_M = 1.0
-"""The ground is shifted to where the robot stood at most so far away"""
-STEADY_M = 0.06
-"""Where a sensor's height differs by more, a hand carries it, and the ground is not shifted (m)"""
-POINTS = 2000
-"""Points of a cloud that are looked at, about"""
-TILT_ROUNDS = 6
 APART = 8
 """Slopes of the ground are measured over so many columns."""
-
-
-class Tilts(NamedTuple):
-    """How points of the floor lie over the ground, by small rotations that would lay them flat."""
-
-    sensor: Float64
-    """(3,) in the frame of the points (rad): if a mount is wrong"""
-    upright: Float64
-    """(3,) in the map (rad): if the poses' own up is wrong"""
-    is_mount: bool
-    """Whether the first explains them better"""
-
-
-def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
-    """Measure by which rotation the floor in clouds lies flat; None where too little is seen.
-
-    A rotation by a small vector d lifts a point that lies at p from the sensor by d . (p x up). In
-    the sensor's frame d is constant where its mount is wrong, in the map's where the poses are.
-    What the ground is made of is turned likewise, and hides the error: so it is shifted to where
-    the robot stood when it came by, which is as far below the sensor anywhere.
-    """
-    stood = np.array([cloud.origin for posed in clouds for cloud in list_clouds(posed)])
-    stood = stood.reshape(-1, 3)
-    stood[:, 2] -= ground.find_heights(stood)
-    stood = stood[np.isfinite(stood[:, 2])]
-    if not len(stood):
-        return None
-    stood[:, 2] -= np.median(stood[:, 2])
-    if stood[:, 2].std() > STEADY_M:
-        stood[:, 2] = 0
-    rows = [row for posed in clouds for row in list_levers(posed, ground, stood)]
-    above, in_sensor, in_map = (np.concatenate(each) for each in zip(*rows, strict=True))
-    if len(above) < POINTS:
-        return None
-    fits = [fit_robustly(levers, above) for levers in (in_sensor, in_map)]
-    (sensor, left), (upright, left_by_map) = fits
-    return Tilts(-sensor, -upright, left <= left_by_map)
-
-
-def list_levers(
-    posed: PosedScans, ground: Ground, stood: Float64
-) -> Iterable[tuple[Float64, Float64, Float64]]:
-    """List, cloud by cloud, how high points lie over the ground, and what they would be lifted.
-
-    Parameters
-    ----------
-    stood
-        (P, 3) where the robot stood, and how far below it the ground was found too low (m).
-    """
-    for cloud in list_clouds(posed):
-        some, pose = pose_points(cloud, POINTS)
-        turned = np.einsum("nij,nj->ni", pose[:, :, :3], some)
-        place = turned + pose[:, :, 3]
-        distance = np.linalg.norm((place - cloud.origin)[:, :2], axis=1)
-        with np.errstate(invalid="ignore"):
-            near = (distance > NEAREST_M) & (distance < FARTHEST_M)
-        some, turned, place, up_there = (
-            each[near] for each in (some, turned, place, pose[:, 2, :3])
-        )
-        apart = np.linalg.norm(place[:, None, :2] - stood[:, :2], axis=2)
-        above = place[:, 2] - ground.find_heights(place) - stood[apart.argmin(axis=1), 2]
-        floor: Bool = (apart.min(axis=1) < BESIDE_M) & (np.abs(above) < FLOOR_M)
-        up = np.array([0.0, 0.0, 1.0])
-        yield above[floor], np.cross(some[floor], up_there[floor]), np.cross(turned[floor], up)
-
-
-def fit_robustly(levers: Float64, above: Float64) -> tuple[Float64, float]:
-    """Fit a small rotation (3,) to heights (N,); return it, and the median of what is left."""
-    used = np.ones(len(above), np.bool_)
-    for _ in range(TILT_ROUNDS):
-        middle, height = levers[used].mean(axis=0), float(above[used].mean())
-        # A turn about the vertical lifts nothing: it has no lever to speak of.
-        found = np.linalg.lstsq(levers[used] - middle, above[used] - height, rcond=0.1)[0]
-        left = np.abs(above - height - (levers - middle) @ found)
-        used = left < 3 * max(float(np.median(left)), 0.005)
-    return found, float(np.median(left))
 
 
 def measure_slope(ground: Ground) -> tuple[float, float]:
