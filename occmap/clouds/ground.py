@@ -16,18 +16,7 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import (
-    BIN_MM,
-    EMPTY,
-    FAR_M,
-    ROOM,
-    SOME,
-    WIDE,
-    Cloud,
-    Histogram,
-    count_heights,
-    list_clouds,
-)
+from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, list_clouds
 from occmap.errors import MapError
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
@@ -110,10 +99,10 @@ class GroundFinder:
         with self._lock:
             table = self._idle.pop() if self._idle else make_table(1 << 14)
         path, sample = [], []
-        place, listed = np.empty((3, SOME)), np.empty((2, SOME), np.int64)
+        place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
-            while (start := count_heights(cloud, table, start, place, listed)) < points:
+            while (start := heights.count_heights(cloud, table, start, place, listed)) < points:
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
@@ -196,7 +185,7 @@ def pose_points(cloud: Cloud, about: int) -> tuple[Float64, Float64]:
 
 def make_table(size: int) -> Histogram:
     """Make an empty table; its size is a power of two."""
-    keys = np.full(size, EMPTY, np.int64)
+    keys = np.full(size, heights.EMPTY, np.int64)
     return Histogram(keys, np.zeros((size, heights.BINS), np.int32), np.zeros(1, np.int64))
 
 
@@ -351,18 +340,18 @@ def list_storeys(path: Int64) -> Iterator[str]:
 
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
-    kept = np.flatnonzero(table.keys != EMPTY)
+    kept = np.flatnonzero(table.keys != heights.EMPTY)
     kept = kept[np.argsort(table.keys[kept])]
     keys, counts = table.keys[kept], table.counts[kept]
     columns = keys >> heights.PIECE_BITS
     every = columns[np.flatnonzero(np.diff(columns, prepend=-1))]
     many = np.zeros(len(every), np.int32)
     level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
-    found = heights.list_peaks(keys, counts, np.empty(ROOM, np.int64), many, level, weight)
+    found = heights.list_peaks(keys, counts, np.empty(heights.ROOM, np.int64), many, level, weight)
     level, weight = level[:found].copy(), weight[:found].copy()
-    start = path[:1, 1::-1] // COLUMN_MM - WIDE // 2
-    packed = np.stack([every >> 21, every % WIDE], axis=1)
-    places = start + (packed - start) % WIDE
+    start = path[:1, 1::-1] // COLUMN_MM - heights.WIDE // 2
+    packed = np.stack([every >> 21, every % heights.WIDE], axis=1)
+    places = start + (packed - start) % heights.WIDE
     blocks = make_blocks(places, known)
     row, col = places.T
     block = blocks.table[tuple(((places >> BLOCK_BITS) - blocks.corner).T)].astype(np.int64)
@@ -442,7 +431,7 @@ def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:
 
 def make_flat(path: Int64, depth: int) -> Ground:
     """Make a plane so far below a path (P, 3), as far as points count; all in mm."""
-    side, reach = COLUMN_MM * BLOCK, round(FAR_M * 1000)
+    side, reach = COLUMN_MM * BLOCK, round(heights.FAR_M * 1000)
     low, high = (path.min(axis=0) - reach) // side, (path.max(axis=0) + reach) // side
     rows, cols = (np.arange(low[axis], high[axis] + 1) for axis in (1, 0))
     places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
