@@ -10,17 +10,10 @@ import numpy as np
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
+from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import Cloud, find_reach, list_clouds
-from occmap.clouds.kernels.tracing import (
-    COUNTS,
-    SECTORS,
-    Band,
-    Canvas,
-    lay_ground,
-    make_room,
-    trace_cloud,
-)
+from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas
 from occmap.grid import CellBox, Lattice
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
@@ -48,7 +41,7 @@ class Sheet:
         self.number = 0
         """The slice of time of what it holds"""
         self.counts = np.zeros(COUNTS, np.int64)
-        self.room = make_room(0, 0)
+        self.room = tracing.make_room(0, 0)
 
     @property
     def used(self) -> int:
@@ -63,7 +56,7 @@ class Sheet:
         high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
         inside, heights = np.concatenate([low, high]), np.empty(TILE * TILE, np.int32)
         where = inside, self.lattice.resolution, heights
-        while not lay_ground(self.blocks, self.height, self.canvas, *where):
+        while not tracing.lay_ground(self.blocks, self.height, self.canvas, *where):
             grown = allocate(table, corner, 2 * self.used)
             for layer in ("places", "base", "ground", "state", "counts", "used"):
                 old = getattr(self.canvas, layer)
@@ -75,13 +68,13 @@ class Sheet:
         farthest = min(max(map(find_farthest, clouds)), band.farthest)
         self.reach(np.array([cloud.origin for cloud in clouds]), farthest)
         points = max(len(cloud.points) // 3 for cloud in clouds)
-        beams = SECTORS * 2 * (int(farthest / self.lattice.resolution) + 2)
+        beams = tracing.SECTORS * 2 * (int(farthest / self.lattice.resolution) + 2)
         cells = min(points + beams, self.used * TILE * TILE)
         if len(self.room.floor) < points or len(self.room.touched) <= cells:
-            self.room = make_room(points, cells)
+            self.room = tracing.make_room(points, cells)
         scale = self.lattice.units_per_metre
         for cloud in clouds:
-            trace_cloud(cloud, band, self.canvas, scale, self.room, self.counts)
+            tracing.trace_cloud(cloud, band, self.canvas, scale, self.room, self.counts)
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""

@@ -3,6 +3,9 @@
 Clouds of many places, laid over each other in the sensor's own frame, have one plane in common with
 hardly a point beneath it: the floor. How far the sensor is turned about the vertical shows in the
 map, where only the right turn lays the walls of all clouds over each other.
+
+How the floor of single clouds leans over the ground of all of them tells mounts, and poses, that
+are off by a little.
 """
 
 import math
@@ -11,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.cells import Ground
 from occmap.posing.tracks import to_quaternions
-from occmap.types import Float64, Pose, PosedScans
+from occmap.types import Bool, Float64, Pose, PosedScans
 
 CLOUDS, POINTS = 40, 1500
 """How many clouds are looked at, and how many points of each, about"""
@@ -156,3 +160,98 @@ def count_walls(
         in_map = on_body[stands] @ turned.T + place
         cells.append(np.floor(in_map[:, :2] / CELL_M))
     return len(np.unique(np.concatenate(cells), axis=0))
+
+
+FLOOR_FROM_M = 1.0
+"""Tilts are measured from this distance on, and up to the same: farther away, poses that are off
+move the floor more."""
+FLOOR_M = 0.25
+"""No floor lies farther from the ground that was found."""
+BESIDE_M = 1.0
+"""The ground is shifted to where the robot stood at most so far away"""
+STEADY_M = 0.06
+"""Where a sensor's height differs by more, a hand carries it, and the ground is not shifted (m)"""
+LOOKED_AT = 2000
+"""Points of a cloud that tilts are measured by, about"""
+TILT_ROUNDS = 6
+
+
+class Tilts(NamedTuple):
+    """How points of the floor lie over the ground, by small rotations that would lay them flat."""
+
+    sensor: Float64
+    """(3,) in the frame of the points (rad): if a mount is wrong"""
+    upright: Float64
+    """(3,) in the map (rad): if the poses' own up is wrong"""
+    is_mount: bool
+    """Whether the first explains them better"""
+
+
+def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
+    """Measure by which rotation the floor in clouds lies flat; None where too little is seen.
+
+    A rotation by a small vector d lifts a point that lies at p from the sensor by d . (p x up). In
+    the sensor's frame d is constant where its mount is wrong, in the map's where the poses are.
+    What the ground is made of is turned likewise, and hides the error: so it is shifted to where
+    the robot stood when it came by, which is as far below the sensor anywhere.
+    """
+    from occmap.clouds.ground import pose_points  # noqa: PLC0415  late: it brings LLVM
+    from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
+
+    seen = [
+        (*pose_points(cloud, LOOKED_AT), cloud.origin)
+        for posed in clouds
+        for cloud in list_clouds(posed)
+    ]
+    stood = np.array([origin for _, _, origin in seen]).reshape(-1, 3)
+    stood[:, 2] -= ground.find_heights(stood)
+    stood = stood[np.isfinite(stood[:, 2])]
+    if not len(stood):
+        return None
+    stood[:, 2] -= np.median(stood[:, 2])
+    if stood[:, 2].std() > STEADY_M:
+        stood[:, 2] = 0
+    rows = [find_levers(*each, ground, stood) for each in seen]
+    above, in_sensor, in_map = (np.concatenate(each) for each in zip(*rows, strict=True))
+    if len(above) < LOOKED_AT:
+        return None
+    fits = [fit_robustly(levers, above) for levers in (in_sensor, in_map)]
+    (sensor, left), (upright, left_by_map) = fits
+    return Tilts(-sensor, -upright, left <= left_by_map)
+
+
+def find_levers(
+    some: Float64, pose: Float64, origin: Float64, ground: Ground, stood: Float64
+) -> tuple[Float64, Float64, Float64]:
+    """Find how high points of a cloud lie over the ground, and what they would be lifted.
+
+    Parameters
+    ----------
+    some, pose, origin
+        (N, 3) the points, (N, 3, 4) the pose of each, and (3,) where the sensor was.
+    stood
+        (P, 3) where the robot stood, and how far below it the ground was found too low (m).
+    """
+    turned = np.einsum("nij,nj->ni", pose[:, :, :3], some)
+    place = turned + pose[:, :, 3]
+    distance = np.linalg.norm((place - origin)[:, :2], axis=1)
+    with np.errstate(invalid="ignore"):
+        near = (distance > FLOOR_FROM_M) & (distance < FARTHEST_M)
+    some, turned, place, up_there = (each[near] for each in (some, turned, place, pose[:, 2, :3]))
+    apart = np.linalg.norm(place[:, None, :2] - stood[:, :2], axis=2)
+    above = place[:, 2] - ground.find_heights(place) - stood[apart.argmin(axis=1), 2]
+    floor: Bool = (apart.min(axis=1) < BESIDE_M) & (np.abs(above) < FLOOR_M)
+    up = np.array([0.0, 0.0, 1.0])
+    return above[floor], np.cross(some[floor], up_there[floor]), np.cross(turned[floor], up)
+
+
+def fit_robustly(levers: Float64, above: Float64) -> tuple[Float64, float]:
+    """Fit a small rotation (3,) to heights (N,); return it, and the median of what is left."""
+    used = np.ones(len(above), np.bool_)
+    for _ in range(TILT_ROUNDS):
+        middle, height = levers[used].mean(axis=0), float(above[used].mean())
+        # A turn about the vertical lifts nothing: it has no lever to speak of.
+        found = np.linalg.lstsq(levers[used] - middle, above[used] - height, rcond=0.1)[0]
+        left = np.abs(above - height - (levers - middle) @ found)
+        used = left < 3 * max(float(np.median(left)), 0.005)
+    return found, float(np.median(left))

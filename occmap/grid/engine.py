@@ -20,7 +20,7 @@ from occmap.errors import MapError
 from occmap.grid import MOST_CELLS_OF_BEAM, CellBox
 from occmap.grid.kernels.beams import Canvas, Tiles, read_tiles, sum_changes, trace_beams
 from occmap.grid.kernels.lines import Changes
-from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
+from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, Field, trace_polygons
 from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
@@ -108,6 +108,10 @@ class DenseWindow(Window):
         every_bit = -1
         return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
+    def make_field(self, corner: Int64) -> Field:
+        """What kernels that fill polygons write to, by its lower-left corner (2,)."""
+        return Field(corner, self.cells, self.changes.numbers)
+
     def read(self) -> dict[Key, Tile]:
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col)
         (rows, cols), changes = self.box.shape, self.changes.numbers
@@ -149,16 +153,15 @@ class PolygonWindow(DenseWindow):
         return BORDER_BITS, COUNTED, 1
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        limits, runs = (self.spec.jump, self.spec.border_gap), self.changes.numbers
-        trace_polygons(beams, limits, corner, self.cells, runs, self.observations)
+        limits, field = (self.spec.jump, self.spec.border_gap), self.make_field(corner)
+        trace_polygons(beams, limits, field, self.observations)
 
 
 class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        runs = self.changes.numbers
-        trace_radial_polygons(beams, corner, self.spec.tables, self.cells, runs)
+        trace_radial_polygons(beams, self.spec.tables, self.make_field(corner))
 
 
 class SparseBeamWindow(Window):

@@ -12,7 +12,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.choices import format_mount
-from occmap.clouds.mounting import find_seat
+from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
 from occmap.inspection.survey import TopicSurvey
 from occmap.options import BuildOptions
@@ -116,7 +116,7 @@ def list_floor_concerns(
     ground
         None where none was found.
     """
-    from occmap.clouds.ground import draw, measure_tilts  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.ground import draw  # noqa: PLC0415  late: it brings numba
 
     share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
     seen: defaultdict[str, list[PosedScans]] = defaultdict(list)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from occmap.clouds.ground import measure_slope, measure_tilts
+from occmap.clouds.ground import measure_slope
+from occmap.clouds.mounting import measure_tilts
 from occmap.types import Float64, PosedScans
 from tests.clouds.simulation import Room, drive, find_ground, turn
 

@@ -176,19 +176,34 @@ def grow_ground(
     Parameters
     ----------
     queue
-        (2, C) to work with: columns that have ground, or may have it next, and its height.
+        (2, C) to work with: columns that have grown, or may grow next, and their height.
     """
     height, weight, _ = found
     has_peaks = peaks.many.size > 0
-    begin, known = 0, 0
+    # At first any column may have ground beside it, and then those near what has grown.
+    begin, many, grown = 0, 0, 0
     for at in range(height.size):
-        if height[at] != NO_GROUND:
-            queue[0, known] = at
-            known += 1
-    end = known
-    while begin < end and rounds > 0:
-        many = end
-        for i in range(begin, end):
+        if height[at] == NO_GROUND and (not has_peaks or peaks.many[at]):
+            queue[0, many] = at
+            many += 1
+    while begin < many and rounds > 0:
+        for i in range(begin, many):
+            at = queue[0, i]
+            mean = mean_beside(blocks, height, at, reach)
+            queue[1, i], weight[at] = NO_GROUND if has_peaks else mean, 0
+            if not has_peaks:
+                continue
+            for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
+                if abs(peaks.height[k] - mean) <= STEP_MM and peaks.weight[k] > weight[at]:
+                    queue[1, i], weight[at] = peaks.height[k], peaks.weight[k]
+        front = 0
+        for i in range(begin, many):
+            if queue[1, i] != NO_GROUND:
+                queue[0, front] = queue[0, i]
+                height[queue[0, i]] = queue[1, i]
+                front += 1
+        begin, many = front, front
+        for i in range(front):
             row, col = locate(blocks, queue[0, i])
             for up in range(-reach, reach + 1):
                 for right in range(-reach, reach + 1):
@@ -199,24 +214,9 @@ def grow_ground(
                         weight[at] = QUEUED
                         queue[0, many] = at
                         many += 1
-        for i in range(end, many):
-            at = queue[0, i]
-            mean = mean_beside(blocks, height, at, reach)
-            queue[1, i], weight[at] = NO_GROUND if has_peaks else mean, 0
-            if not has_peaks:
-                continue
-            for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                if abs(peaks.height[k] - mean) <= STEP_MM and peaks.weight[k] > weight[at]:
-                    queue[1, i], weight[at] = peaks.height[k], peaks.weight[k]
-        begin = end
-        for i in range(begin, many):
-            at = queue[0, i]
-            if queue[1, i] != NO_GROUND:
-                height[at] = queue[1, i]
-                queue[0, end] = at
-                end += 1
+        grown += front
         rounds -= 1
-    return end - known
+    return grown
 
 
 class Stepped(NamedTuple):

@@ -257,6 +257,17 @@ EDGE, JOINED = 1, 2
 end cells belong to the border, too."""
 
 
+class Field(NamedTuple):
+    """The cells of a window that scans are added to."""
+
+    corner: Int64
+    """(2,) x and y of the window's corner (lattice units from the anchor)"""
+    cells: Int64
+    """(H, W + PAD) what single cells got"""
+    runs: Int32
+    """H x (W + PAD), flat: changes along rows of how often cells were plainly inside"""
+
+
 class Room(NamedTuple):
     """What a scan is worked out in."""
 
@@ -268,14 +279,7 @@ class Room(NamedTuple):
     spans: Spans
 
 
-def trace_polygons(
-    beams: Beams,
-    limits: tuple[float, int],
-    corner: Int64,
-    border: Int64,
-    runs: Int32,
-    mark: int,
-) -> None:
+def trace_polygons(beams: Beams, limits: tuple[float, int], field: Field, mark: int) -> None:
     """Add every scan's border and inside.
 
     Parameters
@@ -284,62 +288,51 @@ def trace_polygons(
         Neighbours see one surface where their ranges differ by at most the first (m), and the
         border is closed between end cells of one surface at most so far apart as the second
         (cells).
-    corner
-        (2,) x and y of the window's corner (lattice units from the anchor).
-    border
-        (H, W + PAD) packed as `BORDER_BITS` says; scans count from `mark` + 1, and none above
-        `mark` is there yet.
-    runs
-        H x (W + PAD), flat: changes of the misses along rows.
+    field
+        Its cells are packed as `BORDER_BITS` says.
+    mark
+        Scans count from `mark` + 1, and none above it is there yet.
     """
-    (scans, count), rows = beams.rays.kind.shape, len(border)
+    (scans, count), rows = beams.rays.kind.shape, len(field.cells)
     links, listed, crossings = np.empty(count, np.uint8), np.empty(count, np.int32), 4 * rows
     outline, done = make_outline(3 * count + 4), 0
     while done < scans:
         room = Room(links, listed, outline, make_spans(rows, crossings))
-        done = trace_scans(beams, done, limits, corner, border, runs, mark, room)
+        done = trace_scans(beams, done, limits, field, mark, room)
         crossings *= 2
 
 
 @kernel
 def trace_scans(
-    beams: Beams,
-    done: int,
-    limits: tuple[float, int],
-    corner: Int64,
-    border: Int64,
-    runs: Int32,
-    mark: int,
-    room: Room,
+    beams: Beams, done: int, limits: tuple[float, int], field: Field, mark: int, room: Room
 ) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
-    jump, border_gap = limits
-    links, listed, spans = room.links, room.listed, room.spans
-    rows, cols = border.shape[0], border.shape[1] - PAD
+    spans, runs = room.spans, field.runs
+    rows, cols = field.cells.shape[0], field.cells.shape[1] - PAD
     scans: int = beams.rays.kind.shape[0]
     for s in range(done, scans):
-        size = _link_beams(beams, s, jump, border_gap, links, listed)
-        corners = _outline_scan(beams, s, jump, corner, links, listed[:size], room.outline)
-        touched = _find_rows(beams, s, corner[1], rows)
+        size = _link_beams(beams, s, limits, room.links, room.listed)
+        corners = _outline_scan(beams, s, limits[0], field.corner, room, size)
+        touched = _find_rows(beams, s, field.corner[1], rows)
         crossings = fill_outline(room.outline, corners, touched, cols, spans)
         if crossings < 0:
             return s
         for i in range(0, crossings, 2):
             runs[np.uint64(spans.limits[np.uint64(i)])] += 1
             runs[np.uint64(spans.limits[np.uint64(i + 1)])] -= 1
-        _note_border(beams, s, corner, links, listed[:size], spans, mark + s + 1, border)
+        _note_border(beams, s, field, mark + s + 1, room, size)
     return scans
 
 
 @kernel
 def _link_beams(
-    beams: Beams, s: int, jump: float, border_gap: int, links: UInt8, listed: Int32
+    beams: Beams, s: int, limits: tuple[float, int], links: UInt8, listed: Int32
 ) -> int:
     """Say how each beam of a scan is linked to the one before it.
 
     There are no branches, so that many beams are compared at a time. Returns how many are listed.
     """
-    distance, kinds = beams.rays.distance[s], beams.rays.kind[s]
+    distance, kinds, (jump, border_gap) = beams.rays.distance[s], beams.rays.kind[s], limits
     ends_x, ends_y, last = beams.ends_x[s], beams.ends_y[s], kinds.size - 1
     for a, b, size in ((0, 1, last), (last, 0, 1)):  # the first beam comes after the last
         before, after, link = kinds[a : a + size], kinds[b : b + size], links[b : b + size]
@@ -369,22 +362,20 @@ def _link_beams(
 
 
 @kernel
-def _outline_scan(
-    beams: Beams, s: int, jump: float, corner: Int64, links: UInt8, listed: Int32, outline: Outline
-) -> int:
+def _outline_scan(beams: Beams, s: int, jump: float, corner: Int64, room: Room, size: int) -> int:
     """Write the corners of one scan's regions: one region for each run of beams that are not SKIP.
 
     A region is closed through the sensor or, where a full circle has all its beams, on itself.
     Corners between which no row's centre line is crossed are left out. Returns the number of
     corners.
     """
-    full_circle = beams.rays.full_circle
+    links, outline, full_circle = room.links, room.outline, beams.rays.full_circle
     distance, kinds = beams.rays.distance[s], beams.rays.kind[s]
     ends_x, ends_y, left, bottom = beams.ends_x[s], beams.ends_y[s], corner[0], corner[1]
     at_x, at_y = beams.origins[s, 0, 0] - left, beams.origins[s, 0, 1] - bottom
     corners, drawn, last = 0, -1, kinds.size - 1
-    for i in range(listed.size):
-        b = int(listed[i])
+    for i in range(size):
+        b = int(room.listed[i])
         if not links[b] & EDGE:
             continue
         a = b - 1 if b > 0 else last
@@ -441,25 +432,17 @@ def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: boo
 
 
 @kernel
-def _note_border(
-    beams: Beams,
-    s: int,
-    corner: Int64,
-    links: UInt8,
-    listed: Int32,
-    spans: Spans,
-    mark: int,
-    border: Int64,
-) -> None:
+def _note_border(beams: Beams, s: int, field: Field, mark: int, room: Room, size: int) -> None:
     """Give each cell of a scan's border one hit, and count whether it lies in a span."""
     ends_x, ends_y, kinds = beams.ends_x[s], beams.ends_y[s], beams.rays.kind[s]
-    to_col, to_row = corner[0] >> CELL_SHIFT, corner[1] >> CELL_SHIFT
+    links, spans, border = room.links, room.spans, field.cells
+    to_col, to_row = field.corner[0] >> CELL_SHIFT, field.corner[1] >> CELL_SHIFT
     for b in range(links.size):
         if kinds[b] == HIT:
             row, col = (ends_y[b] >> CELL_SHIFT) - to_row, (ends_x[b] >> CELL_SHIFT) - to_col
             _note_cell(row, col, spans, mark, border)
-    for i in range(listed.size):
-        b = int(listed[i])
+    for i in range(size):
+        b = int(room.listed[i])
         if not links[b] & JOINED:
             continue
         a = b - 1 if b > 0 else links.size - 1

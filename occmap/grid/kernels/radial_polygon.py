@@ -13,14 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.polygon import (
-    Outline,
-    Spans,
-    fill_outline,
-    find_rows,
-    make_outline,
-    make_spans,
-)
+from occmap.grid.kernels import polygon
+from occmap.grid.kernels.polygon import Field, Outline, Spans
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import (
     AT_A_TIME,
@@ -124,9 +118,7 @@ class Room(NamedTuple):
     """The part of which all gets the first entry"""
 
 
-def trace_radial_polygons(
-    beams: Beams, corner: Int64, tables: Tables, cells: Int64, runs: Int32
-) -> None:
+def trace_radial_polygons(beams: Beams, tables: Tables, field: Field) -> None:
     """Add what every scan says about each cell that it covers, once.
 
     A cell belongs to the beam that covers its bearing: a beam covers the bearings that are nearer
@@ -135,42 +127,31 @@ def trace_radial_polygons(
 
     Parameters
     ----------
-    corner
-        (2,) x and y of the window's corner (lattice units from the anchor).
-    cells
-        (H, W + PAD) sums of the entries of the cells that were visited.
-    runs
-        H x (W + PAD), flat: changes along rows of how often a cell got the first entry of `free`.
+    field
+        Its cells are sums of the entries of those that were visited; its runs count the others,
+        which got the first entry of `free`.
     """
-    (scans, count), rows = beams.rays.kind.shape, len(cells)
-    room, crossings, done = MANY + cells.shape[1] + AT_A_TIME, 4 * rows, 0
+    (scans, count), rows = beams.rays.kind.shape, len(field.cells)
+    room, crossings, done = MANY + field.cells.shape[1] + AT_A_TIME, 4 * rows, 0
     at_rows, at_cols, places = np.empty((3, room), np.int32)
     listed = Listed(at_rows, at_cols, places, np.empty(2 * room))
     sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
-    limits, outline = np.empty(2 * count + 2), make_outline(4 * count + 4)
+    limits, outline = np.empty(2 * count + 2), polygon.make_outline(4 * count + 4)
     limits[-2:] = np.inf, -np.inf
     while done < scans:
-        spans = make_spans(rows, crossings), make_spans(rows, crossings)
+        spans = polygon.make_spans(rows, crossings), polygon.make_spans(rows, crossings)
         view = Room(sectors, covering, limits, listed, outline, *spans)
-        done = trace_scans(beams, done, corner, tables, cells, runs, view)
+        done = trace_scans(beams, done, tables, field, view)
         crossings *= 2
 
 
 @kernel
-def trace_scans(
-    beams: Beams,
-    done: int,
-    corner: Int64,
-    tables: Tables,
-    cells: Int64,
-    runs: Int32,
-    room: Room,
-) -> int:
+def trace_scans(beams: Beams, done: int, tables: Tables, field: Field, room: Room) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
     sectors, limits, outline = room.sectors, room.limits, room.outline
     outer, inner, within = room.outer, room.inner, sectors.within
     scans: int = beams.rays.kind.shape[0]
-    rows, cols = cells.shape[0], cells.shape[1] - PAD
+    corner, rows, cols = field.corner, field.cells.shape[0], field.cells.shape[1] - PAD
     depth = tables.depth * beams.units_per_metre
     for s in range(done, scans):
         ranges, kinds = beams.ranges[s], beams.rays.kind[s]
@@ -179,8 +160,8 @@ def trace_scans(
         side_by_side = cover_bearings(sectors, kinds, sign, room.covering)
         reach_out(beams, s, depth, sectors)
         corners = outline_sectors(at_x, at_y, sectors, outline)
-        touched = find_rows(outline.y, corners, rows)
-        if fill_outline(outline, corners, touched, cols, outer) < 0:
+        touched = polygon.find_rows(outline.y, corners, rows)
+        if polygon.fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):
             limits[2 * b] = TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
@@ -190,25 +171,18 @@ def trace_scans(
         if side_by_side:
             stay_inside(sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
-            if fill_outline(outline, corners, touched, cols, inner) < 0:
+            if polygon.fill_outline(outline, corners, touched, cols, inner) < 0:
                 return s
         view = View((at_x, at_y), room.covering, limits, depth, tables.entries)
-        _observe_spans(view, touched, outer, inner, room.listed, cells, runs)
+        _observe_spans(view, touched, room, field)
     return scans
 
 
 @kernel
-def _observe_spans(
-    view: View,
-    touched: tuple[int, int],
-    outer: Spans,
-    inner: Spans,
-    listed: Listed,
-    cells: Int64,
-    runs: Int32,
-) -> None:
+def _observe_spans(view: View, touched: tuple[int, int], room: Room, field: Field) -> None:
     """Add one scan's inner spans, and what beams say about the other cells of its spans."""
-    stride, size = cells.shape[1], 0
+    outer, inner, listed, runs = room.outer, room.inner, room.listed, field.runs
+    stride, size = field.cells.shape[1], 0
     rows, cols = listed.rows, listed.cols
     for r in range(touched[0], touched[1]):
         row = np.uint64(r)
@@ -231,7 +205,7 @@ def _observe_spans(
                 size += max(int(until - col), 0)
                 col = max(col, beyond)
         if size >= MANY or r == touched[1] - 1:
-            _observe_cells(view, listed, size, cells)
+            _observe_cells(view, listed, size, field.cells)
             size = 0
 
 
