@@ -209,7 +209,7 @@ def test_odd_angles_are_noted_by_build_and_check(
 
 
 def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 1.0], 0.1)
     words = [log, "--jump", "0.3", "--border-gap", "4", "-o", tmp_path / "map.pgm"]
     told = "note: --{} does nothing with the {} update\n".format
     both = told("jump", "beam") + told("border-gap", "beam")
