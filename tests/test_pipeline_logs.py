@@ -275,7 +275,7 @@ def test_build_map_takes_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "found"),
     [
-        ({"update": "polgon"}, "update is 'polgon'; give .*polygon"),
+        ({"update": "polgon"}, "`update` is 'polgon'; give .*polygon"),
         ({"model": "smiple"}, "no model is called 'smiple'; did you mean 'simple'"),
         ({"resolution": 0.0}, "a resolution of 0.0 m"),
         ({"jobs": 0}, "`jobs=0`"),
@@ -290,7 +290,7 @@ def test_build_map_refuses_what_makes_no_sense(
 
 
 def test_build_map_needs_a_log() -> None:
-    with pytest.raises(UsageError, match="no log is given"):
+    with pytest.raises(UsageError, match="no file is given; try build_map"):
         occmap.build_map()
 
 

@@ -207,7 +207,7 @@ def test_a_beam_that_points_back_speaks_for_what_others_cover_too() -> None:
 
 def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
     """logit(2^-53) is -36.7; half a million such observations of one cell add up to as many."""
-    model = QuadraticModel(epsilon=1.0, p_min=1e-300)
+    model = QuadraticModel(epsilon=1.0, p_min=1e-9)
     spec = GridSpec(Update.BEAM, Lattice(1.0), radial=tabulate(model.free, model.hit, 1.0))
     beams = 1 << 19
     rays = look_around([30.0] * beams, 0.0)
