@@ -10,7 +10,7 @@ from typing import Any, Self
 from occmap import difference, explanation, inspection, page, tuning
 from occmap.cells import Evidence, OccupancyMap
 from occmap.choices import describe_options, read_options, read_value
-from occmap.errors import UsageError, refuse_failures
+from occmap.errors import UsageError, refuse_failures, require
 from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.options import OF_ONE_MAP, BuildOptions
@@ -447,8 +447,6 @@ def list_paths(paths: Sequence[AnyPaths], call: str) -> Paths:
     UsageError
         There is none, or one of them is not a path.
     """
-    given: Any = paths[0] if len(paths) == 1 else paths
-    if given in ((), []):
-        raise UsageError("no file is given", fix=f'try {call}("drive.mcap")')
-    made: Paths = read_value("paths", Paths, given)
+    made: Paths = read_value("paths", Paths, paths[0] if len(paths) == 1 else paths)
+    require(bool(made), "no file is given", f"see help(occmap.{call})")
     return made

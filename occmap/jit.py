@@ -237,8 +237,8 @@ def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
 
 def remove_old(base: Path) -> None:
     """Remove what other versions and settings kept below a folder, if nothing came to it lately."""
-    with suppress(OSError):
-        for folder in base.glob("occmap-*"):
+    for folder in base.glob("occmap-" + "[0-9a-f]" * 16):
+        with suppress(OSError):  # another process removes it, too
             if folder.stat().st_mtime < time.time() - KEPT_S:
                 shutil.rmtree(folder)
 

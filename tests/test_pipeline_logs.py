@@ -290,7 +290,7 @@ def test_build_map_refuses_what_makes_no_sense(
 
 
 def test_build_map_needs_a_log() -> None:
-    with pytest.raises(UsageError, match="no file is given; try build_map"):
+    with pytest.raises(UsageError, match="no file is given; see help"):
         occmap.build_map()
 
 

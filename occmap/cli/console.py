@@ -50,7 +50,7 @@ class Console:
     quiet: bool = False
     """Only errors are told, and results that were asked for as JSON"""
     verbose: bool = False
-    """So is what helps to find a fault in occmap itself"""
+    """What helps to find a fault in occmap itself is told, too"""
     as_json: bool = False
     """A program reads stdout: it gets one JSON object, whatever happens"""
     answered: bool = False
@@ -139,6 +139,7 @@ class Console:
         """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
         import traceback  # noqa: PLC0415  late: rarely needed
 
+        self.clear()
         if self.verbose:
             for text in "".join(traceback.format_exception(error)).splitlines():
                 self.tell(text)

@@ -70,8 +70,9 @@ class Sheet:
         points = max(len(cloud.points) // 3 for cloud in clouds)
         beams = tracing.SECTORS * 2 * (int(farthest / self.lattice.resolution) + 2)
         cells = min(points + beams, self.used * TILE * TILE)
-        if len(self.room.floor) < points or len(self.room.touched) <= cells:
-            self.room = tracing.make_room(points, cells)
+        most_points, most_cells = len(self.room.floor), len(self.room.touched) - 1
+        if most_points < points or most_cells < cells:
+            self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
         scale = self.lattice.units_per_metre
         for cloud in clouds:
             tracing.trace_cloud(cloud, band, self.canvas, scale, self.room, self.counts)

@@ -241,9 +241,10 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
     x, y, yaw = (parse_number(path, "a value of origin", each) for each in origin)
     if yaw:
         raise MapError(f"the map is turned by {yaw} rad: it lies on no lattice", where=path)
-    if not 0 < resolution <= FARTHEST_M or max(abs(x), abs(y)) > FARTHEST_M:
-        found = f"cells of {resolution:g} m from ({x:g}, {y:g}) m on are not possible"
-        raise MapError(found, where=path)
+    if not 0 < resolution <= FARTHEST_M:
+        raise MapError(f"a resolution of {resolution:g} m is not possible", where=path)
+    if max(abs(x), abs(y)) > FARTHEST_M:
+        raise MapError(f"an origin at ({x:g}, {y:g}) m is not possible", where=path)
     negate = values.get("negate", "0")
     is_spelt = negate in ("true", "false")
     is_negated = negate == "true" if is_spelt else parse_number(path, "negate", negate) != 0

@@ -93,7 +93,8 @@ class Cluster:
             ]
         except (CancelledError, CommClosedError):  # maybe it was lost while a result was fetched
             folder = jobs[0].setting.folder
-            done = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
+            kept = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
+            done = max(kept, len(results))
             found = f"the scheduler is gone; {done} of {len(jobs)} tasks of {phase!r} are done"
             fix = f"start it again, and type the same command: it goes on from {folder}"
             raise FleetError(found, where=self._address, fix=fix) from None
@@ -203,7 +204,7 @@ def refuse_unfit(cluster: Cluster) -> None:
     mine, theirs = list_versions(), cluster.ask(list_versions)
     if other := [each for each in theirs if each != mine]:
         workers = f"{len(other)} of {count(len(theirs), 'worker')}"
-        found = f"{workers} run {other[0]}, where {mine} runs here"
+        found = f"{workers} run {other[0]}, and this process runs {mine}"
         raise FleetError(found, fix="install the same versions everywhere")
     if cluster.memory is not None and cluster.memory < LEAST_BYTES:
         found = (

@@ -16,7 +16,7 @@ from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, wr
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import LeftOut, ScanCounts, Tally
 from occmap.sensor import ReturnCounts
-from occmap.sensor.models import shorten_model
+from occmap.sensor.models import parse_model, shorten_model
 from occmap.types import Int64, Update
 from occmap.writers import WriteOptions, list_idle
 
@@ -223,7 +223,8 @@ def tell_map(grid: MapSummary, looked_up: bool = False) -> list[Row]:
         hint = hint_at_tune(grid.agreement) if looked_up else ""
         rows.append(("agree", found + hint))
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
-    return [*rows, ("update", f"{grid.update}, model {shorten_model(grid.model)}{passes}")]
+    model = shorten_model(parse_model(grid.model))
+    return [*rows, ("update", f"{grid.update}, model {model}{passes}")]
 
 
 def tell_scans(report: Report) -> list[Row]:

@@ -270,7 +270,7 @@ class Drive:
         fills = self.options.update is Update.POLYGON
         if not fills or beams > 1 or isinstance(self.options.model, RadialModel):
             return ""
-        return "scans of one beam have no inside, so the polygon update frees no cell: name another"
+        return "scans of one beam have no inside, and polygon frees no cell: choose another update"
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""

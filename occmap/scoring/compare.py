@@ -6,7 +6,7 @@ that are kept from the maps of all variants.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from time import thread_time
@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.errors import LogError, require
+from occmap.errors import LogError, UsageError
 from occmap.evidence import render
 from occmap.evidence.manifest import describe_profile
 from occmap.grid.tiles import TileGrid
@@ -26,7 +26,7 @@ from occmap.scans import make_engine
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Remarks, ignore_progress
 from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, read_scans, score_map
-from occmap.sensor.models import SensorModel, make_model, parse_model
+from occmap.sensor.models import SensorModel, parse_model, shorten_model
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from occmap.workers import Workers
 
@@ -52,17 +52,6 @@ class Variant:
     def evidence(self) -> str:
         """Equal for variants that differ only in what they make of the same evidence."""
         return f"{self.update} {describe_profile(self.model) or 'counts'}"
-
-
-def shorten_model(model: SensorModel) -> str:
-    """Write a model as `model` takes it, without the parameters that are at their defaults."""
-    default = make_model(model.name, {})
-    changed = [
-        f"{field.name}={getattr(model, field.name):g}"
-        for field in fields(model)  # type: ignore[arg-type]  # a dataclass
-        if getattr(model, field.name) != getattr(default, field.name)
-    ]
-    return model.name + (":" + ",".join(changed) if changed else "")
 
 
 def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Variant]:
@@ -289,7 +278,8 @@ def compare(
         begin = partial(Trials, variants, options, workers)
         trials, tally, remarks = read_scans(paths, options, begin, progress)
     fix = "choose one with `map_frame`, or compare each log by itself"
-    require(not (apart := name_frames(tally)), apart, fix)
+    if apart := name_frames(tally):
+        raise UsageError(apart, fix=fix)
     hold_out = trials.hold_out
     held_out = hold_out.sample.scans
     refuse_unscored(remarks.logs, held_out, hold_out.hits)

@@ -40,7 +40,9 @@ LEAST_SHARE, MOST_RIVAL = 0.35, 0.75
 """Halves of real logs fit with a share of 0.45 to 0.78, and their rivals have 0.3 to 0.7 of that.
 Logs of other buildings fit with one below 0.35, or their rivals have 0.79 of it and more."""
 BESIDE = (0, -1, 1, -2, 2)
-"""In steps of turn, x or y: where something is as good farther away, the nearer one counts"""
+"""In steps: where something is as good farther away, the nearer one counts"""
+WAYS = sorted(product(BESIDE, BESIDE), key=lambda way: abs(way[0]) + abs(way[1]))
+"""In steps of x and y"""
 MOST_POINTS = 10_000
 MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
@@ -226,7 +228,7 @@ class _Search(NamedTuple):
         for halving in halvings:
             step_m, step_rad = STEP_M / 2**halving, STEP_RAD / 2**halving
             turns = [place.yaw + turn * step_rad for turn in BESIDE]
-            shifts = place[:2] + np.array(list(product(BESIDE, BESIDE))) * step_m
+            shifts = place[:2] + np.array(WAYS) * step_m
             shares = np.stack([self.judge(yaw, shifts, step_m, most) for yaw in turns])
             turn, shift = divmod(int(shares.argmax()), len(shifts))
             place = Transform._make([*shifts[shift].tolist(), turns[turn]])

@@ -316,12 +316,13 @@ def describe_model(model: Any) -> str:
     return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in kept.items())
 
 
-def shorten_model(text: str) -> str:
-    """Leave out of a model, as `describe_model` writes it, what it has without being told."""
-    name, _, pairs = text.partition(":")
-    usual = describe_model(make_model(name, {})).partition(":")[2].split(",")
-    changed = ",".join(pair for pair in pairs.split(",") if pair not in usual)
-    return f"{name}:{changed}" if changed else name
+def shorten_model(model: Any) -> str:
+    """Write a model as `parse_model` reads it, without parameters that are at their defaults."""
+    usual = make_model(model.name, {})
+    names = [field.name for field in fields(model)]
+    changed = [name for name in names if getattr(model, name) != getattr(usual, name)]
+    pairs = ",".join(f"{name}={getattr(model, name):g}" for name in changed)
+    return f"{model.name}:{pairs}" if pairs else str(model.name)
 
 
 def parse_model(text: str) -> SensorModel:

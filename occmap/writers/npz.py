@@ -205,7 +205,7 @@ def read_array(archive: zipfile.ZipFile, name: str) -> Any:
     member = archive.getinfo(f"{name}.npy")
     if member.file_size != member.compress_size:
         raise ValueError(name)
-    # Not by np.load, which believes what it reads before all of it was held against its checksum.
+    # Not by np.load: here the checksum of the whole member is tested before any of it is parsed.
     array = np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
     if array.dtype.kind not in "iu":
         raise ValueError(name)

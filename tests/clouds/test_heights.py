@@ -54,11 +54,17 @@ def lay(heights: dict[int, int], empty: int = NO_GROUND) -> Int32:
     return laid
 
 
-@pytest.mark.parametrize(("points", "height"), [(1, 0), (7, -280)])
-def test_a_few_stray_points_below_the_floor_are_no_ground(points: int, height: int) -> None:
-    first, many = lay({0: 0}, empty=0), lay({0: 2}, empty=0)
-    peaks = Peaks(first, many, np.array([-280, 0], np.int32), np.array([points, 100], np.int32))
-    columns = Columns(BLOCKS, peaks, 1)
+@pytest.mark.parametrize(
+    ("weights", "height"),
+    # No peak counts that another one holds more than 16 times the points of.
+    [((6, 50, 100), -160), ((7, 50, 100), -280), ((10, 100, 200), -160), ((1, 1, 17), 0)],
+)
+def test_a_few_stray_points_below_the_floor_are_no_ground(
+    weights: tuple[int, int, int], height: int
+) -> None:
+    first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
+    heights = np.array([-280, -160, 0], np.int32)
+    columns = Columns(BLOCKS, Peaks(first, many, heights, np.array(weights, np.int32)), 1)
     found, _ = look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300))
     assert found.height[0] == height
 

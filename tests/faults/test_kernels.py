@@ -139,18 +139,23 @@ def test_code_is_loaded_from_a_folder_that_cannot_be_written(
 
 
 def test_only_what_was_kept_long_ago_makes_room_for_a_new_folder(folder: Path) -> None:
-    old, other = (folder.with_name(f"occmap-{name}") for name in ("old", "other"))
-    for each in (old, other):
+    old, other, users = (
+        folder.with_name(f"occmap-{name}")
+        for name in ("0123456789abcdef", "fedcba9876543210", "demo")
+    )
+    for each in (old, other, users):
         each.mkdir()
         (each / "a.code").touch()
     run_anew()
     assert old.is_dir()
     os.utime(old, (0, 0))
+    os.utime(users, (0, 0))
     os.utime(other / "a.code", (0, 0))
     shutil.rmtree(folder)
     run_anew()
     assert not old.exists()
     assert other.is_dir()
+    assert users.is_dir()
 
 
 def test_kernels_that_cannot_be_compiled_say_why(monkeypatch: pytest.MonkeyPatch) -> None:

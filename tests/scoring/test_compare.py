@@ -22,7 +22,6 @@ from occmap.scoring.compare import (
     choose_best,
     combine,
     compare,
-    shorten_model,
 )
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import (
@@ -31,6 +30,7 @@ from occmap.sensor.models import (
     SensorModel,
     SimpleModel,
     parse_model,
+    shorten_model,
 )
 from occmap.types import Kind, Rays, Update
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv

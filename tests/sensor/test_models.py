@@ -157,9 +157,9 @@ def test_bounds_are_described_where_they_bound_anything() -> None:
 
 
 def test_people_are_told_only_the_parameters_that_are_not_usual() -> None:
-    assert shorten_model(describe_model(CountingModel())) == "counting"
+    assert shorten_model(CountingModel()) == "counting"
     model = SimpleModel(p_hit=0.8, clamp_max=0.97)
-    assert shorten_model(describe_model(model)) == "simple:p_hit=0.8,clamp_max=0.97"
+    assert shorten_model(model) == "simple:p_hit=0.8,clamp_max=0.97"
 
 
 def test_parameters_are_read_from_text() -> None:

@@ -133,11 +133,12 @@ def look_beside(
                     passed[at] = PASSED
                 if apart > beside * beside:
                     continue
-                lowest = -1
-                for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                    is_deep = least <= path[i, 2] - peaks.height[k] <= most
-                    if is_deep and (lowest < 0 or peaks.weight[k] > STRAY * peaks.weight[lowest]):
-                        lowest = k
+                lowest, heaviest, first = -1, 0, peaks.first[at]
+                for k in range(first + peaks.many[at] - 1, first - 1, -1):
+                    if least <= path[i, 2] - peaks.height[k] <= most:
+                        if STRAY * peaks.weight[k] >= heaviest:
+                            lowest = k
+                        heaviest = max(heaviest, peaks.weight[k])
                 if lowest < 0:
                     continue
                 level = peaks.height[lowest]
