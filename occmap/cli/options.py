@@ -34,6 +34,8 @@ from occmap.writers import find_writer
 
 BY_THEMSELVES = ("align", "shade")
 """Options that are listed by themselves"""
+PIECE_BYTES = 1 << 20
+"""So much of a file goes to stdout at once."""
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
@@ -231,4 +233,6 @@ def send_to_stdout(name: str) -> Iterator[Path]:
         saved = Path(folder) / name
         yield saved
         if saved.exists():
-            put_on_stdout(saved.read_bytes(), nl=False)
+            with saved.open("rb") as file:
+                while piece := file.read(PIECE_BYTES):
+                    put_on_stdout(piece, nl=False)
