@@ -256,12 +256,16 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
 
     Where no output needs the whole map, it is never made: evidence is written block by block.
 
+    Parameters
+    ----------
+    outputs
+        That they can be written was found before the evidence was read.
+
     Raises
     ------
     OccmapError
         As `render_kept`, or an output cannot be written.
     """
-    writers.check_outputs(outputs, options=options.writing)
     formats = [writers.find_writer(path) for path in outputs]
     for path, writer in zip(outputs, formats, strict=True):
         if writer.needs_journey:
