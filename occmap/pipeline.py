@@ -6,7 +6,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import About, Evidence, Slices, sum_tiles
+from occmap.cells import Evidence, Slices, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
 from occmap.evidence.manifest import describe_about, describe_build, list_doubts, plan_manifest
@@ -59,19 +59,22 @@ def build(
 
         with tally.time("render"):
             painted, lost = render_lasting(tiles, slices, options.model, options)
-            origin = describe_origin(paths, options, tiles, past)
-            grid = replace(options.writing.edit(painted), about=origin)
+            manifest = plan_manifest(options, past.manifest if past else None)
+            name = manifest.identify(sum_tiles(tiles.tiles, tiles.tiles.values()))
+            about = describe_about(manifest, name, options, (path.name for path in paths))
+            grid = replace(options.writing.edit(painted), about=about)
         with tally.time("write"):  # to hash the logs takes time
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
-        manifest = plan_manifest(options, made, past.manifest if past and made else None)
+        manifest = replace(manifest, builds=(*manifest.builds, *made))
         facts = results.describe_map(grid, options.writing)
-        remarks.notes += [*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)]
-        remarks.notes += results.list_notes(paths, options, outputs, tally, facts)
+        remarks.notes += [
+            *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),
+            *results.list_notes(paths, options, outputs, tally, facts),
+        ]
         report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
 
-        where = past.where if past else ""
         evidence = cache(
-            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, where, ground=ground)
+            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, ground=ground)
         )
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
@@ -143,9 +146,9 @@ def choose_keep(
     if path is not None and ground is None:
         raise MapError("has no ground: its evidence is not of clouds", where=path)
     if below and ground is not None and options.posing.level is None:
-        levels = (build["options"]["posing"].get("level") for build in below.manifest.builds[-1:])
-        level = next((tuple(level) for level in levels if level), None)
-        options = replace(options, posing=replace(options.posing, level=level))
+        builds = below.manifest.builds
+        level = builds[-1]["options"]["posing"].get("level") if builds else None
+        options = replace(options, posing=replace(options.posing, level=level and tuple(level)))
     return options, Keep(slices, want_journey(outputs), ground)
 
 
@@ -169,15 +172,6 @@ def add_past(
     return past.slices + slices, notes
 
 
-def describe_origin(
-    paths: Sequence[Path], options: BuildOptions, tiles: TileGrid, past: Evidence | None
-) -> About:
-    """Say what the map is of."""
-    plan = plan_manifest(options, past=past.manifest if past else None)
-    name = plan.identify(sum_tiles(tiles.tiles, tiles.tiles.values()))
-    return describe_about(plan, name, options, (path.name for path in paths))
-
-
 def tell_resumed(past: Evidence | None) -> Resumed | None:
     """Say what a build was added to."""
     if past is None:
@@ -198,8 +192,6 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
-        builds=1,
-        resumed=None,
         beams=tally.beams,
         points=tally.points,
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),

@@ -108,9 +108,11 @@ def put_out(
         example = "merged.npz" if command == "merge" else "map.pgm"
         raise UsageError("where to write is not given", fix=f"add -o {example}")
     outputs = options.place_outputs(console, values["outputs"], inputs[0])
-    check_outputs(outputs, inputs)
+    writing = take(WriteOptions, values)
+    check_outputs(outputs, inputs, writing)
     evidence = read()
-    chosen = take(RenderOptions, {**values, "model": choose_saved_model(evidence, values)})
+    view = {"model": choose_saved_model(evidence, values), "writing": writing}
+    chosen = take(RenderOptions, values | view)
     report = options.hide_sent(publish(evidence, chosen, outputs))
     rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
     return Answer(report, write_rows(rows))

@@ -6,15 +6,15 @@ Of what came on several visits, hits stay; people who walked through once do not
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, NoReturn, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
 from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
-from occmap.grid import CellBox, Lattice, tiles
-from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, frame, paint
+from occmap.grid import CellBox, Lattice, rendering, tiles
+from occmap.grid.rendering import Framing, SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
@@ -78,6 +78,22 @@ class Described(Protocol):
     @property
     def where(self) -> str:
         """What it was read from."""
+
+
+def choose_model(
+    evidence: Described, model: SensorModel | None, min_passes: int | None
+) -> SensorModel:
+    """Choose the model that evidence is read by: the one that is wanted, or else its own.
+
+    Raises
+    ------
+    OccmapError
+        The model cannot be made, or cannot read the evidence, or knows no visits.
+    """
+    chosen = model or read_model(evidence)
+    refuse_other_profile(evidence, chosen)
+    check_passes(min_passes, chosen)
+    return chosen
 
 
 def read_model(evidence: Described) -> SensorModel:
@@ -222,14 +238,6 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
     return lasting
 
 
-def refuse_nothing_left(min_passes: int | None) -> NoReturn:
-    """Say that no cell was observed, or that none lasts; raises MapError."""
-    if min_passes is None:
-        raise MapError("no beam of any scan observed a cell, so there is no map")
-    found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
-    raise MapError(found, fix="give a smaller `min_passes`")
-
-
 def render_lasting(
     grid: TileGrid, slices: Sequence[Slices], model: SensorModel, options: Any
 ) -> tuple[OccupancyMap, list[str]]:
@@ -243,15 +251,19 @@ def render_lasting(
     Raises
     ------
     MapError
-        Nothing is left, or as `render` and `frame`.
+        Nothing is left, or lies in the extent, or the map would be too large.
     """
     lasting = keep_lasting(grid, slices, options.min_passes)
     if grid.tiles and not lasting.tiles:
-        refuse_nothing_left(options.min_passes)
+        rendering.refuse_nothing_left(options.min_passes)
     made, lost = render(lasting, model, options.max_cells), []
     if lasting is not grid:
         lost = list(list_lost(render(grid, model, options.max_cells), made))
-    return frame(made, options.framing, model.prior, options.max_cells), lost
+    if options.framing == Framing():
+        return made, lost
+    box = rendering.choose_box(CellBox.of(made), options.framing, grid.lattice)
+    tiles.refuse_large(box, grid.lattice, options.max_cells)
+    return replace(paint_box(lasting, model, box), agreement=made.agreement), lost
 
 
 def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:

@@ -128,15 +128,11 @@ def write_value(value: Any) -> Any:
     return value if isinstance(value, int | float | str | None) else str(value)
 
 
-def plan_manifest(
-    options: Any, made: Sequence[BuildRecord] = (), past: Manifest | None = None
-) -> Manifest:
-    """Say what evidence a build makes.
+def plan_manifest(options: Any, past: Manifest | None = None) -> Manifest:
+    """Say what evidence a build makes, before it is known what it makes it of.
 
     Parameters
     ----------
-    made
-        What `describe_build` says of it; empty before any log is read.
     past
         The manifest of the evidence that it is added to.
     """
@@ -150,7 +146,7 @@ def plan_manifest(
         options.pass_gap_s,
         options.hit_offset,
         describe_model(options.model),
-        builds=(*past.builds, *made) if past else tuple(made),
+        builds=past.builds if past else (),
         subtracted=past.subtracted if past else (),
         align=options.posing.align,
     )

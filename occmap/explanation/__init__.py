@@ -110,9 +110,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         The point is in no map, the model cannot read the evidence, a log cannot be read or is none
         that the evidence was made of, or a trajectory is missing.
     """
-    model = question.model or evidence.read_model(saved)
-    evidence.refuse_other_profile(saved, model)
-    evidence.check_passes(question.min_passes, model)
+    model = evidence.choose_model(saved, question.model, question.min_passes)
     if question.poses and not question.logs:
         raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
     if question.logs and saved.manifest.update == Update.CLOUD:

@@ -124,7 +124,7 @@ class Fleet:
                 hashed = work.cluster.run("hash", tasks.hash_log, work.jobs)
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
-                manifest = manifests.plan_manifest(options, [made])
+                manifest = replace(manifests.plan_manifest(options), builds=(made,))
             with make_folder(output, f".occmap-{work.setting.folder.name}.tmp") as store:
                 with tally.time("fold"):
                     create_store(store, manifest, [job.block for job in work.reductions])

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
-from occmap.cells import Box, OccupancyMap, to_log_odds
+from occmap.cells import Box
 from occmap.choices import check_bounds, make_box_form, option
 from occmap.errors import MapError, require
 from occmap.grid import FARTHEST_UNIT, CellBox, Lattice
@@ -42,9 +43,15 @@ def find_bounds(tiles: TileGrid) -> CellBox:
     MapError
         Nothing was observed.
     """
-    if box := measure_bounds(tiles):
-        return box
-    raise MapError("no beam of any scan observed a cell, so there is no map")
+    return measure_bounds(tiles) or refuse_nothing_left(None)
+
+
+def refuse_nothing_left(min_passes: int | None) -> NoReturn:
+    """Say that no cell was observed, or that none lasts; raises MapError."""
+    if min_passes is None:
+        raise MapError("no beam of any scan observed a cell, so there is no map")
+    found = f"no cell was hit on {min_passes} visits, and none was seen free: there is no map"
+    raise MapError(found, fix="give a smaller `min_passes`")
 
 
 def measure_bounds(tiles: TileGrid) -> CellBox | None:
@@ -148,33 +155,6 @@ class Framing:
         found = f"the extent {self.extent} reaches too far"
         is_near = max(map(abs, self.extent)) <= FARTHEST_M
         require(is_near, found, f"give numbers up to {FARTHEST_M:g}, in metres")
-
-
-def frame(grid: OccupancyMap, framing: Framing, prior: float, max_cells: int) -> OccupancyMap:
-    """Cut a map to the box that it is to cover; cells beyond what was observed are unknown.
-
-    Parameters
-    ----------
-    prior
-        The probability of occupied that unknown cells have.
-
-    Raises
-    ------
-    MapError
-        The extent touches no cell of the map, or has too many.
-    """
-    if framing == Framing():
-        return grid
-    lattice = Lattice(grid.resolution)
-    whole = CellBox.of(grid)
-    box = choose_box(whole, framing, lattice)
-    refuse_large(box, lattice, max_cells)
-    shared = whole.clip(box)
-    log_odds = np.full(box.shape, to_log_odds(prior), np.float32)
-    observed = np.zeros(box.shape, np.bool_)
-    inside, own = shared.within(box), shared.within(whole)
-    log_odds[inside], observed[inside] = grid.log_odds[own], grid.observed[own]
-    return replace(grid, log_odds=log_odds, observed=observed, origin=lattice.measure(box)[:2])
 
 
 def choose_box(whole: CellBox, framing: Framing, lattice: Lattice) -> CellBox:

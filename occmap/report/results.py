@@ -49,15 +49,10 @@ class MapFacts(NamedTuple):
     shape: tuple[int, int]
     """Rows and columns"""
     counts: Int64
-    """(4,) as `count_cells` gives them"""
+    """(3,) as `count_cells` gives them"""
     agreement: float | None
     lost: Sequence[str] = ()
     """What there is to say of cells that do not last"""
-
-    @property
-    def has_walls(self) -> bool:
-        """Whether the model calls any cell occupied."""
-        return bool(self.counts[3])
 
 
 @dataclass(frozen=True)
@@ -108,7 +103,7 @@ class MapSummary:
         """Sum up a map of evidence."""
         rows, columns = facts.shape
         cells = rows * columns
-        observed, occupied, free, _ = facts.counts.tolist()
+        observed, occupied, free = facts.counts.tolist()
         return cls(
             update=Update(manifest.update),
             model=manifest.model,
@@ -126,7 +121,7 @@ class MapSummary:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Report(Noted):
     """A map and how it came about: what occmap build, render and merge print."""
 
@@ -135,15 +130,15 @@ class Report(Noted):
     files"""
     scans: ScanCounts
     """What became of the scans"""
-    builds: Count
+    builds: Count = 1
     """How many builds the logs, scans and beams are of: more than one in evidence that was
     merged"""
-    resumed: Resumed | None
+    resumed: Resumed | None = None
     """The evidence that the build was added to (`resume`), whose scans and beams are not counted
     here; null where there is none"""
     beams: ReturnCounts
     """How many beams of the used scans were read as what"""
-    points: dict[str, Count]
+    points: dict[str, Count] = field(default_factory=dict)
     """What became of the points of clouds, by kind; empty where there are none, or where no log
     was read"""
     map: MapSummary
@@ -190,9 +185,9 @@ def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
 
 
 def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:
-    """(4,) how many cells are observed, occupied and free as written, and occupied by the model."""
+    """(3,) how many cells are observed, and occupied and free as they are written."""
     written = replace(grid, decision=writing.decide(grid.decision))
-    masks = grid.observed, written.occupied, written.free, grid.occupied
+    masks = written.observed, written.occupied, written.free
     return np.array([np.count_nonzero(mask) for mask in masks])
 
 
@@ -283,9 +278,9 @@ def list_notes(
         )
     # Evidence that the logs are added to may have walls; clouds have no beams.
     if not tally.beams.hit and options.update is not Update.CLOUD:
-        lack = "of the logs hit" if facts.has_walls else "hit"
-        end = "" if facts.has_walls else ", so the map has no walls"
-        yield f"no beam {lack} anything{end}: see the ranges in `occmap check`"
+        _, occupied, _ = facts.counts
+        lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
+        yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
     yield from list_disagreement(facts)
     yield from list_misfits(paths, options, facts.agreement, tally)
@@ -316,11 +311,10 @@ def name_frames(tally: Tally) -> str:
 
 
 def list_disagreement(facts: MapFacts) -> Iterator[str]:
-    """Say that the scans of a map contradict each other."""
-    agreement = facts.agreement
-    if agreement is not None and agreement < LEAST_AGREEMENT and facts.has_walls:
+    """Say that the scans of a map contradict each other; without walls none of its hits agrees."""
+    if facts.agreement and facts.agreement < LEAST_AGREEMENT:
         yield (
-            f"only {agreement:.0%} of the hits lie in cells that the map calls occupied: the "
+            f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
             "`time_offset_s`, `deskew=on` or another trajectory"
         )

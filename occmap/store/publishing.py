@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache, reduce
+from functools import cache, cached_property, lru_cache, reduce
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -18,7 +18,7 @@ from occmap.cells import About, Box, CellClass, Decision, Evidence, Manifest, Oc
 from occmap.choices import option
 from occmap.errors import UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
-from occmap.grid import CellBox, Lattice
+from occmap.grid import CellBox, Lattice, rendering
 from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
@@ -77,8 +77,11 @@ class BlockMap:
     options: RenderOptions
     box: CellBox
     """Its cells"""
-    about: About | None = None
-    """What it is of; None where nobody said"""
+
+    @cached_property
+    def about(self) -> About:
+        """What it is of; a sum of stores is read once more for that."""
+        return describe_about(self.source.manifest, identify(self.source), self.options)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -198,7 +201,7 @@ def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> C
             if box := measure(block):
                 farthest = max(farthest, outward * box[side])
         if math.isinf(farthest):
-            evidence.refuse_nothing_left(min_passes if reach else None)
+            rendering.refuse_nothing_left(min_passes if reach else None)
         edges.append(int(outward * farthest))
     return CellBox(*edges)
 
@@ -234,7 +237,7 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     MapError
         A block cannot be read.
     """
-    cells, found = np.zeros((2, 4), np.int64)
+    cells, found = np.zeros(3, np.int64), np.zeros(4, np.int64)
     for piece in made.list_pieces(made.box):
         cells += results.count_cells(piece.map, made.options.writing)
         found += piece.found
@@ -253,12 +256,16 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
 
     Where no output needs the whole map, it is never made: evidence is written block by block.
 
+    Parameters
+    ----------
+    outputs
+        That they can be written was found before the evidence was read.
+
     Raises
     ------
     OccmapError
         As `render_kept`, or an output cannot be written.
     """
-    writers.check_outputs(outputs, options=options.writing)
     formats = [writers.find_writer(path) for path in outputs]
     for path, writer in zip(outputs, formats, strict=True):
         if writer.needs_journey:
@@ -268,7 +275,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         if is_page and options.overview is not None:
             found = "shows single cells, and `overview` has none"
             raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
-    saved, model = choose_model(saved, options)
+    saved, model = settle_model(saved, options)
     blocks = None if isinstance(saved, Evidence) else saved
     grid: Any
     if blocks and options.overview is None and all(writer.in_parts for writer in formats):
@@ -276,7 +283,6 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         facts = survey_blocks(grid)
     else:
         grid, facts = paint_saved(saved, model, options)
-    grid = replace(grid, about=describe_about(saved.manifest, identify(saved), options))
     report = summarise(saved.manifest, facts, options, outputs)
     product = writers.Product(grid, cache(lambda: read_all(saved)), report=report, blocks=blocks)
     files = writers.write_outputs(outputs, product, options.writing)
@@ -292,9 +298,8 @@ def render_kept(kept: Evidence, options: RenderOptions) -> Build:
         The model cannot read the evidence or knows no visits, or nothing is left of the map or it
         would be too large.
     """
-    kept, model = choose_model(kept, options)
+    kept, model = settle_model(kept, options)
     grid, facts = paint_saved(kept, model, options)
-    grid = replace(grid, about=describe_about(kept.manifest, kept.identify(), options))
     report = summarise(kept.manifest, facts, options)
     return Build(grid, report, evidence.to_grid(kept), kept)
 
@@ -302,7 +307,7 @@ def render_kept(kept: Evidence, options: RenderOptions) -> Build:
 AnySaved = TypeVar("AnySaved", bound=Saved)
 
 
-def choose_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, SensorModel]:
+def settle_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, SensorModel]:
     """Choose the model by which evidence is rendered, and let the evidence name that.
 
     Raises
@@ -310,16 +315,14 @@ def choose_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, Sen
     OccmapError
         The model cannot read the evidence or knows no visits.
     """
-    model = options.model or evidence.read_model(saved)
-    evidence.refuse_other_profile(saved, model)
-    evidence.check_passes(options.min_passes, model)
+    model = evidence.choose_model(saved, options.model, options.min_passes)
     return replace(saved, manifest=replace(saved.manifest, model=describe_model(model))), model
 
 
 def paint_saved(
     saved: Saved, model: SensorModel, options: RenderOptions
 ) -> tuple[OccupancyMap, MapFacts]:
-    """Paint a map, or the part of it that is wanted, and measure it.
+    """Paint a map, or the part of it that is wanted, measure it, and say what it is of.
 
     Raises
     ------
@@ -339,7 +342,9 @@ def paint_saved(
         shown, found = made.paint(made.box)
         agreement, lost = sum_up(found)
         shown = replace(shown, agreement=agreement)
-    return shown, results.describe_map(shown, options.writing)._replace(lost=lost)
+    about = describe_about(saved.manifest, identify(saved), options)
+    facts = results.describe_map(shown, options.writing)._replace(lost=lost)
+    return replace(shown, about=about), facts
 
 
 def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyMap:
@@ -365,7 +370,7 @@ def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyM
         fix = f"there are those of {', '.join(map(str, sorted(arrays)))}"
         raise UsageError(found, where=store.where, fix=fix)
     if not store.blocks:
-        evidence.refuse_nothing_left(None)
+        rendering.refuse_nothing_left(None)
     fine = Lattice(store.manifest.resolution)
     coarse = Lattice(round(fine.resolution * side, 12))
     observed = reduce(CellBox.join, store.blocks.values())
@@ -393,9 +398,7 @@ def summarise(
         logs=tuple(entry["name"] for build in manifest.builds for entry in build["inputs"]),
         scans=sum_scans(manifest.builds),
         builds=len(beams),
-        resumed=None,
         beams=ReturnCounts(**kinds),
-        points={},
         map=results.MapSummary.describe(facts, manifest, options.min_passes),
         notes=(
             *list_doubts(manifest),
