@@ -111,7 +111,7 @@ def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
         "map      24 x 1 cells of 0.1 m, x 0 to 2.4 m, y 0 to 0.1 m",
         "cells    12.5% occupied, 37.5% free, 50.0% unknown",
         "agree    100.0% of the hits lie in occupied cells",
-        "update   beam, model simple:spread=0.0",
+        "update   beam, model simple:spread=0",
         "scans    3 of 4 used",
         "dropped  1 outside --start and --end",
         "beams    3: 3 hit",

@@ -33,7 +33,7 @@ def test_render_says_what_it_made() -> None:
         "map      7 x 1 cells of 0.05 m, x 0 to 0.35 m, y 0 to 0.05 m",
         "cells    14.3% occupied, 85.7% free",
         "agree    100.0% of the hits lie in occupied cells",
-        "update   beam, model simple:spread=0.0",
+        "update   beam, model simple:spread=0",
         "scans    1 of 1 used",
         "files    a.pgm",
         "         a.yaml",
