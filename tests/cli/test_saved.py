@@ -52,7 +52,7 @@ def test_render_takes_a_model_thresholds_and_a_mode() -> None:
     assert "counting:prior=0.4" in occmap("render", "a.npz", "-o", "c.pgm", *words).out
     words = ["--clamp-min", "0.1", "--clamp-max", "0.9"]
     bounds = "clamp_min=0.1,clamp_max=0.9"
-    for name, shown in (("a.npz", f"spread=0.0,{bounds}"), ("q.npz", f"quadratic:{bounds}")):
+    for name, shown in (("a.npz", f"spread=0,{bounds}"), ("q.npz", f"quadratic:{bounds}")):
         assert shown in occmap("render", name, "-o", "c.pgm", *words).out
     assert occmap("render", "q.npz", "-o", "c.pgm", "--prior", "0.45").code == 0
 
