@@ -66,7 +66,7 @@ class Word(NamedTuple):
     number: np.int64
     """That all its digits make"""
     digits: np.uint64
-    """How many these are; 0 where anything but a minus, digits and a dot is in the word"""
+    """How many these are; 0 where anything but a minus, digits, a dot and then blanks is in it"""
     decimals: np.uint64
     """How many of the digits stand behind the dot"""
 
@@ -238,7 +238,7 @@ def _skip_blanks(text: UInt8, at: np.uint64) -> np.uint64:
 
 @step
 def _scan_word(text: UInt8, start: np.uint64, separator: int) -> Word:
-    """Read a word up to its separator or the end of its line."""
+    """Read a word up to its separator or the end of its line; blanks may stand behind a number."""
     first = start + np.uint64(text[start] == _MINUS)
     at, number = _scan_digits(text, first, np.int64(0))
     digits, decimals = at - first, _NONE
@@ -250,7 +250,8 @@ def _scan_word(text: UInt8, start: np.uint64, separator: int) -> Word:
     while not (
         text[at] == separator or text[at] == _END or (separator == _BLANK and _is_blank(text[at]))
     ):
-        digits = _NONE
+        if not _is_blank(text[at]):
+            digits = _NONE
         at += _ONE
     return Word(start, at, number, digits, decimals)
 

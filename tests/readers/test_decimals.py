@@ -118,6 +118,16 @@ def test_an_empty_cell_is_nan_between_commas_and_nothing_between_blanks() -> Non
     assert parse([b"1  -inf "], b" ", 2 * [RANGE])[0].ranges.tolist() == [[1.0, -np.inf]]
 
 
+def test_blanks_behind_a_number_say_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("occmap.readers.decimals._parse_word", None)  # none is left to Python
+    text = b" 1.5 ,2\t, 3 \r ,-4. \n"
+    starts, kinds = np.array([0]), np.array([RANGE, NUMBER, SECONDS, RANGE + 1])
+    words, faults = parse_words(text, starts, b",", kinds, [""] * 4)
+    assert not faults
+    assert words.ranges.tolist() == [[1.5, -4]]
+    assert (words.numbers[1, 0], words.times[2, 0]) == (2, 3 * 10**9)
+
+
 @pytest.mark.parametrize("word", [b"inf", b"-inf", b"nan", b""])
 def test_some_numbers_must_be_finite(word: bytes) -> None:
     assert find_sound([b"1,2", b"1," + word], b",", [SAME, FINITE]) == [0]
