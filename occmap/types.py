@@ -271,6 +271,13 @@ class PoseBatch:
     static: bool
     topic: str
 
+    def split(self) -> list[PoseSample]:
+        """The single samples."""
+        frames, last = (self.parent, self.child), (self.static, self.topic)
+        poses = map(Pose._make, self.pose.tolist())
+        rows = zip(self.stamp_ns.tolist(), self.record_ns.tolist(), poses, strict=True)
+        return [PoseSample(stamp, *frames, pose, *last, record) for stamp, record, pose in rows]
+
 
 @dataclass(frozen=True, slots=True)
 class ScanBatch:

@@ -249,7 +249,7 @@ class Course:
     def list_poses(self) -> tuple[Int64, Float64]:
         """List the stamps (N,) and poses (N, 7) of the scans that were seen, in their order."""
         times, poses = self._poses.samples
-        return times[:, 0].copy(), poses.copy()
+        return times[:, 0].copy(), poses
 
     def build(self) -> Track:
         """Put all that was seen, at least one scan, in the order of time."""

@@ -82,7 +82,8 @@ def gather(
     of_file: list[str] = []
     trajectory = None
     if options.poses:
-        named = _rank(others) if recording else poses
+        # Of a recording one pose, such as where a robot was said to start, is no trajectory.
+        named = [edge for edge in _rank(others) if len(edge.track) > 1] if recording else poses
         trajectory = _find_trajectory(options, named, of_file, moments)
     if trajectory and recording:
         frame = options.map_frame or trajectory.parent
@@ -183,8 +184,8 @@ def _find_trajectory(
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
     found = "holds no such topic of poses" if recording else "neither a file nor a topic with poses"
-    topics = join_names(sorted({edge.topic for edge in poses}))
-    raise PoseError(found, where=name, fix=f"topics with poses: {topics}")
+    topics = f"topics with poses: {join_names(sorted({edge.topic for edge in poses}))}"
+    raise PoseError(found, where=name, fix=topics if poses else "the log has no topic with poses")
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:

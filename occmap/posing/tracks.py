@@ -175,23 +175,21 @@ class TrackBuilder:
         self._times = array("q")
         self._values = array("d")
         self.unusable = 0
-        """Samples left out: not usable (`find_usable`), or with a stamp that is damage."""
+        """Samples that were left out: not usable (`find_usable`), or with a damaged stamp"""
 
     def add(
         self, stamp_ns: int | Int64, record_ns: int | Int64, pose: Sequence[float] | Float64
     ) -> None:
         """Take a sample, or many (N,): when it counts, when it was recorded, and its pose (7,)."""
-        times = np.array([stamp_ns, record_ns]).reshape(2, -1).T
-        sound = (times == np.clip(times, -MAX_STAMP_NS, MAX_STAMP_NS)).all(axis=1)
-        self.unusable += int(np.count_nonzero(~sound))
-        self._times.frombytes(times[sound].tobytes())
-        self._values.frombytes(np.asarray(pose, np.float64).reshape(-1, 7)[sound].tobytes())
+        self._times.frombytes(np.array([stamp_ns, record_ns], np.int64).T.tobytes())
+        self._values.frombytes(np.array(pose, np.float64).tobytes())
 
     @property
     def samples(self) -> tuple[Int64, Float64]:
-        """(N, 2) stamps and times of recording, and (N, 7) poses, as they came."""
+        """(N, 2) sound stamps and times of recording, and (N, 7) poses, as they came."""
         times = np.frombuffer(self._times, np.int64).reshape(-1, 2)
-        return times, np.frombuffer(self._values, np.float64).reshape(-1, 7)
+        sound = (times == np.clip(times, -MAX_STAMP_NS, MAX_STAMP_NS)).all(axis=1)
+        return times[sound], np.frombuffer(self._values, np.float64).reshape(-1, 7)[sound]
 
     @property
     def changes(self) -> bool:
@@ -209,7 +207,7 @@ class TrackBuilder:
         """
         times, values = self.samples
         usable, norm = find_usable(values)
-        self.unusable += int(len(values) - usable.sum())
+        self.unusable = int(len(self._times) // 2 - usable.sum())
         kept = np.flatnonzero(usable)
         if not len(kept):
             return None

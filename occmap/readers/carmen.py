@@ -24,7 +24,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from occmap.readers.text_log import (
     read_blocks,
 )
 from occmap.report import count
-from occmap.types import IDENTITY, UNKNOWN_POSE, Pose, PoseSample, Scan, ScanRun
+from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -257,6 +257,11 @@ class CarmenLog(TextLog):
 
     def poses(self) -> Iterator[PoseSample]:
         """Give the front laser's offset, where a PARAM states it, then the odometry."""
+        for each in self.stacked_poses():
+            yield from each.split() if isinstance(each, PoseBatch) else (each,)
+
+    def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
+        """The same, with the odometry of many lines at once."""
         if self._front_offset is not None:
             yield self._front_offset
         if not self._words["ODOM"]:
@@ -265,8 +270,7 @@ class CarmenLog(TextLog):
         for block in read_blocks(self.path, self.notes):
             lines = {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
             for some in self._parse_block(block, lines, tally):
-                scans = some.split() if isinstance(some, ScanRun) else [some]
-                yield from map(make_sample, scans)
+                yield make_poses(some)
         tally.judge(self.path, self.notes, self.fix)
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
@@ -343,11 +347,19 @@ class CarmenLog(TextLog):
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
 
 
-def make_sample(odometry: Scan) -> PoseSample:
-    """Make a pose of what is read as a scan without ranges."""
-    stamp_ns, record_ns = odometry.stamp_ns, odometry.record_ns
-    pose = odometry.pose or UNKNOWN_POSE
-    return PoseSample(stamp_ns, "odom", odometry.frame, pose, False, odometry.topic, record_ns)
+def make_poses(odometry: Scan | ScanRun) -> PoseSample | PoseBatch:
+    """Make poses of what is read as scans without ranges."""
+    make: Any = PoseBatch if isinstance(odometry, ScanRun) else PoseSample
+    poses: PoseSample | PoseBatch = make(
+        stamp_ns=odometry.stamp_ns,
+        record_ns=odometry.record_ns,
+        pose=odometry.pose,
+        parent="odom",
+        child=odometry.first.frame,
+        static=False,
+        topic=odometry.first.topic,
+    )
+    return poses
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:

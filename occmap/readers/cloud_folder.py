@@ -163,7 +163,7 @@ def read_ply(data: bytes) -> Points:
                 elements[-1][1].append(values)
         (name, count), properties = elements[0]
         if name != "vertex" or any(len(each) != 2 for each in properties):
-            raise ValueError(f"{name} or lists stand before the vertices")
+            raise ValueError("vertices hold lists or are not first")
         order, points = _PLY_ORDERS[form], _read_count(count)
         layout = _make_layout((name, order + _PLY_KINDS[kind], 1) for kind, name in properties)
     return (_parse_text if form == "ascii" else _view)(data, at, layout, points)

@@ -26,6 +26,9 @@ MOST_DIGITS = 15
 MOST_WHOLE_DIGITS = 19
 """An integer of this many digits that does not fit 64 bits becomes negative where it overflows."""
 LARGEST = 2**63 - 1
+MOST_TRIED = 16
+"""For each line that is like the first, so many are looked at: among lines that all differ, each
+would else be looked at as often as there are lines."""
 POWERS: Float64 = np.array([float(10**n) for n in range(MOST_DIGITS + 1)])
 SCALES: Int64 = np.array([10**n for n in range(10)])
 _ZERO, _NINE, _DOT, _MINUS, _BLANK, _END = map(ord, "09.- \n")
@@ -44,12 +47,15 @@ class Words(NamedTuple):
     """(N, S) other numbers, likewise; by word, since few words of a line are no ranges"""
     times: Int64
     """(N, S) ns; a hash of a word that is the SAME"""
+    alike: Int64
+    """(S,) which of the lines given these are"""
     left: Int64
     """(M, 4) row, column, start and end of words that the kernel leaves to Python"""
 
     def take(self, lines: list[int]) -> "Words":
         """Select some of the lines."""
-        return Words(self.ranges[lines], self.numbers[:, lines], self.times[:, lines], self.left)
+        of_words = self.numbers[:, lines], self.times[:, lines]
+        return Words(self.ranges[lines], *of_words, self.alike[lines], self.left)
 
 
 class Word(NamedTuple):
@@ -60,7 +66,7 @@ class Word(NamedTuple):
     number: np.int64
     """That all its digits make"""
     digits: np.uint64
-    """How many these are; 0 where anything but a minus, digits and a dot is in the word"""
+    """How many these are; 0 where anything but a minus, digits, a dot and then blanks is in it"""
     decimals: np.uint64
     """How many of the digits stand behind the dot"""
 
@@ -69,6 +75,8 @@ def parse_words(
     text: bytes, starts: Int64, separator: bytes, kinds: Int64, names: Sequence[str]
 ) -> tuple[Words, dict[int, str]]:
     """Parse lines that begin at some places of a text: the first, and those behind it like it.
+
+    A line is not like it that holds more or fewer words, or others where they should be the same.
 
     Parameters
     ----------
@@ -80,7 +88,7 @@ def parse_words(
     Returns
     -------
     words, faults
-        Of as many lines as are alike, and what is wrong with some of them.
+        Of the lines that are alike, and what is wrong with some of them.
     """
     starts = starts[: len(text) // len(kinds) + 1]  # no more lines can have so many words
     shape = len(kinds), len(starts)
@@ -88,11 +96,12 @@ def parse_words(
         ranges=np.empty((len(starts), np.count_nonzero(kinds >= RANGE)), np.float32),
         numbers=np.empty(shape),
         times=np.empty(shape, np.int64),
-        # Room for all words of the first line: with many more, those behind it wait for their turn.
+        alike=np.empty(len(starts), np.int64),
+        # Room for all words of the first line: with many more, others wait for their turn.
         left=np.empty((len(kinds) * (1 + len(starts) // 8) + 64, 4), np.int64),
     )
     source = np.frombuffer(text, np.uint8)
-    alike, lefts = parse_rows(source, starts, ord(separator), kinds, words)
+    lines, lefts = parse_rows(source, starts, (ord(separator), kinds), words)
     faults: dict[int, str] = {}
     for row, col, start, end in words.left[:lefts].tolist():
         kind = int(kinds[col])
@@ -107,9 +116,9 @@ def parse_words(
             words.times[col, row] = value
         else:
             words.numbers[col, row] = value
-    if alike < len(starts):  # copied, so that few lines do not keep the room for all
-        words = words.take(list(range(alike)))
-    return words, {row: fault for row, fault in faults.items() if row < alike}
+    if lines < len(starts):  # copied, so that few lines do not keep the room for all
+        words = words.take(list(range(lines)))
+    return words, faults
 
 
 @lru_cache(maxsize=64)
@@ -142,36 +151,57 @@ def parse_number(text: str) -> float:
 
 @kernel
 def parse_rows(
-    text: UInt8, starts: Int64, separator: int, kinds: Int64, words: Words
+    text: UInt8, starts: Int64, form: tuple[int, Int64], words: Words
 ) -> tuple[int, int]:
-    """Parse the words of lines up to the first that is not like those before it.
+    """Parse the words of the lines that are like the first.
 
-    It holds more or fewer words, or others where they should be the same, or `left` has no more
-    room for its words.
+    Parameters
+    ----------
+    form
+        What stands between two words, and what each word is.
 
     Returns
     -------
-    alike, lefts
-        How many lines are alike, and how many of their words, and of the next line's, are left.
+    lines, lefts
+        How many lines are alike, and how many of their words are left.
     """
-    lefts = 0
+    lines = lefts = 0
     for row in range(len(starts)):
-        at = _skip_blanks(text, np.uint64(starts[row]))
-        for col in range(len(kinds)):
-            word = _scan_word(text, at, separator)
-            if not _read_word(text, word, kinds[col], (row, col), words):
-                if kinds[col] == SAME or lefts == len(words.left):
-                    return row, lefts
-                words.left[lefts, 0], words.left[lefts, 1] = row, col
-                words.left[lefts, 2], words.left[lefts, 3] = word.start, word.end
-                lefts += 1
-            at = word.end
-            if text[at] != _END:
-                at = _skip_blanks(text, at + _ONE)
-            is_last = text[word.end] == _END or (separator == _BLANK and text[at] == _END)
-            if is_last != (col == len(kinds) - 1):
-                return row, lefts
-    return len(starts), lefts
+        if row > MOST_TRIED * lines:
+            break
+        found = _read_line(text, np.uint64(starts[row]), form, (lines, lefts), words)
+        if found >= 0:
+            words.alike[lines] = row
+            lines += 1
+            lefts = found
+    return lines, lefts
+
+
+@step
+def _read_line(
+    text: UInt8, start: np.uint64, form: tuple[int, Int64], place: tuple[int, int], words: Words
+) -> int:
+    """Read a line that is like others: how many words are left then.
+
+    It is -1 where the line is not like them, or `left` has no more room for its words.
+    """
+    (separator, kinds), (row, lefts) = form, place
+    at = _skip_blanks(text, start)
+    for col in range(len(kinds)):
+        word = _scan_word(text, at, separator)
+        if not _read_word(text, word, kinds[col], (row, col), words):
+            if kinds[col] == SAME or lefts == len(words.left):
+                return -1
+            words.left[lefts, 0], words.left[lefts, 1] = row, col
+            words.left[lefts, 2], words.left[lefts, 3] = word.start, word.end
+            lefts += 1
+        at = word.end
+        if text[at] != _END:
+            at = _skip_blanks(text, at + _ONE)
+        is_last = text[word.end] == _END or (separator == _BLANK and text[at] == _END)
+        if is_last != (col == len(kinds) - 1):
+            return -1
+    return lefts
 
 
 @step
@@ -208,7 +238,7 @@ def _skip_blanks(text: UInt8, at: np.uint64) -> np.uint64:
 
 @step
 def _scan_word(text: UInt8, start: np.uint64, separator: int) -> Word:
-    """Read a word up to its separator or the end of its line."""
+    """Read a word up to its separator or the end of its line; blanks may stand behind a number."""
     first = start + np.uint64(text[start] == _MINUS)
     at, number = _scan_digits(text, first, np.int64(0))
     digits, decimals = at - first, _NONE
@@ -220,7 +250,8 @@ def _scan_word(text: UInt8, start: np.uint64, separator: int) -> Word:
     while not (
         text[at] == separator or text[at] == _END or (separator == _BLANK and _is_blank(text[at]))
     ):
-        digits = _NONE
+        if not _is_blank(text[at]):
+            digits = _NONE
         at += _ONE
     return Word(start, at, number, digits, decimals)
 

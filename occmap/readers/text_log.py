@@ -312,21 +312,22 @@ class TextLog(ABC):
     def _parse_kind(
         self, block: Block, rows: Sequence[int], faults: dict[int, str]
     ) -> Iterator[tuple[Sequence[int], ScanRun]]:
-        """Parse lines of one kind: at once the first and those behind it that are like it.
+        """Parse lines of one kind: at once the first and those that are like it, then the others.
 
         What is malformed is left out, and added to `faults`.
         """
-        starts, at = block.starts[rows], 0
-        while at < len(rows):
+        rest = np.array(rows)
+        while len(rest):
+            first = int(rest[0])
             try:
-                pattern = self.find_pattern(block.get_line(rows[at]))
+                pattern = self.find_pattern(block.get_line(first))
             except ValueError as error:
-                faults[rows[at]] = str(error)
-                at += 1
+                faults[first] = str(error)
+                rest = rest[1:]
                 continue
-            words, found = parse_words(block.text, starts[at:], *pattern[:3])
-            alike = rows[at : at + len(words.ranges)]
-            at += len(alike)
+            words, found = parse_words(block.text, block.starts[rest], *pattern[:3])
+            alike = rest[words.alike].tolist()
+            rest = np.delete(rest, words.alike)
             faults |= {alike[line]: fault for line, fault in found.items()}
             if sound := [line for line in range(len(alike)) if line not in found]:
                 run = pattern.make_run(words.take(sound) if found else words)

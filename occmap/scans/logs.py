@@ -5,7 +5,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, MutableSequence, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import chain
@@ -147,7 +147,8 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
         else:
             yield replace(each, topic=topic)
     damage = (note.placed(path) for note in other.notes if note.damage)
-    log.notes.extend(note for note in damage if note not in log.notes)
+    if isinstance(log.notes, MutableSequence):  # a plugin's may be a tuple
+        log.notes.extend(note for note in damage if note not in log.notes)
 
 
 def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:

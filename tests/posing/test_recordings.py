@@ -8,6 +8,9 @@ import pytest
 
 from occmap import build_map, explain
 from occmap.errors import PoseError
+from occmap.posing import PosingOptions
+from occmap.readers import open_log
+from occmap.scans.logs import gather_poses
 from occmap.store import open_saved
 from tests.cli.runner import occmap, read_error
 from tests.readers.ros import (
@@ -102,11 +105,19 @@ def test_the_frames_of_the_other_recording_do_not_mix_with_those_of_the_log(log:
         build_map(log)
 
 
+def test_one_pose_of_the_other_recording_is_no_trajectory(log: Path) -> None:
+    start = Written("/initialpose", STAMPS[0], make("PoseStamped", STAMPS[0], 0.0))
+    for poses in ("slam.mcap", "slam.mcap:/initialpose"):
+        write_mcap(Path("slam.mcap"), [start])
+        with pytest.raises(PoseError, match="the log has no topic with poses"):
+            build_map(log, poses=poses)
+
+
 @pytest.mark.parametrize(
     ("poses", "found"),
     [
         ("slam.mcap:/other", "topics with poses: slam.mcap:/odom"),
-        ("log.bag", "log.bag: holds no such topic of poses; topics with poses: none"),
+        ("log.bag", "log.bag: holds no such topic of poses; the log has no topic with poses"),
         ("none.bag", "none.bag: no such file"),
         ("none.bag:/odom", "none.bag:/odom: no such file"),
         ("broken.bag", "broken.bag: "),
@@ -150,3 +161,13 @@ def test_damage_of_the_other_recording_is_told(log: Path) -> None:
 
     (told,) = (note for note in made.report.damage if "the file ends" in note)
     assert told.startswith(f"{log}: {other}: ")
+
+
+def test_damage_of_the_other_recording_does_not_grow_notes_that_cannot(
+    log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = write_poses("PoseStamped", "/path")
+    other.write_bytes(other.read_bytes()[:-100])
+    opened = open_log(log)
+    monkeypatch.setattr(opened, "notes", ())
+    assert list(gather_poses(opened, PosingOptions(poses=str(other))))

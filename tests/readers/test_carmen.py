@@ -15,6 +15,7 @@ from occmap.readers import (
     Note,
     Probe,
     Role,
+    StackingPoses,
     StackingScans,
     Stream,
     carmen,
@@ -23,7 +24,7 @@ from occmap.readers import (
 )
 from occmap.readers.carmen import CarmenReader
 from occmap.sensor import RangeLimits, ReturnOptions
-from occmap.types import Pose, PoseSample, ScanRun
+from occmap.types import Pose, PoseBatch, PoseSample, ScanRun
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
 
@@ -230,6 +231,19 @@ def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
     assert isinstance(run, ScanRun)
     assert run.stamp_ns.tolist() == [stamp * 10**9 for stamp in range(6)]
     assert list(log.stacked_scans(["RLASER"])) == []
+    assert isinstance(log, StackingPoses)
+    (batch,) = log.stacked_poses()
+    assert isinstance(batch, PoseBatch)
+    assert batch.split() == list(log.poses())
+    assert [sample.stamp_ns for sample in log.poses()] == run.stamp_ns.tolist()
+
+
+def test_odometry_in_rare_ways_of_writing_is_in_file_order(tmp_path: Path) -> None:
+    rare = "ODOM +1 +0 +0 +0 +0 +0 +{0} host +{0}\n"
+    lines = "".join((rare if i % 7 else ODOM).format(i) for i in range(200))
+    poses = list(open_text(tmp_path, HEADER + flaser(0) + lines).poses())
+    assert [sample.stamp_ns for sample in poses] == [i * 10**9 for i in range(200)]
+    assert {sample.pose for sample in poses} == {Pose.planar(1, 0, 0)}
 
 
 @pytest.mark.parametrize(

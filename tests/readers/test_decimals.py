@@ -48,7 +48,7 @@ def parse(lines: list[bytes], separator: bytes, kinds: list[int]) -> tuple[Words
 def find_sound(lines: list[bytes], separator: bytes, kinds: list[int]) -> list[int]:
     """Say which of some lines, all of which are alike, can be read."""
     words, faults = parse(lines, separator, kinds)
-    assert len(words.ranges) == len(lines)
+    assert words.alike.tolist() == list(range(len(lines)))
     return [at for at in range(len(lines)) if at not in faults]
 
 
@@ -118,6 +118,16 @@ def test_an_empty_cell_is_nan_between_commas_and_nothing_between_blanks() -> Non
     assert parse([b"1  -inf "], b" ", 2 * [RANGE])[0].ranges.tolist() == [[1.0, -np.inf]]
 
 
+def test_blanks_behind_a_number_say_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("occmap.readers.decimals._parse_word", None)  # none is left to Python
+    text = b" 1.5 ,2\t, 3 \r ,-4. \n"
+    starts, kinds = np.array([0]), np.array([RANGE, NUMBER, SECONDS, RANGE + 1])
+    words, faults = parse_words(text, starts, b",", kinds, [""] * 4)
+    assert not faults
+    assert words.ranges.tolist() == [[1.5, -4]]
+    assert (words.numbers[1, 0], words.times[2, 0]) == (2, 3 * 10**9)
+
+
 @pytest.mark.parametrize("word", [b"inf", b"-inf", b"nan", b""])
 def test_some_numbers_must_be_finite(word: bytes) -> None:
     assert find_sound([b"1,2", b"1," + word], b",", [SAME, FINITE]) == [0]
@@ -135,11 +145,20 @@ def test_quotes_around_a_word_say_nothing() -> None:
     [b"a 1 2", b"a 1 2 ", b"a", b"", b"   ", b"a 1 2 3 4", b"a 1 2 3 x", b"a 1.5 2.5", b"b 1 2 3"],
 )
 @pytest.mark.parametrize("kind", [NUMBER, RANGE])
-def test_a_line_with_other_words_ends_those_that_are_alike(line: bytes, kind: int) -> None:
+def test_a_line_with_other_words_is_passed_over(line: bytes, kind: int) -> None:
     sound = b"a 1.5 2.5 3.5"
-    words, faults = parse([sound, sound, line, sound], b" ", [SAME, kind, kind, kind])
-    assert len(words.ranges) == 2
-    assert not faults
+    lines = [sound, sound, line, b"a 1.5 2.5 x", sound]
+    words, faults = parse(lines, b" ", [SAME, kind, kind, kind])
+    assert words.alike.tolist() == [0, 1, 3, 4]
+    assert faults.keys() == {2}
+    assert len(words.ranges) == 4
+
+
+def test_not_all_lines_are_tried_for_the_few_that_are_alike() -> None:
+    few, _ = parse([b"a 1", *[b"b 1"] * 99, b"a 1"], b" ", [SAME, RANGE])
+    assert few.alike.tolist() == [0]
+    half, _ = parse([b"a 1", b"b 1"] * 50, b" ", [SAME, RANGE])
+    assert half.alike.tolist() == list(range(0, 100, 2))
 
 
 @pytest.mark.parametrize("separator", [b" ", b","])
@@ -149,7 +168,7 @@ def test_words_that_are_written_in_rare_ways_are_read_in_turn(separator: bytes) 
     while at < len(lines):
         words, faults = parse(lines[at:], separator, [RANGE, RANGE, NUMBER, SECONDS])
         assert not faults
-        assert len(words.ranges)
+        assert words.alike.tolist() == list(range(max(len(words.ranges), 1)))
         assert {tuple(row) for row in words.ranges.tolist()} == {(1.5, 2)}
         assert set(words.times[3].tolist()) == {10**10}
         at += len(words.ranges)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from occmap.readers import ros_log
 from occmap.readers.containers import Channel, RawMessage
 from occmap.readers.ros_log import RosLog
-from occmap.types import Pose, PoseBatch, PoseSample
+from occmap.types import PoseBatch, PoseSample
 from tests.readers.ros import POSED, ROS1, ROS2, TF, Memory, posed, transforms
 
 Edges = Sequence[tuple[str, str, float]]
@@ -62,16 +62,7 @@ def by_key(items: Iterable[PoseSample | PoseBatch]) -> dict[Key, list[PoseSample
 
 
 def split(item: PoseSample | PoseBatch) -> list[PoseSample]:
-    if isinstance(item, PoseSample):
-        return [item]
-    return [
-        PoseSample(
-            stamp_ns, item.parent, item.child, Pose(*pose), item.static, item.topic, record_ns
-        )
-        for stamp_ns, record_ns, pose in zip(
-            item.stamp_ns.tolist(), item.record_ns.tolist(), item.pose.tolist(), strict=True
-        )
-    ]
+    return [item] if isinstance(item, PoseSample) else item.split()
 
 
 @pytest.mark.parametrize("kind", [TF, *POSED])
