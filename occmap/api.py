@@ -368,13 +368,7 @@ def score(  # noqa: PLR0913  what a caller gives, by name
 
 @refuse_failures()
 def explain(
-    path: AnyPath,
-    x: float,
-    y: float,
-    *,
-    logs: AnyPaths = (),
-    poses: AnyPaths = (),
-    **options: Any,
+    path: AnyPath, x: float, y: float, *, logs: AnyPaths = (), poses: AnyPaths = (), **options: Any
 ) -> explanation.Explanation:
     """Say what was seen at a point of saved evidence, and by which scans: `occmap explain`.
 

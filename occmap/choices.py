@@ -170,12 +170,10 @@ MOUNT = Form(
     "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
 )
 PLANAR = Form(
-    lambda value: _read_pose(value, 3),
-    "x,y,yaw in metres and radians, such as 12.5,-3,1.5708",
+    lambda value: _read_pose(value, 3), "x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
 )
 GLOBE = Form(
-    lambda value: _read_numbers(value, 3),
-    "latitude,longitude,yaw in degrees, such as 52.5,13.4,30",
+    lambda value: _read_numbers(value, 3), "latitude,longitude,yaw in degrees, such as 52.5,13.4,30"
 )
 TRANSFORM = Form(_read_transform, "parent,child,x,y,z,roll,pitch,yaw in metres and radians")
 TILT = Form(lambda value: _read_numbers(value, 2), "roll,pitch in degrees, such as 2.5,-1")

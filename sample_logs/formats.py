@@ -72,11 +72,7 @@ Message: TypeAlias = tuple[str, int, Any]
 """Topic, stamp (ns) and the message."""
 TF_TYPE, TF_DEFINITION = "tf2_msgs/msg/TFMessage", "geometry_msgs/TransformStamped[] transforms"
 TOPIC_TYPES = {"/tf_static": TF_TYPE, "/tf": TF_TYPE, "/scan": "sensor_msgs/msg/LaserScan"}
-CLOUD_TYPES = {
-    "/tf_static": TF_TYPE,
-    "/tf": TF_TYPE,
-    "/points": "sensor_msgs/msg/PointCloud2",
-}
+CLOUD_TYPES = {"/tf_static": TF_TYPE, "/tf": TF_TYPE, "/points": "sensor_msgs/msg/PointCloud2"}
 FLOAT32 = 7
 """What PointField calls numbers of four bytes"""
 

@@ -73,10 +73,7 @@ def box_faces(box: Box) -> list[tuple[float, float, float, float]]:
 
 
 def cast_rays(
-    origin: tuple[float, float],
-    bearings: Floats,
-    faces: Floats,
-    circle: tuple[float, float, float],
+    origin: tuple[float, float], bearings: Floats, faces: Floats, circle: tuple[float, float, float]
 ) -> Floats:
     """Return the distance (B,) to what each beam meets first, inf where it meets nothing.
 

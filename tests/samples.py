@@ -42,11 +42,7 @@ Planar = tuple[float, float, float]
 
 
 def write_csv(
-    path: Path,
-    poses: Sequence[Planar],
-    ranges: Sequence[float],
-    step: float = 0.0,
-    start: int = 0,
+    path: Path, poses: Sequence[Planar], ranges: Sequence[float], step: float = 0.0, start: int = 0
 ) -> Path:
     """Write a log of one scan a second, all with the same ranges, beams `step` radians apart."""
     beams = ",".join(f"r{beam}" for beam in range(len(ranges)))

@@ -47,12 +47,7 @@ HEAVY = {
 }
 
 
-BUILD_COMMAND = {
-    f"occmap.cli.{name}"
-    for name in [
-        *("build", "console", "declaring", "options"),
-    ]
-}
+BUILD_COMMAND = {f"occmap.cli.{name}" for name in [*("build", "console", "declaring", "options")]}
 
 
 def name_module(path: Path) -> str:

@@ -46,11 +46,7 @@ def test_two_sensors_make_one_map(tmp_path: Path) -> None:
     fan = write_csv(tmp_path / "fan.csv", STILL, [math.nan, 0.2, 0.4], QUARTER)
     made = build([ahead, fan], BEAM)
     # Ahead three cells to the right; left (the second beam) two up; behind four to the left.
-    assert show(made.map) == [
-        "....#...",
-        ".... ...",
-        "#      #",
-    ]
+    assert show(made.map) == ["....#...", ".... ...", "#      #"]
     assert made.map.extent == pytest.approx((-0.4, 0, 0.4, 0.3))
     assert made.report.logs == (str(ahead), str(fan))
     assert made.report.scans.used == 2

@@ -20,13 +20,7 @@ from occmap.page import compare_files, compare_logs
 from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE
 from occmap.scoring import SMALL
-from occmap.scoring.compare import (
-    DEFAULT_MODELS,
-    SCORES,
-    VariantComparison,
-    combine,
-    list_scores,
-)
+from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.sensor.models import parse_model
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict

@@ -147,10 +147,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         ),
         scans_used=scans_used,
         scans=tuple(sightings),
-        notes=(
-            *list_doubts(manifest),
-            *list_unexplained(part, around[1][1], uses, sightings),
-        ),
+        notes=(*list_doubts(manifest), *list_unexplained(part, around[1][1], uses, sightings)),
     )
 
 

@@ -134,10 +134,7 @@ class PosingOptions:
         bounds=(ABOVE_ZERO, math.inf),
     )
     time_offset_s: float = option(
-        0.0,
-        "Add this to the stamps of scans.",
-        unit="s",
-        bounds=(-MAX_OFFSET_S, MAX_OFFSET_S),
+        0.0, "Add this to the stamps of scans.", unit="s", bounds=(-MAX_OFFSET_S, MAX_OFFSET_S)
     )
     stamps: Stamps = option(
         Stamps.HEADER, "Use the times that the driver wrote, or the recorder's."

@@ -191,10 +191,7 @@ def estimate_error(part: Float64, whole: Float64) -> float:
 
 
 def read_scans(
-    paths: Sequence[Path],
-    options: BuildOptions,
-    begin: Callable[[], Taker],
-    progress: Progress,
+    paths: Sequence[Path], options: BuildOptions, begin: Callable[[], Taker], progress: Progress
 ) -> tuple[Taker, Tally, Remarks]:
     """Read all usable scans of logs in their order.
 

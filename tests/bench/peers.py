@@ -188,13 +188,7 @@ def observe_scans(
 
 @kernel
 def _observe(
-    change: Float64,
-    rules: Float64,
-    row: int,
-    col: int,
-    number: int,
-    seen: Int32,
-    log_odds: Float32,
+    change: Float64, rules: Float64, row: int, col: int, number: int, seen: Int32, log_odds: Float32
 ) -> None:
     """Add to a cell, once a scan."""
     if seen[row, col] == number:

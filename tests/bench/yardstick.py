@@ -27,10 +27,7 @@ PLAIN, TUNED = "C++ -O3", "C++ -O3 tuned"
 AVX2 = "haswell"
 """What numba calls the processor of 2013 whose instructions (x86-64-v3) nearly all have since"""
 ARCH = "-march=x86-64-v3" if os.environ.get("NUMBA_CPU_NAME") == AVX2 else "-march=native"
-FLAGS = {
-    PLAIN: ("-O3",),
-    TUNED: ("-O3", ARCH, "-fno-math-errno"),
-}
+FLAGS = {PLAIN: ("-O3",), TUNED: ("-O3", ARCH, "-fno-math-errno")}
 """As a distribution builds its packages; and with the instructions that numba uses."""
 LIBRARY_FLAGS = ("-ffp-contract=off", "-shared", "-fPIC")
 """A fused multiply-add would round differently from occmap and find other cells."""

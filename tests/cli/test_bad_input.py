@@ -234,10 +234,7 @@ def test_an_update_as_a_file_name_is_read_by_its_path() -> None:
     [
         ("91,0,0", "no place has latitude 91 and longitude 0; write degrees: LAT,LON,YAW"),
         ("0,-181,0", "no place has latitude 0 and longitude -181; write degrees: LAT,LON,YAW"),
-        (
-            "52.5,13.4",
-            "--georeference 52.5,13.4: 2 values where 3 belong; give latitude,longitude",
-        ),
+        ("52.5,13.4", "--georeference 52.5,13.4: 2 values where 3 belong; give latitude,longitude"),
         ("north,13,0", "--georeference north,13,0: 'north' is not a number; give latitude"),
         ("nan,13,0", "--georeference nan,13,0: 'nan' is not a number"),
     ],

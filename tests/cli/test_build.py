@@ -237,9 +237,7 @@ def test_quiet_prints_nothing(tmp_path: Path) -> None:
     assert occmap("build", write_cut(tmp_path), "-o", tmp_path / "m.pgm", "-q") == (0, "", "")
 
 
-def test_a_bar_never_passes_its_total(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_bar_never_passes_its_total(monkeypatch: pytest.MonkeyPatch) -> None:
     numbers: list[tuple[float, float]] = []
     closed: list[bool] = []
 

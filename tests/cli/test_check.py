@@ -143,8 +143,7 @@ def test_the_robot_and_the_reading_come_back_as_flags(tmp_path: Path, capsys: Ca
 
 
 @pytest.mark.parametrize(
-    "words",
-    ["", "x.bag --resolution much", "x.bag --footprint 1,1,0,0", "x.bag --resolution inf"],
+    "words", ["", "x.bag --resolution much", "x.bag --footprint 1,1,0,0", "x.bag --resolution inf"]
 )
 def test_values_that_make_no_sense_are_usage_errors(words: str) -> None:
     assert read_error(occmap("check", *words.split()), 2)

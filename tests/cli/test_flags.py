@@ -21,10 +21,7 @@ from tests.cli.runner import find_command
         ("longer than `max_pose_gap_s`", "longer than --max-pose-gap"),
         ("`start_s=3.0` is not before `end_s=2.0`", "--start 3.0 is not before --end 2.0"),
         ("`static_transforms=a,b,X`; `topics`", "--static-tf a,b,X; --scan-topic"),
-        (
-            "`sensor_pose=(x,y)` `base_frame=F`",
-            "--sensor-pose x,y --base-frame F",
-        ),
+        ("`sensor_pose=(x,y)` `base_frame=F`", "--sensor-pose x,y --base-frame F"),
         ("see `occmap check`, `merge` and `x=1`", "see `occmap check`, `merge` and `x=1`"),
         ("a frame `map_frame", "a frame `map_frame"),
     ],

@@ -181,11 +181,7 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         ),
         (["merge", "a.npz"], 2, "add -o merged.npz"),
         (["merge", "a.npz", "q.npz", "--fit", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
-        (
-            ["merge", "a.npz", "b.npz", "--fit", "-o", "m.npz"],
-            1,
-            "not sure how b.npz lies on it",
-        ),
+        (["merge", "a.npz", "b.npz", "--fit", "-o", "m.npz"], 1, "not sure how b.npz lies on it"),
         (["merge", "a.npz", "q.npz", "-o", "m.npz"], 1, "q.npz: its kind is log_odds"),
         (["merge", "a.npz", "--subtract", "b.npz", "-o", "m.npz"], 1, "cells that a.npz lacks"),
         (

@@ -103,11 +103,7 @@ ROOM = {
     "description": "A room of a house.",
     "properties": {
         "size": {"type": ("number", "null"), "description": "How large it is, wall to wall (m2)"},
-        "corners": {
-            "type": "array",
-            "items": CORNER,
-            "description": "Its corners",
-        },
+        "corners": {"type": "array", "items": CORNER, "description": "Its corners"},
         "colour": {
             "anyOf": [{"enum": ["red", "blue"]}, {"type": "null"}],
             "description": "Of its walls",

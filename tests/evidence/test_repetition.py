@@ -12,10 +12,7 @@ ALL = {"topics": [], "start_s": "-inf", "end_s": "inf", "stride": 1}
 def build_of(*names: str, poses: str | None = None, **selection: Any) -> dict[str, Any]:
     """A build of files, each with its name for a hash, of which the last may be a trajectory."""
     inputs = [{"name": name, "sha256": f"sha of {name}"} for name in names]
-    return {
-        "inputs": inputs,
-        "options": {"selection": ALL | selection, "posing": {"poses": poses}},
-    }
+    return {"inputs": inputs, "options": {"selection": ALL | selection, "posing": {"poses": poses}}}
 
 
 def name_repeated(*builds: dict[str, Any]) -> list[str]:

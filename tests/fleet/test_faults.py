@@ -109,11 +109,7 @@ def start_build(address: str, scratch: Path, output: Path) -> subprocess.Popen[s
 
 @pytest.mark.parametrize("phase", ["*/*.survey_log", "*/*.trace_log", "*/*.reduce_block"])
 def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
-    address: str,
-    tmp_path: Path,
-    expected: bytes,
-    phase: str,
-    monkeypatch: pytest.MonkeyPatch,
+    address: str, tmp_path: Path, expected: bytes, phase: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scratch, output = tmp_path / "scratch", tmp_path / "map.npz"
     with start_build(address, scratch, output) as first:
@@ -270,10 +266,7 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 def test_workers_run_other_versions(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "version", lambda name: "0.9" if name == "numba" else "1")
     found = r"\d of \d workers? run occmap .*, and this process runs occmap 1, numpy 1, numba 0.9"
-    with (
-        pytest.raises(FleetError, match=found),
-        open_cluster(address, 2, lambda _: None),
-    ):
+    with pytest.raises(FleetError, match=found), open_cluster(address, 2, lambda _: None):
         pass
 
 

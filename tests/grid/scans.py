@@ -20,11 +20,7 @@ MIXED = [(0.1, 0.1, 0.8), (0.3, 0.3, 0.4), (0.02, 0.08, 0.9)]
 STAMPS = st.integers(-20, 30)
 """Some scans then are of one time, or of one second before zero and after it."""
 
-FEW = settings(
-    max_examples=40,
-    derandomize=True,
-    database=None,
-)
+FEW = settings(max_examples=40, derandomize=True, database=None)
 MANY = settings(FEW, max_examples=100)
 
 

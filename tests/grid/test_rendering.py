@@ -30,10 +30,7 @@ Numbers = dict[Cell, tuple[int, int]]
 EDGES = [0, 1, TILE - 2, TILE - 1, TILE, -1, -2, -TILE, -TILE - 1, 7, PART - 1, PART, -PART]
 PLACES = st.tuples(st.sampled_from(EDGES), st.sampled_from(EDGES))
 OBSERVED = st.dictionaries(
-    PLACES,
-    st.tuples(st.integers(0, 9), st.integers(0, 9)).filter(any),
-    min_size=1,
-    max_size=12,
+    PLACES, st.tuples(st.integers(0, 9), st.integers(0, 9)).filter(any), min_size=1, max_size=12
 )
 
 

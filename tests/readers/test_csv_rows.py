@@ -106,8 +106,7 @@ def test_an_unused_column_may_differ(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "header",
-    ["stamp,r0,r1,angle_min,angle_increment", "stamp,r0,angle_min,r1,angle_increment"],
+    "header", ["stamp,r0,r1,angle_min,angle_increment", "stamp,r0,angle_min,r1,angle_increment"]
 )
 def test_columns_behind_the_beams_are_read(tmp_path: Path, header: str) -> None:
     values = {"stamp": "1", "r0": "2", "r1": "3", "angle_min": "-1", "angle_increment": "0.5"}

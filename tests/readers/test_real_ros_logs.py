@@ -31,10 +31,7 @@ class Facts(NamedTuple):
 
 FACTS = {
     "ros1/test_turtlebot.bag": Facts(
-        819,
-        640,
-        "camera_depth_frame",
-        {("map", "odom"): 550, ("odom", "base_footprint"): 1376},
+        819, 640, "camera_depth_frame", {("map", "odom"): 550, ("odom", "base_footprint"): 1376}
     ),
     "ros1/test_replay_crash.bag": Facts(
         136,

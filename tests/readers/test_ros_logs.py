@@ -11,17 +11,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.types import Pose, PoseSample
-from tests.readers.ros import (
-    RANGES,
-    ROS1,
-    ROS2,
-    SECOND,
-    Bag2,
-    Write,
-    drive,
-    write_bag1,
-    write_mcap,
-)
+from tests.readers.ros import RANGES, ROS1, ROS2, SECOND, Bag2, Write, drive, write_bag1, write_mcap
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 # A chunk a kilobyte long holds a few messages.

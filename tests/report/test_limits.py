@@ -93,10 +93,7 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
         ("lost > five", "'five' is not a number"),
         ("lost > nan", "'nan' is not a number"),
         ("gap > inf", "'inf' is not a number"),
-        (
-            "lots > 5%",
-            "no measure is called 'lots'; did you mean 'lost'? there are lost, scans",
-        ),
+        ("lots > 5%", "no measure is called 'lots'; did you mean 'lost'? there are lost, scans"),
         ("zzz > 5", "no measure is called 'zzz'; there are lost, scans, gap"),
         ("scans > 5%", "scans is not a share; leave out the %"),
         ("lost > 1", "1 is not a share below 1; write 1% or 0.01; the whole is 100%"),

@@ -340,10 +340,7 @@ def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize(
     ("name", "share", "log_likelihood"),
-    [
-        ("carmen/intel-corrected.log.gz", 0.87, -0.5),
-        ("carmen/csail-corrected.log.gz", 0.795, -0.9),
-    ],
+    [("carmen/intel-corrected.log.gz", 0.87, -0.5), ("carmen/csail-corrected.log.gz", 0.795, -0.9)],
 )
 def test_the_default_build_foretells_real_logs_best_and_likeliest(
     name: str, share: float, log_likelihood: float

@@ -132,8 +132,7 @@ def test_a_hit_is_as_deep_as_was_asked_or_as_the_cells_allow() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"),
-    [("simple", CountModel), ("counting", CountModel), ("quadratic", RadialModel)],
+    ("name", "kind"), [("simple", CountModel), ("counting", CountModel), ("quadratic", RadialModel)]
 )
 def test_models_are_found_by_name_and_described_as_they_are_written(name: str, kind: type) -> None:
     model = make_model(name, {"prior": 0.4})

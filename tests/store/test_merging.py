@@ -148,10 +148,7 @@ def test_a_build_resumes(tmp_path: Path, model: str) -> None:
             replace(choose(), resolution=0.1),
             "its resolution is 0.1, .*; build both with `resolution=0.05`, or ",
         ),
-        (
-            choose(Update.POLYGON),
-            "its update is polygon, .* is beam; build both with the same ",
-        ),
+        (choose(Update.POLYGON), "its update is polygon, .* is beam; build both with the same "),
         (
             choose(model="quadratic"),
             "its kind is log_odds, .* is counts; build both with the same ",

@@ -18,16 +18,7 @@ from occmap.scans.tracing import ignore_progress
 from occmap.scoring import GOLDEN, Gain, Sample
 from occmap.scoring.compare import Variant, compare
 from occmap.tuning import tune
-from occmap.tuning.search import (
-    TIME,
-    YAW,
-    Correction,
-    KeptLog,
-    Verdict,
-    X,
-    find_mount,
-    keep_logs,
-)
+from occmap.tuning.search import TIME, YAW, Correction, KeptLog, Verdict, X, find_mount, keep_logs
 from occmap.types import Float64, Pose, ScanBatch
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
 from tests.tuning.simulated import read_drive, write_drive

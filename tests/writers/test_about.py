@@ -67,7 +67,7 @@ def test_all_formats_say_the_same(built: Path) -> None:
 def test_loaders_of_the_yaml_see_what_they_always_saw(built: Path) -> None:
     loaded = YAML(typ="safe").load((built / "m.yaml").read_text())
     assert set(loaded) == {
-        *("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh"),
+        *("image", "mode", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
     }
 
 

@@ -13,14 +13,7 @@ from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
 from occmap.grid.tiles import TILE, pack
 from occmap.types import Int64
-from occmap.writers.npz import (
-    SIDE,
-    SLICES,
-    add_array,
-    narrow,
-    read_evidence,
-    write_evidence,
-)
+from occmap.writers.npz import SIDE, SLICES, add_array, narrow, read_evidence, write_evidence
 
 SELECTION = {"topics": [], "start_s": "-inf", "end_s": 2.5, "stride": 1}
 BUILD = {
