@@ -153,10 +153,11 @@ class BuildOptions:
 
 OPTIONS = list_options(BuildOptions)
 """All of them by name"""
+CLOUDS_ALONE = tuple(list_options(CloudOptions))
 IDLE = {
-    Update.POLYGON: (),
-    Update.SURFACE: ("border_gap",),
-    Update.BEAM: ("jump", "border_gap"),
+    Update.POLYGON: CLOUDS_ALONE,
+    Update.SURFACE: ("border_gap", *CLOUDS_ALONE),
+    Update.BEAM: ("jump", "border_gap", *CLOUDS_ALONE),
     Update.CLOUD: ("border_gap", "jump", "hit_offset", "no_return", "range_max", "deskew"),
 }
 """Options that do nothing with an update"""

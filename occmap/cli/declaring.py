@@ -238,7 +238,7 @@ class ConfigOption(Option):
         path = None if ctx.resilient_parsing else find_config(opts)
         if path is not None:
             options = [each for each in ctx.command.params if isinstance(each, click.Option)]
-            flags = {flag: each for each in options for flag in each.opts}
+            flags = {flag: each for each in options if each.expose_value for flag in each.opts}
             own = {flag[2:]: each for flag, each in flags.items() if flag.startswith("--")}
             stated = read_config(path, ctx.command.name or "", own)
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
@@ -308,7 +308,7 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
         fix = suggest(name, list(COMMANDS), "occmap --help")
         raise UsageError(f"no command is called {name!r}", where=f"{path}: [{name}]", fix=fix)
     common = {name: value for name, value in values.items() if name not in tables}
-    known = {*own, *(flag[2:] for flag in FLAGS.values())} - {"config"}
+    known = {*own, *(flag[2:] for flag in FLAGS.values())}
     for name in chain(common, *tables.values()):
         if name not in known:
             fix = guess(name.replace("_", "-"), known) or "see `occmap build --help`"

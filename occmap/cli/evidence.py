@@ -84,7 +84,7 @@ def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
     model that counts. The evidence of a radial model, such as quadratic, can be weighed only by
     that model, though with another --prior, --clamp-min or --clamp-max.
 
-      occmap render map.npz -o map.pgm --p-hit 0.8
+      occmap render map.npz -o map.pgm --model simple --p-hit 0.8
       occmap render map.npz -o map.pgm -o map.png --model counting --mode scale
       occmap render map.npz -o room.png --extent 0,0,5,4
       occmap render city.zarr -o city.png --overview 16

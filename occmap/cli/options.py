@@ -117,7 +117,7 @@ WRITING = [
         FILES,
         "FILE",
         "Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
-        "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the trajectory, "
+        "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the way of a build, "
         ".npz for evidence to render, merge and resume, or .zarr for the same in blocks.",
         *("-o", "--output", "outputs"),
     ),

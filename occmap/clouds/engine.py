@@ -20,6 +20,8 @@ from occmap.grid.kernels.units import NEAR_WEIGHT
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
+HIGHEST_M = 1e6
+"""Nothing lies higher."""
 SLACK_M = 0.096
 """The clearance grows from where poses that are off put the floor this high: 8 m by default."""
 SHORTEST_M = 0.05
@@ -127,7 +129,8 @@ class CloudEngine(Engine):
         box = lattice.enclose(metres).align(TILE).shrink(TILE)
         height = np.ascontiguousarray(ground.height_mm).reshape(-1)
         self._make_sheet = partial(Sheet, lattice, blocks, height, box)
-        low, high = round(options.min_height * 1000), round(options.max_height * 1000)
+        heights = options.min_height, options.max_height
+        low, high = (round(1000 * min(each, HIGHEST_M)) for each in heights)
         nearest, farthest = max(limits[0], SHORTEST_M), limits[1]
         margin = options.range_margin
         level = SLACK_M / margin if margin else math.inf

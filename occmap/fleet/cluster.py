@@ -187,8 +187,9 @@ def connect(place: Any, address: str) -> "Client":
     try:
         return Client(place, timeout=PATIENCE_S)
     except (OSError, ValueError) as error:
-        reason = f" ({str(error).splitlines()[0]})" if isinstance(error, ValueError) else ""
-        found = f"no scheduler answers within {PATIENCE_S} s{reason}"
+        found = f"no scheduler answers within {PATIENCE_S} s"
+        if isinstance(error, ValueError):
+            found = "is no address of a scheduler, such as tcp://HOST:8786"
         fix = "start one with `dask scheduler`, or build with `dask=local`"
         raise FleetError(found, where=address, fix=fix) from None
 

@@ -196,7 +196,7 @@ def read_npy(data: bytes) -> Points:
     """Read an array of NumPy: rows of x, y, z and perhaps more, or fields of these names."""
     try:
         array = np.load(BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError) as error:
+    except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
         raise DamageError(f"is no array of NumPy ({shorten(str(error))})") from None
     if array.dtype.names:
         names, rows = array.dtype.names, array.ravel()
@@ -326,8 +326,8 @@ class CloudFolder:
                 with refuse_unreadable(file):
                     points = read_cloud(file)
                 cloud = make_cloud(points.columns, FRAME, stamp_ns, TOPIC, stamp_ns)
-            except DamageError as error:
-                self.notes.add_damage(f"{file.name} {error}; it is left out")
+            except LogError as error:
+                self.notes.add_damage(f"{file.name} {error.found}; it is left out")
                 lost += 1
                 continue
             there = len(cloud.points)

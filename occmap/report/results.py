@@ -215,7 +215,7 @@ def tell_map(grid: MapSummary, looked_up: bool = False) -> list[Row]:
     rows = [("map", f"{size}, {write_box(grid.extent)}{turned}"), ("cells", cells)]
     if grid.agreement is not None:
         found = f"{grid.agreement:.1%} of the hits lie in occupied cells"
-        hint = hint_at_tune(grid.agreement) if looked_up else ""
+        hint = hint_at_tune(grid.agreement) if looked_up and grid.update != Update.CLOUD else ""
         rows.append(("agree", found + hint))
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
     model = shorten_model(parse_model(grid.model))

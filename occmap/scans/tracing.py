@@ -171,8 +171,8 @@ def level_ground(
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
-            "walls with it: `level=({:g},{:g})` lays it flat, and `level=(0,0)` leaves it as it "
-            "is".format(*level)
+            "walls with it: it is laid flat, as `level=({:g},{:g})` does; `level=(0,0)` leaves it "
+            "as it is".format(*level)
         )
     return found
 

@@ -317,7 +317,7 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     if not outputs:  # a map that is saved later, in whatever format
         return
     suffixes = {path.suffix.lower() for path in outputs}
-    if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap"}):
+    if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap", ".png"}):
         yield f"`mode={options.mode}` does nothing: it is for .pgm and .mcap, and no output ends so"
     if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
         yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
