@@ -318,7 +318,8 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
         return
     suffixes = {path.suffix.lower() for path in outputs}
     if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap", ".png"}):
-        yield f"`mode={options.mode}` does nothing: it is for .pgm and .mcap, and no output ends so"
+        formats = "it is for .pgm, .png and .mcap, and no output ends so"
+        yield f"`mode={options.mode}` does nothing: {formats}"
     if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
         yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
     if options.georeference and suffixes.isdisjoint({".tif", ".png"}):
