@@ -26,6 +26,8 @@ _HEAD = struct.Struct("<BQ")
 """What every record starts with: opcode and length of the body."""
 _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
+_SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack
+"""By names of their own, since a log has tens of thousands of messages"""
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
@@ -65,16 +67,16 @@ class McapSource(RecordSource):
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
-        head = block[at : at + _MESSAGE_HEAD.size]
-        if len(head) == _MESSAGE_HEAD.size:
-            opcode, length, key, _, record_ns = _MESSAGE_HEAD.unpack(head)
-            start, end = at + _MESSAGE_DATA, at + _HEAD.size + length
+        head = block[at : at + _LONG]
+        if len(head) == _LONG:
+            opcode, length, key, _, record_ns = _unpack_message_head(head)
+            start, end = at + _MESSAGE_DATA, at + _SHORT + length
             if opcode == _MESSAGE and start <= end:
-                return key, min(record_ns, _LATEST_NS), at, start, end
-        if len(head) < _HEAD.size:
+                return key, record_ns if record_ns < _LATEST_NS else _LATEST_NS, at, start, end
+        if len(head) < _SHORT:
             return None
         opcode, length = _HEAD.unpack_from(head)
-        end = at + _HEAD.size + length
+        end = at + _SHORT + length
         if opcode == Opcode.FOOTER and end == len(block) - len(self.magic):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:

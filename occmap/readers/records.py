@@ -15,11 +15,11 @@ have.
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterable, Iterator
+from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO, ClassVar, NoReturn, TypeAlias
+from typing import Any, BinaryIO, ClassVar, NoReturn, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
@@ -30,7 +30,7 @@ DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
 and for any other."""
 _EVERY_ID = range(1 << 32)
-"""The numbers of all channels that there can be."""
+"""Stands for all channels that there can be by their numbers: at each is the number itself"""
 _ANY, _PLAIN, _FRAME = range(OTHER, 1 << 32), range(DESCRIPTION, 1 << 32), (CHUNK, OTHER)
 """All kinds of records, those that lie in chunks (or in the open if a recorder makes none, or died
 before it closed one), and those that do not"""
@@ -132,8 +132,7 @@ class RecordSource(ABC):
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
-            for key, record_ns, data in self._read(FileBytes(file), by_id, descriptions):
-                yield by_id[key], record_ns, data
+            yield from self._read(FileBytes(file), by_id, descriptions)
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -173,9 +172,9 @@ class RecordSource(ABC):
         return channels, Counter({**held, **announced})
 
     def _read(
-        self, file: FileBytes, wanted: Container[int], descriptions: Descriptions
-    ) -> Iterator[tuple[int, int, memoryview]]:
-        """Give channel, time and bytes of the messages of some channels.
+        self, file: FileBytes, wanted: Mapping[int, Channel] | range, descriptions: Descriptions
+    ) -> Iterator[tuple[Any, int, memoryview]]:
+        """Give the messages of some channels: what `wanted` has for theirs, the time, the bytes.
 
         The records that describe channels are added to `descriptions`.
         """
@@ -184,7 +183,7 @@ class RecordSource(ABC):
                 if key == DESCRIPTION:
                     descriptions.setdefault(bytes(block[start:end]), position)
                 elif key in wanted:
-                    yield key, record_ns, block[start:end]
+                    yield wanted[key], record_ns, block[start:end]
 
     def _open_blocks(
         self, file: FileBytes, wanted: Container[int]
