@@ -22,7 +22,6 @@ from occmap.plugins import guess
 from occmap.report import label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
-from occmap.sensor.models import shorten_model
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
 
@@ -64,7 +63,7 @@ USUAL = (
     *options.FRAMING,
     *options.fields(MAP, "min_passes", "pass_gap_s"),
     *options.RANGES_READ,
-    *options.list_model(shorten_model(choose_model(DEFAULT_UPDATE))),
+    *options.list_model(choose_model(DEFAULT_UPDATE).name),
     *options.SCANS_READ,
     *(fail_if(BUILD, "agreement < 70%"), options.JOBS, DASK, SCRATCH, STRICT, CONFIG),
     usual=USUAL,

@@ -82,7 +82,7 @@ class McapSource(RecordSource):
         if opcode not in _OTHER_OPCODES:
             return None
         kind = _KINDS.get(opcode, records.OTHER)
-        start = at + _HEAD.size
+        start = at + _SHORT
         chunk = kind == records.OTHER and _CHUNK_HEAD.match(block[start : start + _LONGEST_HEAD])
         if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
             kind = records.CHUNK  # whatever its opcode says

@@ -318,7 +318,7 @@ def describe_model(model: Any) -> str:
 
 def shorten_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without parameters that are at their defaults."""
-    usual = make_model(model.name, {})
+    usual = type(model)()
     names = [field.name for field in fields(model)]
     changed = [name for name in names if getattr(model, name) != getattr(usual, name)]
     pairs = ",".join(f"{name}={getattr(model, name):g}" for name in changed)

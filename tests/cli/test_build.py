@@ -225,6 +225,23 @@ def test_options_of_scans_are_noted_where_clouds_are_mapped(tmp_path: Path) -> N
     assert [line.split()[1] for line in idle] == ["--no-return", "--range-max"]
 
 
+def test_options_of_clouds_are_noted_where_scans_are_mapped(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 1.0], 0.1)
+    words = ["--jump", "0.3", "--max-height", "2", "--ground", "flat"]
+    err = occmap("build", log, *words, "-o", tmp_path / "m.pgm").err
+    assert [line.split()[1] for line in err.splitlines()] == ["--max-height", "--ground"]
+
+
+def test_a_band_without_a_ceiling_is_mapped_like_one_with_a_very_high_one(tmp_path: Path) -> None:
+    made = []
+    for height in ("inf", "1000"):
+        path = tmp_path / f"{height}.pgm"
+        words = ["--max-height", height, "-o", path]
+        assert occmap("build", SAMPLE_LOGS / "hall.mcap", *words).code == 0
+        made.append(path.read_bytes())
+    assert made[0] == made[1]
+
+
 def test_options_of_a_build_by_workers_are_noted_without_workers(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
     words = ["build", log, "-o", tmp_path / "m.pgm", "--scratch", tmp_path]

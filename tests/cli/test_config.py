@@ -100,6 +100,7 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
     ("text", "found"),
     [
         ("resoluton = 0.1", "no option is called 'resoluton'; did you mean 'resolution'?"),
+        ("quiet = true", "no option is called 'quiet'"),  # only the terminal knows it
         ("max_range = 5", "no option is called 'max_range'; did you mean 'max-range'?"),
         ("[buidl]\nstride = 2", "[buidl]: no command is called 'buidl'; did you mean 'build'?"),
         ("extent = [0, 0, 1]", "--extent 0,0,1: 3 values where 4 belong"),

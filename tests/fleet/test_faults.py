@@ -263,6 +263,12 @@ def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("address", [",", ":"])
+def test_what_is_no_address_is_called_that(address: str) -> None:
+    with pytest.raises(FleetError, match="is no address of a scheduler, such as tcp://HOST:8786"):
+        cluster.connect(address, address)
+
+
 def test_workers_run_other_versions(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "version", lambda name: "0.9" if name == "numba" else "1")
     found = r"\d of \d workers? run occmap .*, and this process runs occmap 1, numpy 1, numba 0.9"

@@ -142,6 +142,22 @@ def test_a_file_that_is_no_cloud_is_left_out_and_named(
     assert found in note
 
 
+def test_what_cannot_be_opened_or_is_impossibly_large_is_left_out_and_named(tmp_path: Path) -> None:
+    np.save(tmp_path / "1.npy", np.ones((5, 3), np.float32))
+    (tmp_path / "2.npy").mkdir()
+    made = (tmp_path / "1.npy").read_bytes()
+    stated, huge = b"(5, 3), }", b"(99999999999, 3), }"
+    grown = made.replace(stated + b" " * (len(huge) - len(stated)), huge)
+    assert grown != made
+    (tmp_path / "3.npy").write_bytes(grown)
+    log = open_log(tmp_path)
+    assert isinstance(log, HoldingClouds)
+    assert len(list(log.clouds([stream.topic for stream in log.streams]))) == 1
+    told = [note.text for note in log.notes if note.damage]
+    assert [text.split()[0] for text in told] == ["2.npy", "3.npy"]
+    assert all("left out" in text for text in told)
+
+
 def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path: Path) -> None:
     (tmp_path / "1.pcd").write_bytes(pcd("binary", XYZ[:-1]))
     (tmp_path / "2.pcd").write_bytes(pcd("ascii", TEXT[:-4]))
