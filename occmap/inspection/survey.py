@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from occmap import sensor
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
 from occmap.posing import Stamps
@@ -23,7 +22,7 @@ from occmap.readers import Stream
 from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
-from occmap.sensor import NoReturn, ReturnOptions, interpret
+from occmap.sensor import NoReturn, ReturnOptions, bands, interpret, read_limits
 from occmap.sensor.models import Spreading
 from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
@@ -31,7 +30,7 @@ from occmap.values import as_float32
 REPEATED_SHARE = 0.01
 NEIGHBOURHOOD_M = 0.1
 """A value is suspicious if one finite range in a hundred has it, and ten times as many as have any
-other value within this distance (`sensor.DOMINANCE`). Ranges to a wall spread by their noise, even
+other value within this distance (`bands.DOMINANCE`). Ranges to a wall spread by their noise, even
 if nothing moves."""
 
 NO_RETURNS = ("+inf", "= range_max", "> range_max")
@@ -111,7 +110,7 @@ class RangeCensus:
         """
         repeated = tuple(list_repeated(sample, self.limit))
         crossed = measure_crossing(sample, options)
-        low, high = sensor.SICK_CODES
+        low, high = bands.SICK_CODES
         is_code = any(low <= item.value <= high for item in repeated)
         is_open = crossed is not None and crossed < MOSTLY_OPEN
         suggested = "clear" if is_open and not is_code and math.isfinite(self.limit) else "ignore"
@@ -141,10 +140,10 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
     """
     ranges = np.concatenate([np.zeros(0, np.float32), *(it.batch.ranges.ravel() for it in parts)])
     values, counts = np.unique(ranges[np.isfinite(ranges) & (ranges > 0)], return_counts=True)
-    if len(values) < sensor.MIN_VALUES:
+    if len(values) < bands.MIN_VALUES:
         return
     total = int(counts.sum())
-    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, sensor.MIN_READINGS))
+    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, bands.MIN_READINGS))
     ranked = frequent[np.argsort(-counts[frequent], kind="stable")]
     low = np.searchsorted(values, values[ranked] - np.float32(NEIGHBOURHOOD_M))
     high = np.searchsorted(values, values[ranked] + np.float32(NEIGHBOURHOOD_M), side="right")
@@ -152,7 +151,7 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
     found = [
         k
         for k, a, b in places
-        if counts[k] >= sensor.DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
+        if counts[k] >= bands.DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
     ]
     for value, number in zip(values[found].tolist(), counts[found].tolist(), strict=True):
         yield Repeated(value, number / total, value >= limit)
@@ -342,7 +341,7 @@ class TopicSurvey:
             self.shapes[Shape(0, 0.0, math.tau, 0.0, math.inf, scans=0)] += 1
             return
         angles = first.angle_min, first.angle_increment
-        shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
+        shape = Shape(len(first.ranges), *angles, *read_limits(first), scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
             self.shapes[shape] += some.scans
 

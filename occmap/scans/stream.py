@@ -14,7 +14,8 @@ from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, read_recorded
 from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
-from occmap.sensor import RangeLimits, drop_own_points, read_limits
+from occmap.sensor import drop_own_points, read_limits
+from occmap.sensor.bands import RangeLimits
 from occmap.sensor.models import RadialModel
 from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun, Update
 

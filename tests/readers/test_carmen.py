@@ -23,7 +23,8 @@ from occmap.readers import (
     text_log,
 )
 from occmap.readers.carmen import CarmenReader
-from occmap.sensor import RangeLimits, ReturnOptions
+from occmap.sensor import ReturnOptions
+from occmap.sensor.bands import RangeLimits
 from occmap.types import Pose, PoseBatch, PoseSample, ScanRun
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"

@@ -15,7 +15,8 @@ from occmap.pipeline import build
 from occmap.posing import Stamps
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
-from occmap.sensor import RangeLimits, ReturnOptions
+from occmap.sensor import ReturnOptions
+from occmap.sensor.bands import RangeLimits
 from occmap.types import Scan, ScanBatch, ScanRun, Update
 from tests.samples import write_csv
 

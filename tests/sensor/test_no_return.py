@@ -14,7 +14,8 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.scans import stream
-from occmap.sensor import Band, RangeLimits, RangeTally, ReturnOptions, read_limits
+from occmap.sensor import ReturnOptions, read_limits
+from occmap.sensor.bands import Band, RangeLimits, RangeTally
 from occmap.types import Scan, ScanBatch
 from tests.grid.scans import FEW
 from tests.samples import PLAIN, write_late
