@@ -53,6 +53,8 @@ class Field(NamedTuple):
     """(H, W + PAD) what single cells got"""
     runs: Int32
     """H x (W + PAD), flat: changes along rows of how often cells were plainly inside"""
+    clipped: bool | None
+    """None: no beam reaches beyond the window, so that the border costs fewer comparisons"""
 
 
 class Room(NamedTuple):
@@ -222,12 +224,12 @@ def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: boo
 def _note_border(beams: Beams, s: int, field: Field, mark: int, room: Room, size: int) -> None:
     """Give each cell of a scan's border one hit, and count whether it lies in a span."""
     ends_x, ends_y, kinds = beams.ends_x[s], beams.ends_y[s], beams.rays.kind[s]
-    links, spans, border = room.links, room.spans, field.cells
+    links, spans = room.links, room.spans
     to_col, to_row = field.corner[0] >> CELL_SHIFT, field.corner[1] >> CELL_SHIFT
     for b in range(links.size):
         if kinds[b] == HIT:
             row, col = (ends_y[b] >> CELL_SHIFT) - to_row, (ends_x[b] >> CELL_SHIFT) - to_col
-            _note_cell(row, col, spans, mark, border)
+            _note_cell(row, col, spans, mark, field)
     for i in range(size):
         b = int(room.listed[i])
         if not links[b] & JOINED:
@@ -245,18 +247,20 @@ def _note_border(beams: Beams, s: int, field: Field, mark: int, room: Room, size
         for j in range(1, n):
             steps_x = int((j * twice_x + half) * per_2n)
             steps_y = int((j * twice_y + half) * per_2n)
-            _note_cell(row - above * steps_y, col - right * steps_x, spans, mark, border)
+            _note_cell(row - above * steps_y, col - right * steps_x, spans, mark, field)
 
 
 @step
-def _note_cell(at_row: int, at_col: int, spans: Spans, mark: int, border: Int64) -> None:
+def _note_cell(at_row: int, at_col: int, spans: Spans, mark: int, field: Field) -> None:
     """Give a cell of the border one hit, if it lies in the window and has none of this scan.
 
     What it gets is chosen without a branch: whether neighbours share a cell is a coin toss.
     """
-    row, col, cols = np.uint64(at_row), np.uint64(at_col), border.shape[1] - PAD
-    if row >= np.uint64(border.shape[0]) or col >= np.uint64(cols):
-        return
+    border, row, col = field.cells, np.uint64(at_row), np.uint64(at_col)
+    if field.clipped is not None:
+        rows, cols = np.uint64(border.shape[0]), np.uint64(border.shape[1] - PAD)
+        if row >= rows or col >= cols:
+            return
     cell = border[row, col]
     inside = count_begun(spans, row, np.int32(at_row * border.shape[1] + at_col)) & 1
     is_new = (cell >> SCAN_SHIFT) != mark
