@@ -37,7 +37,7 @@ def diff_in_bounds(file: str) -> str:
     assert done.stderr.count("\n") == 1
     assert len(done.stderr) < 400
     assert "fault in occmap" not in done.stderr
-    return done.stderr
+    return str(done.stderr)
 
 
 def limit_memory() -> None:
