@@ -5,7 +5,10 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from occmap.options import BuildOptions
 from occmap.sensor.models import SimpleModel
@@ -66,3 +69,20 @@ def write_late(path: Path, scans: int, marked_from: int) -> Path:
         rows.append(f"{number},0,{0.01 * number},0,{','.join(f'{r:.2f}' for r in ranges)}\n")
     path.write_text(head + "".join(rows))
     return path
+
+
+def copy_mcap(source: IO[bytes], target: IO[bytes], leave_out: str = "", **settings: Any) -> None:
+    """Write the messages of an MCAP file again, without those of a topic; settings are mcap's."""
+    writer = Writer(target, **settings)
+    writer.start(profile="ros2")
+    channels: dict[int, int] = {}
+    for schema, channel, message in make_reader(source).iter_messages():
+        assert schema is not None
+        if channel.topic == leave_out:
+            continue
+        if channel.id not in channels:
+            kind = writer.register_schema(schema.name, schema.encoding, schema.data)
+            channels[channel.id] = writer.register_channel(channel.topic, "cdr", kind)
+        number = channels[channel.id]
+        writer.add_message(number, message.log_time, message.data, message.publish_time)
+    writer.finish()  # type: ignore[no-untyped-call]  # the library's gap

@@ -23,17 +23,7 @@ SAMPLE: dict[str, Any] = {
 NO_NUMBERS = [None, "1.5", True, [1.0], 10**400, np.ones(2), 1j]
 NO_TIMES = [None, "7", 1.5, 2**63, -(2**63) - 1, math.nan]
 NO_TEXTS = [None, 7, b"laser", "\ud800"]
-NO_RANGES = [
-    None,
-    7.0,
-    "12",
-    ["1", "2"],
-    [None],
-    [[1, 2], [3, 4]],
-    [[1], [2, 3]],
-    [10**400],
-    [True],
-]
+NO_RANGES = [None, 7.0, "12", ["1", "2"], [None], [[1, 2]], [[1], [2, 3]], [10**400], [True]]
 NO_POSES = [(1.0, 2.0, 0.5), [0.0] * 7, Pose("1", 0, 0, 0, 0, 0, 1)]  # type: ignore[arg-type]
 
 

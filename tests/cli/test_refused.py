@@ -1,0 +1,201 @@
+"""What a command cannot do is one clear line and an exit code, and every file stays as it was.
+
+The code is 2 where the command line can never work, and 1 where a file is at fault.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.runner import occmap, read_error
+from tests.samples import PLAIN_WORDS, SAMPLE_LOGS, write_csv
+
+SUFFIXES = "occmap writes .csv, .ground.tif, .html, .keepout.pgm"
+
+REFUSED = [
+    ("build none.csv -o m.pgm", 1, "none.csv: no such file or directory; check the path"),
+    ("build log.csv none.csv -o m.pgm", 1, "none.csv: no such file"),
+    ("build lgo.csv -o m.pgm", 1, "lgo.csv: no such file or directory; did you mean log.csv?"),
+    ("build *.bag -o m.pgm", 1, "*.bag: no file matches; check the pattern and its folder"),
+    ("build a.npz -o m.pgm", 1, "a.npz: "),
+    ("build polgon log.csv -o m.pgm", 2, "'polgon' is neither a log nor an update"),
+    ("build Beam log.csv -o m.pgm", 2, "did you mean 'beam'?"),
+    ("build polgon", 2, "did you mean 'polygon'?"),
+    ("build beam -o m.pgm", 2, "no log is given; type: occmap build LOG -o map.pgm"),
+    ("build", 2, "no log is given"),
+    ("build log.csv", 2, "where to write the map is not given; add -o map.pgm"),
+    ("build log.csv -o log.csv/m.pgm", 1, "log.csv is a file, not a folder"),
+    ("build none.csv -o no/m.pgm", 1, "no/m.pgm: the folder no does not exist"),
+    ("build none.csv -o m.jpg", 2, f"m.jpg: unknown suffix '.jpg'; {SUFFIXES}"),
+    (f"build none.csv -o {'n' * 251}.pgm", 1, ": cannot be written (File name too long)"),
+    (f"build none.csv -o {'n' * 300}.png", 1, ": cannot be written (File name too long)"),
+    ("build none.csv -o -.zarr", 2, "a folder, which stdout cannot take"),
+    ("build none.csv -o -.tiles", 2, "such as -o map.tiles"),
+    ("build log.csv -o - -o -.png", 2, "stdout takes one map and nothing else"),
+    ("build log.csv -o=m.pgm", 2, "-o=m.pgm: a short option takes no =; write -o m.pgm"),
+    ("build none.csv -o m.pgm -o m.pgm", 2, "m.pgm: would be written twice"),
+    ("build log.csv -o m.pgm --resolution 0", 2, "a resolution of 0.0 m is not possible"),
+    ("build log.csv -o m.pgm --resolution nan", 2, "a resolution of nan m is not possible"),
+    ("build log.csv -o m.pgm --resolution five", 2, "--resolution is 'five'; give a number"),
+    ("build log.csv -o m.pgm --extent 0,0,1e9,1", 2, "reaches too far; give numbers up to 1e+08"),
+    ("build log.csv -o m.pgm --poses=", 2, "--poses is empty; give a name, or leave it out"),
+    ("build log.csv -o m.pgm --poses none.tum", 1, "--poses takes a trajectory file"),
+    ("build log.csv -o m.pgm --model smiple", 2, "'smiple'; did you mean 'simple'?"),
+    ("build log.csv -o m.pgm --model simple:p_hot=1", 2, "simple has no parameter 'p_hot'"),
+    ("build log.csv -o m.pgm --model simple:p_hit", 2, "write NAME:KEY=NUMBER,KEY=NUMBER"),
+    ("build log.csv -o m.pgm --model simple --p-hit 0.3", 2, "p_miss 0.4 is not below p_hit 0.3"),
+    ("build log.csv -o m.pgm --epsilon 1", 2, "the model counting has no parameter 'epsilon'"),
+    ("build log.csv -o m.pgm --model quadratic --epsilon 1e9", 2, "--epsilon 1000000000.0 is not"),
+    ("build log.csv -o m.pgm --occupied-thresh 0.2 --free-thresh 0.6", 2, "0 < free < occ"),
+    ("build log.csv -o m.pgm --min-range 5 --max-range 2", 2, "--min-range 5.0 and --max-"),
+    ("build log.csv -o m.pgm --max-range -1", 2, "--max-range -1.0"),
+    ("build log.csv -o m.pgm --min-range 1", 1, "no beam of any scan observed a cell"),
+    ("build log.csv -o m.pgm --no-return free", 2, "'free' is not one of 'clear', 'ignore'"),
+    ("build log.csv -o m.pgm --start 5 --end 2", 2, "--start 5.0 is not before --end 2.0"),
+    ("build log.csv -o m.pgm --start 7", 1, "1 outside --start and --end"),
+    ("build log.csv -o m.pgm --scan-topic /x", 1, "no scans on the topic /x; it has scans on scan"),
+    ("build log.csv -o m.pgm --max-cells 0", 2, "0 is not in the range x>=1"),
+    ("build log.csv -o m.pgm --max-cells 2", 1, "more than --max-cells 2"),
+    ("build log.csv -o m.pgm --static-tf a,b", 2, "give parent,child,x,y,z,roll,pitch,yaw"),
+    ("build log.csv -o m.pgm --modle x", 2, "--model"),
+    ("build log.csv -o m.tif --georeference 91,0,0", 2, "no place has latitude 91 and longitude 0"),
+    ("build log.csv -o m.tif --georeference 0,-181,0", 2, "write degrees: LAT,LON,YAW"),
+    ("build log.csv -o m.tif --georeference 1,2", 2, "2 values where 3 belong"),
+    ("build log.csv -o m.tif --georeference nan,2,0", 2, "'nan' is not a number"),
+    ("build log.csv -o m.keepout.pgm", 2, "--edits"),
+    ("build b.csv --resume none.npz -o m.npz", 1, "none.npz: no such file"),
+    ("build b.csv --resume b.csv -o m.npz", 1, "is not an evidence file"),
+    ("build b.csv --resume a.npz -o m.npz", 1, "a.npz: its update is beam, that"),
+    ("build b.csv --resume a.npz --resume-if-there a.npz -o m.npz", 2, "leave one out"),
+    ("build beam b.csv --resume q.npz -o m.npz", 1, "q.npz: its kind is log_odds"),
+    ("render", 2, "Missing argument"),
+    ("render a.npz", 2, "where to write is not given; add -o map.pgm"),
+    ("render none.npz -o m.pgm", 1, "none.npz: no such file"),
+    ("render log.csv -o m.pgm", 1, "log.csv: is not an evidence file; build one"),
+    ("render none.npz -o m.jpg", 2, SUFFIXES),
+    ("render a.npz -o no/m.pgm", 1, "the folder no does not exist"),
+    ("render a.npz -o m.pgm --max-cells 3", 1, "more than --max-cells 3"),
+    ("render a.npz -o m.pgm --extent 0,0,1", 2, "3 values where 4 belong"),
+    ("render a.npz -o m.pgm --extent 0,0,0,1", 2, "is not a box"),
+    ("render a.npz -o m.pgm --extent 5,5,6,6", 1, "no cell of the map lies in"),
+    ("render a.npz -o m.pgm --occupied-thresh 2", 2, "0 < free < occupied < 1"),
+    ("render a.npz -o m.pgm --p-hit 2", 2, "--p-hit 2.0 is not possible"),
+    ("render a.npz -o m.pgm --epsilon 1", 2, "has no parameter 'epsilon'"),
+    ("render a.npz -o m.pgm --model counting --p-hit 0.8", 2, "has no parameter 'p_hit'; it"),
+    ("render a.npz -o m.pgm --model quadratic", 1, "quadratic"),
+    ("render q.npz -o m.pgm --model simple", 1, "q.npz: was summed up for"),
+    ("render q.npz -o m.pgm --p-min 0.3", 1, "no other can read it"),
+    ("merge -o m.npz", 2, "'NPZ|ZARR...'; write, for example, occmap merge monday.npz"),
+    ("merge a.npz", 2, "add -o merged.npz"),
+    ("merge a.npz none.npz -o m.npz", 1, "none.npz: no such file"),
+    ("merge log.csv -o m.npz", 1, "log.csv: is not an evidence file"),
+    ("merge none.npz -o m.gif", 2, SUFFIXES),
+    ("merge a.npz -o no/m.npz", 1, "the folder no does not exist"),
+    ("merge a.npz -o m.pgm --max-cells 0", 2, "0 is not in the range x>=1"),
+    ("merge a.npz -o m.pgm --max-cells 2", 1, "more than --max-cells 2"),
+    ("merge a.npz q.npz --fit -o m.npz", 1, "q.npz: its kind is log_odds"),
+    ("merge a.npz b.npz --fit -o m.npz", 1, "not sure how b.npz lies on it"),
+    ("merge a.npz q.npz -o m.npz", 1, "q.npz: its kind is log_odds"),
+    ("merge a.npz --subtract b.npz -o m.npz", 1, "cells that a.npz lacks"),
+    ("explain a.npz", 2, "'X'; write, for example, occmap explain map.npz 1.5 -0.25"),
+    ("explain a.npz 0", 2, "Missing argument 'Y'"),
+    ("explain a.npz 0 north", 2, "'north' is not a valid float"),
+    ("explain a.npz 0 nan", 2, "the point (0, nan) is in no map; give x and y in metres"),
+    ("explain a.npz -inf 0", 2, "-i"),
+    ("explain a.npz 1e300 0", 2, "is in no map"),
+    ("explain a.npz 0 0 --log b.csv", 1, "b.csv: a.npz was not made of it; it was made"),
+    ("explain a.npz 0 0 --log none.csv", 1, "none.csv: cannot be read (No such file"),
+    ("explain a.npz 0 0 --poses b.csv", 2, "--poses goes with a log; add --log LOG"),
+    ("explain a.npz 0 0 --modle counting", 2, "--model"),
+    ("explain a.npz 0 0 --model quadratic", 1, "which quadratic cannot read"),
+    ("explain a.npz 0 0 --min-passes 0", 2, "--min-passes 0 is not possible"),
+    ("explain a.npz 0 0 --free-thresh 0.9", 2, "0 < free < occupied < 1"),
+    ("explain q.npz 0 0 --min-passes 2", 2, "quadratic sums up log-odds"),
+    ("explain q.npz 0 0 --p-min 0.3", 1, "no other can read it"),
+    ("explain log.csv 0 0", 1, "log.csv: is not an evidence file"),
+    ("explain none.npz 0 0", 1, "none.npz: no such file"),
+    ("compare", 2, "Missing argument 'LOG...'; write, for example, occmap compare drive.mcap"),
+    ("compare none.csv -o m.png", 1, "none.csv: no such file"),
+    ("compare a.npz", 1, "a.npz: "),
+    ("compare none.csv -o m.pgm", 2, "m.pgm: is not a picture; give it a name that ends in"),
+    ("compare none.csv -o a.png -o a.html", 2, "--output takes one file, and is given 2: a.png,"),
+    ("compare log.csv -o no/m.png", 1, "mkdir -p no"),
+    ("compare log.csv --update polygn", 2, "--update"),
+    ("compare log.csv --model simpel", 2, "did you mean 'simple'?"),
+    ("compare log.csv --model counting:p_hit=0.7", 2, "has no parameter 'p_hit'"),
+    ("compare log.csv --resolution 0", 2, "a resolution of 0.0 m is not possible"),
+    ("compare log.csv --jobs 0", 2, "--jobs 0 is not possible; give 1 or more"),
+    ("compare log.csv --scan-topic /x", 1, "log.csv: has no scans on the topic /x"),
+    ("compare log.csv -o m.png", 1, "give more scans: every fifth"),
+    ("compare drive.csv --max-cells 3 -o m.png", 1, "more than --max-cells 3"),
+    ("tune", 2, "Missing argument 'LOG...'; write, for example, occmap tune drive.mcap"),
+    ("tune none.csv", 1, "none.csv: no such file"),
+    ("tune drive.csv --resolution 0", 2, "a resolution of 0.0 m is not possible"),
+    ("tune drive.csv --fail-if agreement>2%", 2, "no measure is called 'agreement'"),
+    ("tune drive.csv --model simple", 2, "No such option"),
+    ("tune drive.csv --max-cells 3", 1, "more than --max-cells 3"),
+    ("check", 2, "Missing argument"),
+    ("check log.csv --resolution much", 2, "--resolution is 'much'; give a number"),
+    ("check log.csv --resolution inf", 2, "a resolution of inf m is not possible"),
+    ("check log.csv --footprint 1,1,0,0", 2, "(1.0, 1.0, 0.0, 0.0) is not a footprint"),
+    ("check log.csv --start 5 --end 2", 2, "--start 5.0 is not before --end 2.0"),
+    ("diff none.pgm a.pgm", 1, "none.pgm: no such file; check the path"),
+    ("diff a.pgm a.log", 2, "a.log: the suffix '.log' is not that of a map"),
+    ("diff a.pgm", 2, "Missing argument 'B'"),
+    ("diff none.pgm none.pgm -o d.jpg", 2, "d.jpg: is not a picture"),
+    ("diff a.pgm a.pgm -o d.png -o d.html", 2, "--output takes one file"),
+    ("diff a.pgm a.pgm -o no/d.png", 1, "the folder no does not exist"),
+    ("diff a.pgm a.pgm --fail-above lots", 2, "'lots' is not a number"),
+    ("diff a.pgm a.pgm --fail-above 5", 2, "5 is not a share below 1; write 5%"),
+    ("diff a.pgm a.pgm --fail-above %", 2, "'%' is not a number; write a share"),
+    ("diff a.pgm a.pgm --occupied-thresh 0.1", 2, "0 < free < occupied < 1"),
+    ("diff a.pgm a.pgm --edits none.csv", 2, "none.csv: cannot be read"),
+    ("score a.pgm", 2, "add --log LOG or --truth MAP"),
+    ("score none.pgm --log log.csv", 1, "none.pgm: no such file"),
+    ("score a.pgm --log none.csv", 1, "none.csv: no such file"),
+    ("score a.pgm --truth none.pgm", 1, "none.pgm: no such file"),
+    ("score a.pgm --truth log.csv", 2, "is not that of a map"),
+    ("score a.pgm --truth a.pgm --fail-if share<1%", 2, "add --log LOG"),
+    ("score a.pgm --log log.csv --fail-if edges_found<1%", 2, "give the truth"),
+    ("score a.pgm --log log.csv -o s.png", 2, "add --truth MAP"),
+    ("score a.pgm --truth a.pgm -o s.pgm", 2, "ends in .png"),
+    ("score a.pgm --truth a.pgm -o no/s.png", 1, "the folder no does not exist"),
+    ("score a.pgm --truth a.pgm --within -1", 2, "from 0 to 1 m"),
+    ("score a.pgm --truth a.pgm --within near", 2, "'near' is not a valid float"),
+    ("score lonely.png --truth a.pgm", 1, "YAML"),
+    ("buidl x.log", 2, "no command is called 'buidl'; did you mean 'build'?"),
+    ("zzz", 2, "no command is called 'zzz'; there are build, "),
+    ("log.csv", 2, "to map a log: occmap build log.csv -o map.pgm"),
+    ("--verison", 2, "--version"),
+    ("readers extra", 2, "Got unexpected extra argument (extra); see `occmap readers"),
+    ("readers --jsn", 2, "see `occmap readers --help`"),
+    ("schema bild", 2, "'bild' is not one of 'build', 'check'"),
+    ("demo log.csv", 1, "log.csv"),
+]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three logs, evidence of two of them and of another model, a map, and half of another."""
+    folder = tmp_path_factory.mktemp("refused")
+    write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)], [0.3])
+    write_csv(folder / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
+    (folder / "drive.csv").symlink_to(SAMPLE_LOGS / "drive.csv")
+    for words in (
+        (*PLAIN_WORDS, folder / "log.csv", "-o", folder / "a.npz", "-o", folder / "a.pgm"),
+        (*PLAIN_WORDS, folder / "b.csv", "-o", folder / "b.npz"),
+        ("beam", folder / "log.csv", "--model", "quadratic", "-o", folder / "q.npz"),
+        (folder / "log.csv", "-o", folder / "lonely.png"),
+    ):
+        assert occmap("build", *words).code == 0
+    return folder
+
+
+@pytest.mark.parametrize(("line", "code", "found"), REFUSED)
+def test_it_is_one_line_and_leaves_every_file_as_it_was(
+    files: Path, monkeypatch: pytest.MonkeyPatch, line: str, code: int, found: str
+) -> None:
+    monkeypatch.chdir(files)
+    before = {path: path.read_bytes() for path in files.iterdir()}
+    assert found in read_error(occmap(line), code)
+    assert {path: path.read_bytes() for path in files.iterdir()} == before
