@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -22,24 +21,19 @@ from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
 from tests.readers.ros import RANGES, ROS2, SCAN, Memory, scan
+from tests.readers.runs import bounded_memory
 from tests.samples import SAMPLE_LOGS
 
 TEXT = ROS2.generate_msgdef(SCAN, ros_version=2)[0]
 MESSAGE = bytes(ROS2.serialize_cdr(scan(ROS2, 5), SCAN))
 PART = "=" * 80 + "\nMSG: sensor_msgs/"
-MEMORY = 64_000_000
 
 
 @contextmanager
 def bounded() -> Iterator[None]:
     PARSERS["cdr"](Channel("/warm", SCAN, "cdr"))  # loads rosbags' own types
-    tracemalloc.start()
-    try:
-        with alarm(5):
-            yield
-        assert tracemalloc.get_traced_memory()[1] < MEMORY
-    finally:
-        tracemalloc.stop()
+    with alarm(5), bounded_memory():
+        yield
 
 
 def read(definition: str, data: bytes = MESSAGE, encoding: str = "cdr") -> RosLog:
