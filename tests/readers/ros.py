@@ -201,18 +201,26 @@ class Encoded(NamedTuple):
     """Name, encoding and definition"""
 
 
+def serialise(message: Any, store: Typestore = ROS2) -> bytes:
+    write = store.serialize_ros1 if store is ROS1 else store.serialize_cdr
+    return bytes(write(message, message.__msgtype__))
+
+
+def make_channel(topic: str, kind: str, count: int, store: Typestore = ROS2) -> Channel:
+    """A channel of a log that defines its types."""
+    encoding = "ros1" if store is ROS1 else "cdr"
+    return Channel(topic, kind, encoding, store.generate_msgdef(kind)[0], count)
+
+
 def encode(written: Written, store: Typestore = ROS2) -> Encoded:
     """Encode a message, in ROS 1 form where the store is of ROS 1."""
     topic, record_ns, message = written
-    kind = message.__msgtype__
-    version = 1 if store is ROS1 else 2
-    definition = store.generate_msgdef(kind, ros_version=version)[0].encode()
-    if store is ROS1:
-        data, encoding, name = store.serialize_ros1(message, kind), "ros1", kind.replace("/msg", "")
-    else:
-        data, encoding, name = store.serialize_cdr(message, kind), "cdr", kind
-    schema = name, f"ros{version}msg", definition
-    return Encoded(topic, record_ns, bytes(data), encoding, schema)
+    kind, is_ros1 = message.__msgtype__, store is ROS1
+    definition = store.generate_msgdef(kind, ros_version=1 if is_ros1 else 2)[0].encode()
+    name, encoding, form = (
+        (kind.replace("/msg", ""), "ros1", "ros1msg") if is_ros1 else (kind, "cdr", "ros2msg")
+    )
+    return Encoded(topic, record_ns, serialise(message, store), encoding, (name, form, definition))
 
 
 def add_messages(writer: McapWriter, log: Iterable[Encoded], channels: dict[str, int]) -> None:

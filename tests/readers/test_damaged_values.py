@@ -15,7 +15,7 @@ from occmap.readers.fields import get_row
 from occmap.readers.ros_log import RosLog
 from tests.readers.clouds import cloud
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
-from tests.readers.ros import ROS2, SCAN, TF, Memory, transforms
+from tests.readers.ros import ROS2, SCAN, TF, Memory, serialise, transforms
 from tests.readers.ros import scan as ros_scan
 
 SCANS = [scan(index) for index in range(3)]
@@ -128,7 +128,7 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
-    log = RosLog(Memory([(channel, 7, bytes(ROS2.serialize_cdr(message, kind)))]))
+    log = RosLog(Memory([(channel, 7, serialise(message))]))
 
     with pytest.raises(AttributeError, match="anlge_min"):
         list(read(log))
