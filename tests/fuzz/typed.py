@@ -37,7 +37,7 @@ from occmap.types import Cloud, Scan
 from tests.readers import foxglove_logs as foxglove
 from tests.readers.ros import ROS1, ROS2, SCAN, SECOND, TF, header, pose, scan, transforms
 from tests.readers.runs import list_fields
-from tests.readers.test_flatten import CLOUD, ECHO, cloud, echoes
+from tests.readers.clouds import CLOUD, ECHO, cloud, echoes
 
 MESSAGES = 5
 SPOILT = 2

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
-from mcap.writer import Writer
+
+from tests.readers.ros import Encoded, write_encoded
 
 SECOND = 10**9
 NO_POSE: dict[str, Any] = {
@@ -70,11 +71,13 @@ def drive() -> list[Message]:
 
 
 def write_json(path: Path, log: Sequence[Message]) -> Path:
-    return _write(path, log, lambda _, fields: json.dumps(fields).encode(), "json")
+    definition = "jsonschema", b"{}"
+    return _write(path, log, "json", definition, lambda _, fields: json.dumps(fields).encode())
 
 
 def write_protobuf(path: Path, log: Sequence[Message]) -> Path:
-    return _write(path, log, encode_protobuf, "protobuf")
+    definition = "protobuf", make_descriptors().SerializeToString()
+    return _write(path, log, "protobuf", definition, encode_protobuf)
 
 
 WRITERS = {"json": write_json, "protobuf": write_protobuf}
@@ -83,24 +86,15 @@ WRITERS = {"json": write_json, "protobuf": write_protobuf}
 def _write(
     path: Path,
     log: Sequence[Message],
-    encode: Callable[[str, dict[str, Any]], bytes],
     encoding: str,
+    definition: tuple[str, bytes],
+    encode: Callable[[str, dict[str, Any]], bytes],
 ) -> Path:
-    schema_data = (
-        b"{}" if encoding == "json" else b"".join([make_descriptors().SerializeToString()])
-    )
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channels: dict[str, int] = {}
-        for topic, schema, record_ns, fields in log:
-            if topic not in channels:
-                kind = "jsonschema" if encoding == "json" else "protobuf"
-                schema_id = writer.register_schema(schema, kind, schema_data)
-                channels[topic] = writer.register_channel(topic, encoding, schema_id)
-            writer.add_message(channels[topic], record_ns, encode(schema, fields), record_ns)
-        writer.finish()  # type: ignore[no-untyped-call]  # the library's gap
-    return path
+    encoded = [
+        Encoded(topic, record_ns, encode(schema, fields), encoding, (schema, *definition))
+        for topic, schema, record_ns, fields in log
+    ]
+    return write_encoded(path, encoded)
 
 
 # Every message of the schemas: its fields, each of a number type, another message, or a list.

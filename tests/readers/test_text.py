@@ -107,14 +107,6 @@ def test_a_line_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
         read(tmp_path / "log")
 
 
-def test_a_gzip_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text_log, "FREE_EXPANSION_BYTES", 10_000)
-    path = tmp_path / "bomb.gz"
-    path.write_bytes(gzip.compress(b"0\n" * 1_000_000))
-    with pytest.raises(LogError, match="grows more than 100-fold"):
-        read(path)
-
-
 def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"log: cannot be read"):
         read(tmp_path / "log")
