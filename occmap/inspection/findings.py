@@ -300,6 +300,11 @@ class Inspection(Printed):
         return [topic for log in self.logs for topic in log.scans]
 
     @property
+    def has_beams(self) -> bool:
+        """Whether it is on scans, and not on clouds."""
+        return not any(topic.is_of_clouds for topic in self.topics)
+
+    @property
     def dropped_share(self) -> float:
         """The share of the scans asked for that have no pose; 0 of nothing."""
         wanted = sum(topic.wanted for topic in self.topics)

@@ -366,12 +366,13 @@ class Survey(Selector):
             survey.posed += len(posed.batch.stamp_ns)
             if survey.is_sampled:
                 survey.sample.take(posed)
-            rays, _ = interpret(posed, self.drive.options.returns)
-            self.extent.add(rays)
+            if not posed.batch.clouds:
+                self.extent.add(interpret(posed, self.drive.options.returns)[0])
 
     def look(self, batch: ScanBatch) -> None:
-        """Count the ranges of a batch."""
-        self.topics[batch.topic].census.add(batch)
+        """Count the ranges of a batch; those of clouds only stand for moments."""
+        if not batch.clouds:
+            self.topics[batch.topic].census.add(batch)
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Count scans, and take note of what their topic has."""

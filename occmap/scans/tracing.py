@@ -260,11 +260,11 @@ def choose_engine(
     """Make an engine for what the update is for: rays, or clouds over ground that is known."""
     slice_ns = round(options.pass_gap_s * 1e9) if keep.slices else None
     if options.update is Update.CLOUD and keep.ground is not None:
-        from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
+        from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
 
-        limits = options.returns.min_range, options.returns.max_range
-        over = Lattice(options.resolution), options.clouds, keep.ground
-        return CloudEngine(*over, limits, slice_ns)
+        band = make_band(options.clouds, options.returns)
+        over = Lattice(options.resolution), band, keep.ground
+        return CloudEngine(*over, options.max_cells, slice_ns)
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  likewise
 
     return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)

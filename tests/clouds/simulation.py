@@ -9,12 +9,13 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions
-from occmap.clouds.engine import CloudEngine
+from occmap.clouds.engine import CloudEngine, make_band
 from occmap.clouds.ground import GroundFinder
 from occmap.grid import CellBox, Lattice
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.posing.tracks import rotate_by, to_quaternions
+from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
 from tests.samples import SAMPLE_LOGS
 
@@ -137,7 +138,7 @@ def observe(
     drives: Sequence[PosedScans], ground: Ground, options: CloudOptions | None = None
 ) -> CloudEngine:
     """Observe all clouds of a drive."""
-    engine = CloudEngine(LATTICE, options or CloudOptions(), ground, (0.0, np.inf))
+    engine = CloudEngine(LATTICE, make_band(options or CloudOptions(), ReturnOptions()), ground)
     for posed in drives:
         engine.add(posed)
     return engine
