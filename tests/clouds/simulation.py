@@ -1,11 +1,12 @@
 """A room of boxes on a floor that may rise, seen by a lidar that drives through it; no noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions
@@ -124,6 +125,44 @@ def place(cloud: Cloud, origin: Float64, rotation: Float64) -> PosedScans:
     if moments == 1:
         return PosedScans(batch, position[:, 0], rotation)
     return PosedScans(batch, position, rotation[None])
+
+
+def read_points(posed: PosedScans) -> Float32:
+    """The points of a cloud (N, 3)."""
+    (cloud,) = posed.batch.clouds or ()
+    return cloud.points
+
+
+def change_points(posed: PosedScans, points: NDArray[np.floating[Any]]) -> PosedScans:
+    """The same cloud with other points (N, 3)."""
+    (cloud,) = posed.batch.clouds or ()
+    changed = cloud._replace(points=points.astype(np.float32))
+    return replace(posed, batch=replace(posed.batch, clouds=(changed,)))
+
+
+LEVEL = np.eye(3)
+
+
+def drive_turning(
+    mount: Float64 = LEVEL, posed_by: Float64 = LEVEL, up: Float64 = LEVEL, degrees: float = 37.0
+) -> list[PosedScans]:
+    """Drive while the sensor turns by so much with each cloud.
+
+    Parameters
+    ----------
+    mount
+        How it sits on the body.
+    posed_by
+        How the poses say that it sits.
+    up
+        By what the poses are turned as a whole.
+    """
+    made = []
+    for number, posed in enumerate(drive(Room())):
+        heading = turn(0, 0, degrees * number)
+        turned = change_points(posed, read_points(posed) @ heading @ mount)
+        made.append(replace(turned, rotation=(up @ heading @ posed_by)[None]))
+    return made
 
 
 def find_ground(drives: Sequence[PosedScans]) -> Ground:

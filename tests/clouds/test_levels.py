@@ -16,7 +16,15 @@ from occmap.scans.tracing import level_ground
 from occmap.types import Float64, Pose, PosedScans
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
-from tests.clouds.simulation import HALL, Room, drive, place, turn, write_leaning
+from tests.clouds.simulation import (
+    HALL,
+    Room,
+    change_points,
+    drive,
+    read_points,
+    turn,
+    write_leaning,
+)
 
 PLACE, YAW = (300.0, -2000.0), 0.5
 """Where the logs' map is said to lie in that which is made"""
@@ -38,13 +46,9 @@ def shift(posed: PosedScans, x: float, y: float) -> PosedScans:
 
 def climb(clouds: Sequence[PosedScans], slope: float) -> list[PosedScans]:
     """The same place on a hill: what lies farther along x lies higher, and walls stay upright."""
-    made = []
-    for each in clouds:
-        (cloud,) = each.batch.clouds or ()
-        points = cloud.points + np.outer(cloud.points[:, 0] * slope, [0, 0, 1])
-        origin = each.position[0] + [0, 0, slope * each.position[0, 0]]
-        made.append(place(cloud._replace(points=points.astype(np.float32)), origin, each.rotation))
-    return made
+    up = np.array([[1, 0, slope], [0, 1, 0], [0, 0, 1]])
+    raised = [change_points(each, read_points(each) @ up) for each in clouds]
+    return [replace(each, position=each.position @ up) for each in raised]
 
 
 def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder]:

@@ -5,10 +5,9 @@ import math
 import numpy as np
 
 from occmap.types import Kind, Rays
-from tests.grid.scans import Evidence, aim
-
-Wall = tuple[tuple[float, float], tuple[float, float]]
-"""x and y of both ends (m)."""
+from tests.bench.plans import Box
+from tests.bench.raycast import cast_scans
+from tests.grid.scans import Evidence, aim, make_rays
 
 
 def draw(evidence: Evidence) -> str:
@@ -29,49 +28,22 @@ def draw(evidence: Evidence) -> str:
 def look(
     place: tuple[float, float],
     degrees: tuple[float, float, float],
-    walls: list[Wall],
+    walls: list[Box],
     kind_of_nothing: Kind = Kind.SKIP,
     limit: float = 0.0,
 ) -> Rays:
     """Scan walls from a place: first bearing, last and step (degrees); where no wall is, a beam
     sees `kind_of_nothing`, up to `limit`.
     """
-    first, last, step = degrees
-    beams = round((last - first) / step) + 1
-    direction = aim(math.radians(first), math.radians(step), beams)
-    reached = [measure(place, (x, y), walls) for x, y in direction.tolist()]
-    found = [distance is not None for distance in reached]
-    return Rays.along(
-        np.array([[place]], float),
-        direction[None],
-        np.array([[limit if d is None else d for d in reached]], np.float32),
-        np.where(found, np.uint8(Kind.HIT), np.uint8(kind_of_nothing))[None],
-        np.zeros(1, np.int64),
-        full_circle=(beams + 0.5) * step >= 360,
-    )
+    first, last, step = (math.radians(each) for each in degrees)
+    bearings = first + step * np.arange(round((last - first) / step) + 1, dtype=np.float64)
+    reached = cast_scans(np.array([(*place, 0.0)]), bearings, np.array(walls, np.float64))
+    found, closed = np.isfinite(reached), (len(bearings) + 0.5) * step >= math.tau
+    ends, kinds = np.where(found, reached, limit), np.where(found, Kind.HIT, kind_of_nothing)
+    return make_rays(place, aim(first, step, len(bearings)), ends, kinds, full_circle=closed)
 
 
-def measure(
-    place: tuple[float, float], along: tuple[float, float], walls: list[Wall]
-) -> float | None:
-    """Distance to the nearest wall on a beam."""
-    met = [cross(place, along, wall) for wall in walls]
-    return min((d for d in met if d is not None), default=None)
-
-
-def cross(place: tuple[float, float], along: tuple[float, float], wall: Wall) -> float | None:
-    """Distance from a place to a wall: place + d along = end0 + t (end1 - end0), 0 <= t <= 1."""
-    (x0, y0), (x1, y1) = wall
-    wide, high = x1 - x0, y1 - y0
-    to_x, to_y = x0 - place[0], y0 - place[1]
-    sine = along[0] * high - along[1] * wide
-    if abs(sine) < 1e-12:
-        return None
-    d, t = (to_x * high - to_y * wide) / sine, (to_x * along[1] - to_y * along[0]) / sine
-    return d if d > 0 and -1e-9 <= t <= 1 + 1e-9 else None
-
-
-def box(x: float, y: float, x_end: float, y_end: float) -> list[Wall]:
-    """The four walls of a room."""
-    corners = [(x, y), (x_end, y), (x_end, y_end), (x, y_end)]
-    return list(zip(corners, corners[1:] + corners[:1], strict=True))
+def box(x: float, y: float, x_end: float, y_end: float) -> list[Box]:
+    """The four walls of a room, of no thickness."""
+    across = [(x, each, x_end, each) for each in (y, y_end)]
+    return across + [(each, y, each, y_end) for each in (x, x_end)]

@@ -2,15 +2,17 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 
+from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
-from occmap.grid.tiles import INT32_LIMIT, TILE, WINDOW_CELLS, GridSpec, TileGrid
+from occmap.grid.tiles import INT32_LIMIT, TILE, WINDOW_CELLS, EvidenceKind, GridSpec, TileGrid
 from occmap.types import Float64, Kind, Rays, UInt8
 from tests.grid.reference import Cell
 
@@ -56,23 +58,82 @@ def add_cell(grid: TileGrid, row: int, col: int, first: int, second: int) -> Non
     grid.add({(row // TILE, col // TILE): tile}, bound)
 
 
+def make_grid(
+    numbers: Mapping[Cell, tuple[int, int]] | None = None,
+    resolution: float = 1.0,
+    kind: EvidenceKind = EvidenceKind.COUNTS,
+    unit: int = 1,
+) -> TileGrid:
+    """Evidence that has these two numbers in these cells."""
+    grid = TileGrid(Lattice(resolution), kind, unit)
+    for (row, col), (first, second) in (numbers or {}).items():
+        add_cell(grid, row, col, first, second)
+    return grid
+
+
 def aim(angle_min: float, angle_increment: float, beams: int) -> Float64:
     """(B, 2) unit vectors."""
     bearings = angle_min + angle_increment * np.arange(beams)
     return np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)
 
 
-def take(rays: Rays, scans: slice | list[int]) -> Rays:
-    """Some of the scans, in the order given."""
-    return Rays(
-        rays.origin[scans],
-        rays.turn[scans],
-        rays.bearing,
-        rays.distance[scans],
-        rays.kind[scans],
-        rays.stamp_ns[scans],
-        rays.full_circle,
+MIDDLE = (0.5, 0.5)
+"""Of cell (0, 0), in cells of a metre"""
+
+
+def make_rays(
+    origin: ArrayLike,
+    direction: ArrayLike,
+    distance: ArrayLike,
+    kind: ArrayLike = Kind.HIT,
+    stamp_ns: ArrayLike = 0,
+    *,
+    full_circle: bool = False,
+) -> Rays:
+    """Scans of S x B beams; what is given once holds for all of them.
+
+    Parameters
+    ----------
+    origin, direction
+        (2,) or (S, K, 2); (2,), (B, 2) or (S, B, 2).
+    distance, kind, stamp_ns
+        A number, (B,) or (S, B); the same; a number or (S,).
+    """
+    places, ways = np.asarray(origin, float), np.asarray(direction, float)
+    places = places if places.ndim == 3 else places[None, None]
+    shape = np.broadcast_shapes(
+        (len(places), 1), ways.shape[:-1], np.shape(distance), np.shape(kind)
     )
+    # Contiguous, or kernels would be compiled once more, for arrays that no sensor gives.
+    return Rays.along(
+        np.array(np.broadcast_to(places, (shape[0], *places.shape[1:])), order="C"),
+        np.array(np.broadcast_to(ways, (*shape, 2)), order="C"),
+        np.array(np.broadcast_to(np.asarray(distance, np.float32), shape), order="C"),
+        np.array(np.broadcast_to(np.asarray(kind, np.uint8), shape), order="C"),
+        np.array(np.broadcast_to(np.asarray(stamp_ns, np.int64), shape[:1]), order="C"),
+        full_circle=full_circle,
+    )
+
+
+def make_scan(*beams: tuple[float, Kind]) -> Rays:
+    """Beams along the middle of a row of cells of 1 m, from the middle of the first."""
+    reach, kinds = zip(*beams, strict=True)
+    return make_rays(MIDDLE, (1, 0), reach, kinds)
+
+
+def draw_scans(rng: np.random.Generator, scans: int, increment: float, beams: int) -> Rays:
+    """Scans of beams of every kind, all around from a few metres about zero."""
+    return make_rays(
+        rng.uniform(-2, 2, (scans, 1, 2)),
+        aim(-1.0, increment, beams),
+        rng.uniform(0.5, 8, (scans, beams)),
+        rng.choice(np.array(Kind, np.uint8), (scans, beams)),
+    )
+
+
+def take(rays: Rays, scans: list[int]) -> Rays:
+    """Some of the scans, in the order given."""
+    return rays.take(np.array(scans))  # numbers serve as a mask does
 
 
 class Geometry(NamedTuple):
@@ -206,12 +267,3 @@ def aligned_drives(draw: st.DrawFn) -> Drive:
 
 def shift(rays: Rays, metres: tuple[float, float]) -> Rays:
     return rays._replace(origin=rays.origin + np.array(metres))
-
-
-def make_scan(*beams: tuple[float, Kind]) -> Rays:
-    """Beams along the middle of a row of cells of 1 m, from the middle of the first."""
-    kinds = np.array([[kind for _, kind in beams]], np.uint8)
-    reach = np.array([[length for length, _ in beams]], np.float32)
-    along = np.tile([1.0, 0.0], (1, len(beams), 1))
-    origin, stamp_ns = np.array([[[0.5, 0.5]]]), np.zeros(1, np.int64)
-    return Rays.along(origin, along, reach, kinds, stamp_ns, full_circle=False)

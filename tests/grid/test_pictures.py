@@ -8,20 +8,17 @@ import pytest
 from occmap.grid import Lattice
 from occmap.grid.tiles import GridSpec
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
+from tests.bench.plans import Box
 from tests.grid import reference
-from tests.grid.pictures import Wall, box, draw, look
+from tests.grid.pictures import box, draw, look
 from tests.grid.scans import Evidence, observe
 
-DOOR: list[Wall] = [
-    ((4.5, -5.5), (4.5, -0.9)),
-    ((4.5, 1.9), (4.5, 6.5)),
-    ((10.5, -7.0), (10.5, 8.0)),
-]
+DOOR: list[Box] = [(4.5, -5.5, 4.5, -0.9), (4.5, 1.9, 4.5, 6.5), (10.5, -7.0, 10.5, 8.0)]
 """A wall with a door in it, and the far wall of the next room."""
-BROKEN: list[Wall] = [((8.5, -8.0), (8.5, -1.5)), ((8.5, 2.5), (8.5, 9.0))]
+BROKEN: list[Box] = [(8.5, -8.0, 8.5, -1.5), (8.5, 2.5, 8.5, 9.0)]
 """A wall with a hole, behind which nothing ever answers."""
-LONG: list[Wall] = [((2.5, 2.5), (24.5, 2.5))]
-TWO_ROOMS: list[Wall] = [*box(0.5, 0.5, 12.5, 6.5), ((6.5, 0.5), (6.5, 3.5))]
+LONG: list[Box] = [(2.5, 2.5, 24.5, 2.5)]
+TWO_ROOMS: list[Box] = [*box(0.5, 0.5, 12.5, 6.5), (6.5, 0.5, 6.5, 3.5)]
 
 
 def check(batches: list[Rays], spec: GridSpec, picture: str) -> None:
@@ -30,12 +27,8 @@ def check(batches: list[Rays], spec: GridSpec, picture: str) -> None:
     assert draw(observe(spec, batches)) == expected
     drawn = Evidence(Counter(), Counter())
     for rays in batches:
-        if spec.update is Update.BEAM:
-            hits, misses = reference.trace_beams(rays, 1.0)
-        else:
-            hits, misses = reference.trace_polygons(rays, 1.0, spec.jump, spec.border_gap)
-        drawn.first.update(hits)
-        drawn.second.update(misses)
+        for layer, seen in zip(drawn, reference.trace(spec, rays), strict=True):
+            layer.update(seen)
     assert draw(drawn) == expected
 
 
