@@ -35,9 +35,9 @@ from occmap.pipeline import build
 from occmap.readers import HoldingClouds, Role, open_log
 from occmap.types import Cloud, Scan
 from tests.readers import foxglove_logs as foxglove
+from tests.readers.clouds import CLOUD, ECHO, cloud, echoes
 from tests.readers.ros import ROS1, ROS2, SCAN, SECOND, TF, header, pose, scan, transforms
 from tests.readers.runs import list_fields
-from tests.readers.clouds import CLOUD, ECHO, cloud, echoes
 
 MESSAGES = 5
 SPOILT = 2

@@ -8,6 +8,7 @@ from mcap.writer import CompressionType
 from occmap.errors import LogError
 from occmap.readers import Note, Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader
+from tests.fuzz.__main__ import alarm
 from tests.readers.mcap_variants import list_records
 from tests.readers.ros import (
     POSED,
@@ -24,7 +25,6 @@ from tests.readers.ros import (
     write_mcap,
 )
 from tests.readers.runs import count_scans
-from tests.test_damage import time_limit
 
 NONE = {"compression": CompressionType.NONE, "chunk_size": 1000}
 ZSTD = {"compression": CompressionType.ZSTD, "chunk_size": 1000}
@@ -171,7 +171,7 @@ def test_messages_defined_in_idl_are_read_as_ros_defines_them(
     encoded = encode(Written("/pose", 1, message))._replace(schema=schema)
     path = write_encoded(tmp_path / "idl.mcap", [encoded])
 
-    with time_limit(5):
+    with alarm(5):
         (sample,) = open_log(path).poses()
 
     assert sample.stamp_ns == 3_000_000_004

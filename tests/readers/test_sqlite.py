@@ -11,8 +11,8 @@ from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
 from occmap.readers import open_log
+from tests.fuzz.__main__ import alarm
 from tests.readers.ros import RANGES, ROS2, SCAN, Bag2, Written, scan
-from tests.test_damage import time_limit
 
 SCANS = 300
 ALL = list(range(SCANS))
@@ -221,7 +221,7 @@ def test_only_real_tables_are_read(path: Path, statement: str) -> None:
         database.execute(statement)
 
     complaint = "no such table: messages|the table messages has generated columns"
-    with time_limit(5), pytest.raises(LogError, match=complaint):
+    with alarm(5), pytest.raises(LogError, match=complaint):
         open_log(path)
 
 
