@@ -18,7 +18,7 @@ from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import Survey, TopicSurvey
+from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
@@ -227,8 +227,15 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     if topic.ranges.smallest > FAR_M:
         nearest = f"no range is below {topic.ranges.smallest:.4g} m"
         yield Concern(f"{nearest}: ranges are metres; are these millimetres?", None)
+    if topic.ranges.body is not None:
+        box = ",".join(f"{edge:g}" for edge in topic.ranges.body)
+        found = "the robot is in its own scans: some beams measure the same wherever it goes"
+        yield Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
     if not topic.ranges.measured and not topic.is_of_clouds:
-        yield Concern("no range value is a measurement")
+        is_beyond = any(special.name == BEYOND for special in topic.ranges.specials)
+        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
+        no_range = Concern("no range value is a measurement")
+        yield Concern(found, None) if is_beyond else no_range
 
 
 def list_clock_faults(topic: ScanFindings) -> list[str]:
@@ -237,7 +244,7 @@ def list_clock_faults(topic: ScanFindings) -> list[str]:
     faults = {
         "all stamps are equal": times.all_equal,
         f"stamps jump back {count(times.jumps_back, 'time')}": times.jumps_back,
-        f"stamps drift by {times.drift_s:.3g} s against the record times": (
+        f"stamps drift by {times.drift_s:.3g} s against the record times; see `stamps=record`": (
             abs(times.drift_s) > DRIFT_S
         ),
     }

@@ -243,9 +243,8 @@ def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]
     """
     if seen:
         return
-    clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
     found = f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}"
-    fix = f"see the ranges in `occmap check`{clear}"
+    fix = "see the ranges in `occmap check`"
     if tally.points:
         found, fix = f"{UNSEEN_CLOUDS}: {write_counts(tally.points)}", MEND_CLOUDS
     raise MapError(found, where=", ".join(map(str, logs)), fix=fix)

@@ -7,6 +7,7 @@ import pytest
 
 from occmap.choices import format_mount, format_static
 from occmap.options import OPTIONS
+from occmap.types import Float64
 from tests.cli.runner import ask, occmap
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
@@ -87,8 +88,36 @@ def test_what_no_return_may_tell_is_recommended() -> None:
     found, built = occmap("check log.csv --json"), occmap("build log.csv -o m.pgm")
     assert (found.code, built.code) == (1, 1)
     assert found.json["command"][3:5] == ["--no-return", "clear"]
-    assert built.err.endswith("or try --no-return clear\n")
+    assert built.err.endswith("see the ranges in `occmap check`\n")
     assert occmap(*found.json["command"][1:]).code == 0
+
+
+def test_a_robot_that_stands_in_its_own_scans_is_left_out_by_the_command() -> None:
+    def stand(ranges: Float64) -> Float64:
+        ranges[10:16] = 0.3  # a post at 40 to 60 degrees
+        return ranges
+
+    write_csv(Path("post.csv"), Drive(spoil=stand))
+    found = ask("check post.csv")
+    low, high = math.radians(40), math.radians(60)
+    corners = [0.3 * f(angle) for angle in (high, low) for f in (math.cos, math.sin)]
+    near = [corners[0] - 0.05, corners[3] - 0.05, corners[2] + 0.05, corners[1] + 0.05]
+    assert found["logs"][0]["scans"][0]["ranges"]["body"] == pytest.approx(near, abs=0.006)
+    assert found["command"][3] == "--footprint"
+    built = occmap(*found["command"][1:], "--json")
+    assert built.json["beams"]["own_robot"] == 6 * SCANS
+
+
+def test_a_wall_beside_a_parked_robot_is_not_the_robot() -> None:
+    write_planar(Path("parked.csv"), [(0, 0, 0)] * 60 + [(9, 0, 0)] * 5, [0.5] * 30, 0.1)
+    assert ask("check parked.csv")["logs"][0]["scans"][0]["ranges"]["body"] is None
+
+
+def test_ranges_in_millimetres_are_not_taken_for_open_space() -> None:
+    write_csv(Path("mm.csv"), Drive(spoil=lambda ranges: 1000 * ranges))
+    found = occmap("check mm.csv --json")
+    assert (found.code, found.json["command"]) == (1, [])
+    assert any(text.endswith("in mm?") for text in found.json["warnings"])
 
 
 @pytest.mark.parametrize("log", ["drive.csv", "drive.log"])
