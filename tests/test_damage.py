@@ -22,6 +22,7 @@ from rosbags import rosbag1
 from occmap.errors import LogError, OccmapError
 from occmap.readers import Role, open_log
 from tests.fuzz.__main__ import alarm
+from tests.fuzz.mutate import IN_PLACE, put_zeros
 from tests.samples import SAMPLE_LOGS, copy_mcap
 
 MUCH = float(os.environ.get("OCCMAP_FUZZ", "0"))
@@ -236,39 +237,6 @@ def test_a_log_cut_anywhere(form: Format, tmp_path: Path) -> None:
         assert damage or found == whole or not form.is_container, cut
 
 
-Damage = Callable[[bytearray, int, random.Random], int]
-"""Damages a file from an offset on, and says where the damage ends."""
-
-
-def flip_bit(data: bytearray, at: int, dice: random.Random) -> int:
-    data[at] ^= 1 << dice.randrange(8)
-    return at + 1
-
-
-def change_byte(data: bytearray, at: int, dice: random.Random) -> int:
-    data[at] ^= dice.randrange(1, 256)
-    return at + 1
-
-
-def put_number(data: bytearray, at: int, dice: random.Random) -> int:
-    size = dice.choice((2, 4, 8))
-    value = dice.choice((0, 1, 0x7FFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1))
-    piece = (value % 2 ** (8 * size)).to_bytes(size, "little")[: len(data) - at]
-    data[at : at + size] = piece
-    return at + size
-
-
-def put_zeros(data: bytearray, at: int, dice: random.Random) -> int:
-    """As a disk leaves a sector that it never wrote."""
-    start = at // 512 * 512
-    end = min(start + 512 * dice.choice((1, 1, 8)), len(data))
-    data[start:end] = bytes(end - start)
-    return end
-
-
-DAMAGES: tuple[Damage, ...] = (flip_bit, change_byte, put_number, put_zeros)
-
-
 def test_no_damage_anywhere_takes_what_lies_before_it_or_in_a_container_beside_it(
     form: Format, tmp_path: Path
 ) -> None:
@@ -281,7 +249,7 @@ def test_no_damage_anywhere_takes_what_lies_before_it_or_in_a_container_beside_i
     for step in range(FLIPS):
         at = int((step + dice.random()) * len(data) / FLIPS)
         damaged = bytearray(data)
-        damage = dice.choice(DAMAGES)
+        damage = dice.choice(IN_PLACE)
         last = damage(damaged, at, dice)
         first = at // 512 * 512 if damage is put_zeros else at
         file.write_bytes(damaged)
