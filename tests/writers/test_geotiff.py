@@ -128,18 +128,6 @@ def test_the_ground_of_a_planar_log_is_refused(tmp_path: Path) -> None:
         write_ground(tmp_path / "m.ground.tif", None)
 
 
-@pytest.mark.parametrize(
-    ("name", "writer"),
-    [
-        ("a.ground.TIF", GroundWriter),
-        ("ground.tif", GroundWriter),
-        ("a.underground.tif", GeoTiffWriter),
-    ],
-)
-def test_the_longer_ending_is_another_format(name: str, writer: type) -> None:
-    assert isinstance(find_writer(Path(name)), writer)
-
-
 def test_the_ground_of_a_hall_is_a_floor_and_a_ramp_beyond_5_m(tmp_path: Path) -> None:
     build_map(SAMPLE_LOGS / "hall.mcap", outputs=tmp_path / "hall.ground.tif")
     with rasterio.open(tmp_path / "hall.ground.tif") as image:
