@@ -45,17 +45,21 @@ class Drive:
         return self.spoil(measured).astype(np.float32)
 
 
-def write_csv(path: Path, drive: Drive, limit: str = "30") -> Path:
-    """Write the drive as CSV, the laser's own pose beside each scan."""
-    lines = [
-        "# angle_min: 0",
-        f"# angle_increment: {2 * math.pi / BEAMS}",
-        "# range_min: 0.2",
-        f"# range_max: {limit}",
-        "stamp,x,y,yaw," + ",".join(f"r{i}" for i in range(BEAMS)),
-    ]
-    for index in range(SCANS):
-        x, y, yaw = drive.pose(index)
+def write_csv(
+    path: Path,
+    drive: Drive,
+    limit: str = "30",
+    poses: Sequence[tuple[float, float, float]] = (),
+    first: int = 0,
+) -> Path:
+    """Write the drive, or its scans from one on, as CSV; the laser's own pose stands beside each.
+
+    Poses may be given, in another frame.
+    """
+    names = ",".join(f"r{i}" for i in range(BEAMS))
+    geometry = f"# angle_min: 0\n# angle_increment: {2 * math.pi / BEAMS}\n"
+    lines = [f"{geometry}# range_min: 0.2\n# range_max: {limit}\nstamp,x,y,yaw,{names}"]
+    for index, (x, y, yaw) in enumerate(poses or map(drive.pose, range(SCANS)), first):
         beams = ",".join(map(str, drive.ranges(index)))
         lines.append(f"{100 + index},{x},{y},{yaw + drive.mount},{beams}")
     path.write_text("\n".join(lines) + "\n")
@@ -89,9 +93,8 @@ def write_bag(
     for index in range(SCANS):
         stamp = (100 + index) * SECOND
         x, y, yaw = drive.pose(index)
-        log.append(
-            Written("/tf", stamp, _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw))
-        )
+        moved = _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw)
+        log.append(Written("/tf", stamp, moved))
         if correct is not None:
             right, up, turn = correct(index)
             moved = _transform(stamp, "map", "odom", (right, up, 0), 0.0, turn)

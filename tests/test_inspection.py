@@ -342,6 +342,10 @@ def test_logs_that_cannot_be_read_are_problems(tmp_path: Path) -> None:
             "--time-offset 850000000.125 --max-cells 2000000000",
         ),
         ({"start_s": 5, "end_s": 20.5, "stride": 3}, "--start 5 --end 20.5 --stride 3"),
+        (
+            {"echo": "last", "footprint": (-0.4, -0.3, 0.2, 0.3), "min_height": 0.2},
+            "--echo last --footprint -0.4,-0.3,0.2,0.3 --min-height 0.2",
+        ),
         ({"max_pose_gap_s": None, "align": None}, "--max-pose-gap inf --align auto"),
     ],
 )
