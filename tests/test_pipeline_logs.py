@@ -16,6 +16,7 @@ from occmap.errors import MapError, OccmapError, PoseError
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.readers import text_log
 from occmap.scans import stream
 from occmap.types import BEAM_UPDATES, Update
 from tests.readers.ros import ROS2, Written, drive, transforms, write_mcap
@@ -161,14 +162,17 @@ def test_progress_counts_the_scans_of_all_logs() -> None:
     assert {total for _, total in seen} == {828}
 
 
-def test_progress_goes_back_where_a_log_is_read_once_more(tmp_path: Path) -> None:
+def test_progress_goes_back_where_a_log_is_read_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """That 30 m stands for "no return" shows late: so many other ranges come before."""
-    log = write_late(tmp_path / "late.csv", scans=3000, marked_from=2900)
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", 3000)  # ten scans or so
+    log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
     seen: list[int] = []
     build([log], BEAM, progress=lambda scans, _total: seen.append(scans))
-    assert min(seen) == -3000
-    assert sum(seen) == 3000
-    assert max(np.cumsum(seen)) == 3000
+    assert min(seen) == -60
+    assert sum(seen) == 60
+    assert max(np.cumsum(seen)) == 60
 
 
 def test_a_report_is_json_and_tells_damage_from_other_notes(tmp_path: Path) -> None:
