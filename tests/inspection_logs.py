@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from occmap.types import Float32, Float64
-from tests.readers.ros import ROS1, SCAN, SECOND, Written, header, write_bag1
+from tests.readers.ros import ROS1, SECOND, Written, scan, transforms, write_bag1
 
 BEAMS = 90
 HALF_WIDTH, HALF_HEIGHT = 5.0, 3.0
@@ -81,24 +81,18 @@ def write_bag(
     The scans are on the topics in turn, and in the frames, which all sit at the mount; a correction
     says where `odom` is in `map` at each scan. Other frames, with their yaw, are on the robot, too.
     """
+    mounts = [(frame, *turn) for turn in mount for frame in frames]
+    mounts += [(frame, 0.0, yaw) for frame, yaw in others.items()]
     log = [
-        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), *turn))
-        for turn in mount
-        for frame in frames
-    ]
-    log += [
-        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), 0.0, yaw))
-        for frame, yaw in others.items()
+        Written("/tf_static", 0, _transform(0, "base_link", frame, (0.0, 0.0, yaw), roll))
+        for frame, roll, yaw in mounts
     ]
     for index in range(SCANS):
         stamp = (100 + index) * SECOND
-        x, y, yaw = drive.pose(index)
-        moved = _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw)
+        moved = _transform(stamp, "odom", "base_link", drive.pose(index))
         log.append(Written("/tf", stamp, moved))
         if correct is not None:
-            right, up, turn = correct(index)
-            moved = _transform(stamp, "map", "odom", (right, up, 0), 0.0, turn)
-            log.append(Written("/tf", stamp, moved))
+            log.append(Written("/tf", stamp, _transform(stamp, "map", "odom", correct(index))))
         topic = topics[index % len(topics)]
         frame = frames[index % len(frames)]
         log.append(Written(topic, stamp, _scan(scan_stamp(stamp), frame, drive.ranges(index))))
@@ -106,32 +100,25 @@ def write_bag(
 
 
 def _scan(stamp_ns: int, frame: str, ranges: Float32) -> object:
-    return ROS1.types[SCAN](
-        header=header(ROS1, stamp_ns, frame),
+    return replace(
+        scan(ROS1, stamp_ns, frame, ranges),
         angle_min=0.0,
         angle_max=2 * math.pi * (BEAMS - 1) / BEAMS,
         angle_increment=2 * math.pi / BEAMS,
         time_increment=0.0,
-        scan_time=0.0,
         range_min=0.2,
-        range_max=30.0,
-        ranges=ranges,
-        intensities=np.zeros(0, np.float32),
     )
 
 
 def _transform(
-    stamp_ns: int, parent: str, child: str, at: tuple[float, ...], roll: float, yaw: float
+    stamp_ns: int, parent: str, child: str, at: tuple[float, float, float], roll: float = 0.0
 ) -> object:
-    types = ROS1.types
+    x, y, yaw = at
+    message = transforms(ROS1, stamp_ns, [(parent, child, x)])
+    placed = message.transforms[0].transform
+    placed.translation.y, placed.translation.z = y, 0.0
     (sr, sy), (cr, cy) = (
         [function(angle / 2) for angle in (roll, yaw)] for function in (math.sin, math.cos)
     )
-    rotation = types["geometry_msgs/msg/Quaternion"](sr * cy, sr * sy, cr * sy, cr * cy)
-    transform = types["geometry_msgs/msg/Transform"](
-        types["geometry_msgs/msg/Vector3"](*map(float, at)), rotation
-    )
-    stamped = types["geometry_msgs/msg/TransformStamped"](
-        header(ROS1, stamp_ns, parent), child, transform
-    )
-    return types["tf2_msgs/msg/TFMessage"]([stamped])
+    placed.rotation = type(placed.rotation)(sr * cy, sr * sy, cr * sy, cr * cy)
+    return message

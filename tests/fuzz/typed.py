@@ -31,7 +31,7 @@ from occmap.pipeline import build
 from occmap.readers import HoldingClouds, Role, open_log
 from occmap.types import Cloud, Scan
 from tests.readers import foxglove_logs as foxglove
-from tests.readers.ros import ROS1, ROS2, SCAN, SECOND, TF, header, pose, scan, transforms
+from tests.readers.ros import POSED, ROS1, ROS2, SCAN, SECOND, TF, header, posed, scan, transforms
 from tests.readers.runs import list_fields
 from tests.readers.test_flatten import CLOUD, ECHO, cloud, echoes
 
@@ -40,6 +40,7 @@ SPOILT = 2
 """Which of the messages is the nasty one."""
 ALL = frozenset(range(MESSAGES))
 MOST_SECONDS = 5.0
+PATH = "nav_msgs/msg/Path"
 DEEP = "@deep"
 """Stands in a JSON message for lists within lists."""
 
@@ -111,27 +112,19 @@ def define(store: Typestore, kind: str) -> bytes:
 def make_ros_message(store: Typestore, kind: str, index: int) -> Any:
     """A sound message."""
     stamp_ns = (100 + index) * SECOND
+    if kind in POSED:
+        return posed(store, kind, stamp_ns, ("map", "laser", 0.1 * index))
     makers: dict[str, Callable[[], Any]] = {
         SCAN: lambda: scan(store, stamp_ns),
         ECHO: lambda: echoes(store, [[1.0, 1.5], [3.0], [], [2.0, 4.0]]),
         CLOUD: lambda: cloud(store, [(3.0, 0.1, 0.0), (2.0, 1.0, 0.1), (0.0, -5.0, -0.1)]),
         TF: lambda: transforms(store, stamp_ns, [("map", "odom", 0.1 * index), ("odom", "b", 1.0)]),
+        PATH: lambda: store.types[PATH](
+            header(store, stamp_ns, "map"),
+            [posed(store, POSED[0], stamp_ns, ("map", "", x)) for x in (1.0, 2.0)],
+        ),
     }
-    if kind in makers:
-        return makers[kind]()
-    types, head = store.types, header(store, stamp_ns, "map")
-    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    twist = types["geometry_msgs/msg/Twist"](zero, zero)
-    moving = types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36))
-    uncertain = types["geometry_msgs/msg/PoseWithCovariance"](pose(store, 1.0), np.zeros(36))
-    stamped = types["geometry_msgs/msg/PoseStamped"]
-    fields: dict[str, tuple[Any, ...]] = {
-        "geometry_msgs/msg/PoseStamped": (pose(store, 0.1 * index),),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": (uncertain,),
-        "nav_msgs/msg/Odometry": ("laser", uncertain, moving),
-        "nav_msgs/msg/Path": ([stamped(head, pose(store, x)) for x in (1.0, 2.0)],),
-    }
-    return types[kind](head, *fields[kind])
+    return makers[kind]()
 
 
 def serialise(store: Typestore, message: Any, kind: str) -> bytes:
@@ -333,10 +326,7 @@ def _fill_fields(message: Any, dice: random.Random, depth: int) -> None:
                 continue
 
 
-ROS_KINDS = (
-    SCAN, ECHO, CLOUD, TF, "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Path",
-)  # fmt: skip
+ROS_KINDS = (SCAN, ECHO, CLOUD, TF, *POSED, PATH)
 FOXGLOVE_KINDS = tuple(
     f"foxglove.{name}"
     for name in ("LaserScan", "FrameTransform", "FrameTransforms", "PoseInFrame", "PosesInFrame")
