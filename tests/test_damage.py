@@ -22,6 +22,7 @@ from rosbags import rosbag1
 from occmap.errors import LogError, OccmapError
 from occmap.readers import Role, open_log
 from tests.fuzz.__main__ import alarm
+from tests.fuzz.mutate import IN_PLACE, change_byte, put_zeros
 from tests.samples import SAMPLE_LOGS, copy_mcap
 
 MUCH = float(os.environ.get("OCCMAP_FUZZ", "0"))
@@ -45,8 +46,8 @@ class Format:
     pack: Callable[[bytes], bytes] = bytes
     is_container: bool = True
     """A text that is cut between two lines looks whole, and no text counts its scans."""
-    concerns_all: bytes = b"nothing"
-    """A text beside which damage concerns all scans, as on SQLite's page of topics."""
+    shared: FindZones = lambda _: []
+    """Where damage concerns all scans"""
 
     def prepare(self, folder: Path) -> tuple[Path, Path]:
         """Copy the log: the path to open, and the file in it that is to be damaged."""
@@ -98,6 +99,13 @@ def find_ranges(data: bytes) -> list[Zone]:
 def find_pages(data: bytes) -> list[Zone]:
     """In SQLite, which reads whole pages: the pages that a scan lies on."""
     return [(start // 4096 * 4096, -(-end // 4096) * 4096) for start, end in find_ranges(data)]
+
+
+def find_shared_pages(data: bytes) -> list[Zone]:
+    """In SQLite: the page of topics, and the inner page of the tree of messages."""
+    starts = range(0, len(data), 4096)
+    topics = data.index(b"/scansensor_msgs/msg/LaserScan") // 4096 * 4096
+    return [(at, at + 4096) for at in starts if at == topics or data[at] == 5]
 
 
 def find_mcap_chunks(data: bytes) -> list[Zone]:
@@ -170,9 +178,7 @@ FORMATS = {
     "bag.lz4": Format("drive.bag", find_bag_chunks, pack=partial(pack_bag, compression="LZ4")),
     "mcap": Format("drive.mcap", find_ranges),
     "mcap.zstd": Format("drive.mcap", find_mcap_chunks, pack=pack_mcap),
-    "ros2": Format(
-        "drive_ros2/drive_ros2.db3", find_pages, concerns_all=b"/scansensor_msgs/msg/LaserScan"
-    ),
+    "ros2": Format("drive_ros2/drive_ros2.db3", find_pages, shared=find_shared_pages),
 }
 
 
@@ -236,39 +242,6 @@ def test_a_log_cut_anywhere(form: Format, tmp_path: Path) -> None:
         assert damage or found == whole or not form.is_container, cut
 
 
-Damage = Callable[[bytearray, int, random.Random], int]
-"""Damages a file from an offset on, and says where the damage ends."""
-
-
-def flip_bit(data: bytearray, at: int, dice: random.Random) -> int:
-    data[at] ^= 1 << dice.randrange(8)
-    return at + 1
-
-
-def change_byte(data: bytearray, at: int, dice: random.Random) -> int:
-    data[at] ^= dice.randrange(1, 256)
-    return at + 1
-
-
-def put_number(data: bytearray, at: int, dice: random.Random) -> int:
-    size = dice.choice((2, 4, 8))
-    value = dice.choice((0, 1, 0x7FFF, 2**31 - 1, 2**31, 2**32 - 1, 2**63, 2**64 - 1))
-    piece = (value % 2 ** (8 * size)).to_bytes(size, "little")[: len(data) - at]
-    data[at : at + size] = piece
-    return at + size
-
-
-def put_zeros(data: bytearray, at: int, dice: random.Random) -> int:
-    """As a disk leaves a sector that it never wrote."""
-    start = at // 512 * 512
-    end = min(start + 512 * dice.choice((1, 1, 8)), len(data))
-    data[start:end] = bytes(end - start)
-    return end
-
-
-DAMAGES: tuple[Damage, ...] = (flip_bit, change_byte, put_number, put_zeros)
-
-
 def test_no_damage_anywhere_takes_what_lies_before_it_or_in_a_container_beside_it(
     form: Format, tmp_path: Path
 ) -> None:
@@ -281,7 +254,7 @@ def test_no_damage_anywhere_takes_what_lies_before_it_or_in_a_container_beside_i
     for step in range(FLIPS):
         at = int((step + dice.random()) * len(data) / FLIPS)
         damaged = bytearray(data)
-        damage = dice.choice(DAMAGES)
+        damage = dice.choice(IN_PLACE) if form.is_container else change_byte
         last = damage(damaged, at, dice)
         first = at // 512 * 512 if damage is put_zeros else at
         file.write_bytes(damaged)
@@ -292,7 +265,7 @@ def test_no_damage_anywhere_takes_what_lies_before_it_or_in_a_container_beside_i
         if not form.is_container:
             continue
         assert told or len(found) == len(whole), where
-        if form.concerns_all in data[first // 4096 * 4096 : -(-last // 4096) * 4096]:
+        if any(start < last and first < end for start, end in form.shared(data)):
             continue
         beside = {times for times, (start, end) in zones.items() if end <= first or last <= start}
         lost = {times for times in beside if found.get(times) != whole[times]}

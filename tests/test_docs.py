@@ -26,6 +26,8 @@ from tests.samples import ROOT
 FROM_RECORDINGS = {"walls.png"}
 """Pictures of logs that do not belong to the project; all others are made by their page."""
 COMMANDS = ("build", "check", "compare", "diff", "explain", "merge", "render", "score", "tune")
+LONGEST = 9_000
+"""Bytes of the README, which a newcomer reads in three minutes"""
 TEXTS = (*PAGES, "CONTRIBUTING.md", "CHANGELOG.md")
 
 
@@ -220,3 +222,30 @@ def test_every_limit_is_in_the_table_with_its_unit_and_commands() -> None:
         for command, measures in tables.items()
         for measure in measures
     }
+
+
+def find_section(title: str) -> str:
+    return read_page("README.md").partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
+def test_the_readme_is_read_in_three_minutes() -> None:
+    assert (ROOT / "README.md").stat().st_size <= LONGEST
+
+
+def test_the_picture_on_top_of_the_readme_is_what_a_bare_build_makes(tmp_path: Path) -> None:
+    build([ROOT / "sample_logs" / "drive.mcap"], BuildOptions(), [tmp_path / "map.png"])
+    shown, made = (Image.open(each / "map.png") for each in (ROOT / "sample_logs", tmp_path))
+    assert np.array_equal(np.asarray(shown), np.asarray(made))
+
+
+def test_the_readme_shows_ten_options_of_the_usual_help(tmp_path: Path) -> None:
+    rows = re.findall(r"^\| `(--?[a-z-]+)", find_section("Options"), re.MULTILINE)
+    assert len(rows) == 10
+    listed = Session(tmp_path).run("occmap build --help")
+    for option in rows:
+        assert re.search(rf"(?<![\w-]){option}\b", listed), option
+
+
+@pytest.mark.parametrize("page", [*PAGES[1:], "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_the_readme_leads_to_every_page(page: str) -> None:
+    assert f"]({page})" in find_section("Read on")

@@ -16,10 +16,11 @@ from occmap.errors import MapError, OccmapError, PoseError
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.readers import text_log
 from occmap.scans import stream
 from occmap.types import BEAM_UPDATES, Update
 from tests.readers.ros import ROS2, Written, drive, transforms, write_mcap
-from tests.samples import DRIVES, PLAIN, write_csv
+from tests.samples import DRIVES, PLAIN, write_csv, write_late
 
 QUARTER = math.pi / 2
 BEAM = replace(PLAIN, resolution=0.1)
@@ -161,20 +162,17 @@ def test_progress_counts_the_scans_of_all_logs() -> None:
     assert {total for _, total in seen} == {828}
 
 
-def test_progress_goes_back_where_a_log_is_read_once_more(tmp_path: Path) -> None:
-    # That 30 m stands for "no return" shows late: so many other ranges come before.
-    rng = np.random.default_rng(1)
-    beams = [rng.uniform(1, 9, 200).round(3).tolist() for _ in range(1500)]
-    late = [[30.0] * 50 + row[50:] for row in beams[1400:]]
-    head = "stamp,x,y,yaw," + ",".join(f"r{beam}" for beam in range(200))
-    rows = [f"{n},0,0,0,{','.join(map(str, row))}" for n, row in enumerate(beams[:1400] + late)]
-    log = tmp_path / "late.csv"
-    log.write_text("\n".join(["# angle_min: 0", "# angle_increment: 0.01", head, *rows]) + "\n")
+def test_progress_goes_back_where_a_log_is_read_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That 30 m stands for "no return" shows late: so many other ranges come before."""
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", 3000)  # ten scans or so
+    log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
     seen: list[int] = []
     build([log], BEAM, progress=lambda scans, _total: seen.append(scans))
-    assert min(seen) == -1500
-    assert sum(seen) == 1500
-    assert max(np.cumsum(seen)) == 1500
+    assert min(seen) == -60
+    assert sum(seen) == 60
+    assert max(np.cumsum(seen)) == 60
 
 
 def test_a_report_is_json_and_tells_damage_from_other_notes(tmp_path: Path) -> None:

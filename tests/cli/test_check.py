@@ -141,15 +141,6 @@ def test_mounts_are_written_as_they_are_read(text: str) -> None:
     assert given == "base,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
 
 
-def test_the_robot_and_the_reading_come_back_as_flags() -> None:
-    write_csv(Path("room.csv"), Drive())
-    flags = [
-        "--echo", "last", "--ignore-sector", "2.5,-2.5", "--ignore-sector", "1,2",
-        "--footprint", "-0.4,-0.3,0.2,0.3", "--min-height", "0.2", "--max-height", "0.5",
-    ]  # fmt: skip
-    assert ask("check", "room.csv", *flags)["command"][3:-2] == flags
-
-
 def test_one_of_a_thing_is_in_the_singular() -> None:
     write_bag(Path("room.bag"), Drive(), mount=[(0.0, 0.0)])
     assert "1 transform that never changes" in occmap("check room.bag").out

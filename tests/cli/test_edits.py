@@ -129,18 +129,6 @@ def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
     assert len(read_evidence(Path("rest.npz")).manifest.builds) == 1
 
 
-def test_edits_of_a_file_of_options_lie_beside_it() -> None:
-    site = Path("site")
-    site.mkdir()
-    Path("edits.csv").rename(site / "edits.csv")
-    (site / "occmap.toml").write_text('edits = "edits.csv"\n')
-    line = ("build", DRIVE, "--config", site / "occmap.toml", "-o", "m.pgm")
-    made = occmap(*line)
-    assert made.code == 0
-    assert (read_box("m.pgm", 10.9, -1.5, 11.5, -0.9) == 254).all()
-    assert occmap(*line, "--edits", "none.csv").code == 2  # what is typed lies where one is
-
-
 @pytest.mark.parametrize(
     ("shape", "is_outside"),
     [
