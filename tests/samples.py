@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from unittest import SkipTest
 
 from occmap.options import BuildOptions
 from occmap.sensor.models import SimpleModel
@@ -35,6 +36,13 @@ def import_generator(name: str) -> Any:
 
 
 REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
+
+
+def find_real(name: str) -> Path:
+    """A real recording; a test that asks for one that is not there is skipped."""
+    if not (REAL_LOGS / name).exists():
+        raise SkipTest(f"no {name} in {REAL_LOGS}: set OCCMAP_REAL_LOGS")
+    return REAL_LOGS / name
 
 
 Planar = tuple[float, float, float]
