@@ -4,13 +4,17 @@ import importlib
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import SkipTest
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from occmap.options import BuildOptions
 from occmap.sensor.models import SimpleModel
-from occmap.types import Update
+from occmap.types import ScanBatch, Update
 
 PLAIN = BuildOptions(update=Update.BEAM, model=SimpleModel(spread=0.0), hit_offset=0.0, jobs=1)
 """Each beam by itself, ends where they were measured: what a hand can work out"""
@@ -43,6 +47,14 @@ def find_real(name: str) -> Path:
     if not (REAL_LOGS / name).exists():
         raise SkipTest(f"no {name} in {REAL_LOGS}: set OCCMAP_REAL_LOGS")
     return REAL_LOGS / name
+
+
+def make_batch(ranges: ArrayLike, **fields: Any) -> ScanBatch:
+    """Scans of equal length at one time, of a laser that measures 0.1 to 10 m."""
+    values = np.array(ranges, np.float32)
+    stamps, increments = np.zeros(len(values), np.int64), np.zeros(len(values))
+    batch = ScanBatch("laser", 0.0, 0.1, 0.1, 10.0, stamps, values, increments)
+    return replace(batch, **fields)
 
 
 Planar = tuple[float, float, float]
