@@ -218,13 +218,11 @@ def test_limits_are_of_each_topic() -> None:
     limits.see(scan(MEASURED + [30.0] * 50, "front"))
     limits.see(scan([*MEASURED, 81.83], "rear"))
     limits.see(scan(MEASURED, "side"))
-    applied = {
-        name: limits.apply(unlimited(topic=name)).range_max for name in ("front", "rear", "side")
-    }
-    assert applied == {"front": pytest.approx(29.25), "rear": 81.82, "side": math.inf}
-    assert (
-        limits.apply(make_batch([[1]], topic="front", range_max=8.0)).range_max == 8.0
-    )  # the nearer one holds
+    names = "front", "rear", "side"
+    applied = [limits.apply(unlimited(topic=name)).range_max for name in names]
+    assert applied == [pytest.approx(29.25), 81.82, math.inf]
+    # Of two limits the nearer one holds.
+    assert limits.apply(make_batch([[1]], topic="front", range_max=8.0)).range_max == 8.0
     assert limits.settle()
 
 
