@@ -1,6 +1,7 @@
 """Where logs are for tests: the sample logs, real ones, and small ones written by hand."""
 
 import importlib
+import itertools
 import os
 import sys
 from collections.abc import Sequence
@@ -62,13 +63,19 @@ Planar = tuple[float, float, float]
 
 
 def write_csv(
-    path: Path, poses: Sequence[Planar], ranges: Sequence[float], step: float = 0.0, start: int = 0
+    path: Path,
+    poses: Sequence[Planar],
+    ranges: Sequence[float],
+    step: float = 0.0,
+    start: int = 0,
+    every: int = 1,
 ) -> Path:
-    """Write a log of one scan a second, all with the same ranges, beams `step` radians apart."""
+    """Write a log of a scan every second, all with the same ranges, beams `step` radians apart."""
     beams = ",".join(f"r{beam}" for beam in range(len(ranges)))
     head = f"# angle_min: 0\n# angle_increment: {step}\n# range_max: 1e6\nstamp,x,y,yaw,{beams}\n"
     cells = ",".join(map(str, ranges))
-    rows = [f"{second},{x},{y},{yaw},{cells}\n" for second, (x, y, yaw) in enumerate(poses, start)]
+    seconds = itertools.count(start, every)
+    rows = [f"{t},{x},{y},{yaw},{cells}\n" for t, (x, y, yaw) in zip(seconds, poses, strict=False)]
     path.write_text(head + "".join(rows))
     return path
 

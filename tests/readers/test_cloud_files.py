@@ -13,17 +13,8 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
-from occmap.readers import HoldingClouds, Role, open_log
-from occmap.readers.cloud_folder import (
-    SPACING_NS,
-    CloudFolder,
-    Points,
-    inflate_lzf,
-    read_bin,
-    read_pcd,
-    read_ply,
-    read_time,
-)
+from occmap.readers import HoldingClouds, Role, cloud_folder, open_log
+from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_bin, read_pcd, read_ply
 from occmap.types import Cloud, Float32, Moments, Pose
 
 POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
@@ -75,7 +66,9 @@ TEXT = b"1 -2 0.5\n3.25 4 -1.5\n0 0 0\n"
     ],
     ids=["pcd", "pcd binary", "pcd compressed", "ply", "ply little", "ply big", "bin"],
 )  # fmt: skip
-def test_each_format_holds_the_same_points(read: Callable[[bytes], Points], data: bytes) -> None:
+def test_each_format_holds_the_same_points(
+    read: Callable[[bytes], cloud_folder.Points], data: bytes
+) -> None:
     found = read(data)
 
     assert list(zip(*(found.columns[name].tolist() for name in "xyz"), strict=True)) == POINTS
@@ -96,7 +89,7 @@ def test_lzf_copies_what_it_has_just_written() -> None:
     packed = np.frombuffer(bytes([1]) + b"ab" + bytes([(2 << 5) | 0, 1, 7 << 5, 3, 0]), np.uint8)
     out = np.empty(2 + 4 + 12, np.uint8)
 
-    assert inflate_lzf(packed, out) == len(out)
+    assert cloud_folder.inflate_lzf(packed, out) == len(out)
     assert out.tobytes() == b"ababab" + b"b" * 12
 
 
@@ -198,7 +191,7 @@ def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Pa
     ],
 )
 def test_times_in_names(name: str, stamp_ns: int | None) -> None:
-    assert read_time(Path(name)) == stamp_ns
+    assert cloud_folder.read_time(Path(name)) == stamp_ns
 
 
 def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:

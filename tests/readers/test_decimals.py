@@ -10,17 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from occmap.readers.decimals import (
-    FINITE,
-    NANOSECONDS,
-    NUMBER,
-    OTHER,
-    RANGE,
-    SAME,
-    SECONDS,
-    Words,
-    parse_words,
-)
+from occmap.readers import decimals
+from occmap.readers.decimals import FINITE, NUMBER, OTHER, RANGE, SAME, SECONDS, parse_words
 from occmap.readers.text_log import make_block
 from occmap.types import Float64
 from occmap.values import as_float32, parse_seconds
@@ -37,7 +28,9 @@ NUMBERS = st.one_of(
 )
 
 
-def parse(lines: list[bytes], separator: bytes, kinds: list[int]) -> tuple[Words, dict[int, str]]:
+def parse(
+    lines: list[bytes], separator: bytes, kinds: list[int]
+) -> tuple[decimals.Words, dict[int, str]]:
     """Parse the lines that are like the first; a RANGE is that of the next beam."""
     block = make_block(1, b"".join(line + b"\n" for line in lines))
     beams = count()
@@ -183,7 +176,7 @@ def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]
     words = [f"{Decimal(seconds):.{places}f}" for seconds, places in stamps]
     whole = [str(int(Decimal(seconds) * 10**8)) for seconds, _ in stamps]
     lines = [f"{word} x {each}".encode() for word, each in zip(words, whole, strict=True)]
-    read, faults = parse(lines, b" ", [SECONDS, OTHER, NANOSECONDS])
+    read, faults = parse(lines, b" ", [SECONDS, OTHER, decimals.NANOSECONDS])
     for row, (word, each) in enumerate(zip(words, whole, strict=True)):
         expected = None
         with suppress(ValueError):

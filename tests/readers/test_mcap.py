@@ -8,21 +8,9 @@ from mcap.writer import CompressionType
 from occmap.errors import LogError
 from occmap.readers import Note, Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader
+from tests.readers import ros
 from tests.readers.mcap_variants import list_records
-from tests.readers.ros import (
-    POSED,
-    RANGES,
-    ROS2,
-    SCAN,
-    Encoded,
-    Written,
-    drive,
-    encode,
-    posed,
-    scan,
-    write_encoded,
-    write_mcap,
-)
+from tests.readers.ros import RANGES, ROS2, SCAN, Written, drive, scan, write_mcap
 from tests.readers.runs import count_scans
 from tests.test_damage import time_limit
 
@@ -122,9 +110,9 @@ def test_messages_of_no_known_kind_are_listed_and_not_read(tmp_path: Path) -> No
         "/other": (SCAN, "jsonschema", b"{}"),
         "/bare": None,
     }
-    messages = [Encoded(topic, 1, b"{}", "json", schema) for topic, schema in kinds.items()]
+    messages = [ros.Encoded(topic, 1, b"{}", "json", schema) for topic, schema in kinds.items()]
 
-    log = open_log(write_encoded(tmp_path / "foxglove.mcap", messages))
+    log = open_log(ros.write_encoded(tmp_path / "foxglove.mcap", messages))
 
     assert set(log.streams) == {
         Stream("/log", "foxglove.Log", 1, Role.OTHER),
@@ -166,10 +154,10 @@ IDL = (
 def test_messages_defined_in_idl_are_read_as_ros_defines_them(
     definition: str, tmp_path: Path
 ) -> None:
-    message = posed(ROS2, POSED[0], 3_000_000_004, ("/map", "", 1.0))
-    schema = POSED[0], "ros2idl", definition.encode()
-    encoded = encode(Written("/pose", 1, message))._replace(schema=schema)
-    path = write_encoded(tmp_path / "idl.mcap", [encoded])
+    message = ros.posed(ROS2, ros.POSED[0], 3_000_000_004, ("/map", "", 1.0))
+    schema = ros.POSED[0], "ros2idl", definition.encode()
+    encoded = ros.encode(Written("/pose", 1, message))._replace(schema=schema)
+    path = ros.write_encoded(tmp_path / "idl.mcap", [encoded])
 
     with time_limit(5):
         (sample,) = open_log(path).poses()
