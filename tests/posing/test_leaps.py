@@ -19,7 +19,7 @@ from occmap.scans.stream import stack
 from occmap.types import Pose, Scan, ScanBatch
 from tests.posing.scenes import at, attach_twice, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
-from tests.samples import REAL_LOGS, Planar, write_csv
+from tests.samples import Planar, find_real, write_csv
 
 DRIVE: list[Planar] = [(second / 2, 0.0, 0.0) for second in range(40)]
 LEAP = "further from their neighbours than `max_speed` allows"
@@ -198,8 +198,5 @@ def test_check_sees_the_map_that_build_makes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["carmen/intel-corrected.log.gz", "ros1/test_turtlebot.bag"])
 def test_no_scan_of_a_real_log_leaps(name: str) -> None:
-    path = REAL_LOGS / name
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    report = build([path], BuildOptions(resolution=0.2)).report
+    report = build([find_real(name)], BuildOptions(resolution=0.2)).report
     assert LEAP not in report.scans.dropped
