@@ -72,27 +72,13 @@ def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
 
 def test_constants_stand_in_for_columns(tmp_path: Path) -> None:
     content = f"{CONSTANTS}stamp,r0,r1\n# frame: front\n1,2,3\n4,nan,-inf\n# range_max: 30\n"
-    first, second = read_text(tmp_path, content)
-    expected = Scan(
-        stamp_ns=1_000_000_000,
-        frame="front",
-        angle_min=-1.5,
-        angle_increment=0.25,
-        ranges=np.array([2, 3], np.float32),
-        range_min=0.0,
-        range_max=30.0,
-        topic="scan",
-        record_ns=1_000_000_000,
+    same = FULL._replace(
+        frame="front", range_min=0.0, range_max=30.0, time_increment=0.0, pose=None
     )
-    expect_equal(first, expected)
-    expect_equal(
-        second,
-        expected._replace(
-            stamp_ns=4_000_000_000,
-            record_ns=4_000_000_000,
-            ranges=np.array([np.nan, -np.inf], np.float32),
-        ),
-    )
+    rows = (10**9, [2, 3]), (4 * 10**9, [np.nan, -np.inf])
+    for scan, (stamp_ns, ranges) in zip(read_text(tmp_path, content), rows, strict=True):
+        measured = np.array(ranges, np.float32)
+        expect_equal(scan, same._replace(stamp_ns=stamp_ns, record_ns=stamp_ns, ranges=measured))
 
 
 def test_a_column_goes_before_a_comment_about_it(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from occmap import sensor
 from occmap.errors import UsageError
 from occmap.sensor import NoReturn, ReturnCounts, ReturnOptions, classify, interpret
-from occmap.types import Float64, Kind, PosedScans, Scan, ScanBatch
+from occmap.types import Kind, PosedScans, Rays, Scan, ScanBatch
 from tests.posing.scenes import matrix_of
 from tests.samples import make_batch
 
@@ -19,11 +19,11 @@ INF, NAN = math.inf, math.nan
 HIT, FREE, SKIP = Kind.HIT, Kind.FREE, Kind.SKIP
 
 
-def pose_scans(
-    batch: ScanBatch, rotation: Float64, place: tuple[float, ...] = (0, 0, 0)
-) -> PosedScans:
+def look(batch: ScanBatch, place: tuple[float, ...] = (0, 0, 0), **angles: float) -> Rays:
+    """Where the beams go of a sensor at a place, turned by roll, pitch and yaw."""
     scans = len(batch.stamp_ns)
-    return PosedScans(batch, np.array([place] * scans, float), np.array([rotation] * scans))
+    position, rotation = np.array([place] * scans, float), np.array([matrix_of(**angles)] * scans)
+    return interpret(PosedScans(batch, position, rotation), ReturnOptions())[0]
 
 
 # The sensor states 0.1 to 10 m; --max-range is 8. Value, meaning by --no-return=ignore and =clear.
@@ -160,7 +160,7 @@ def test_options_that_leave_no_range_are_refused(
 
 def test_a_beam_ends_where_range_and_bearing_say() -> None:
     batch = make_batch([[2.0, 3.0]], angle_min=0.3, angle_increment=0.2)
-    rays, _ = interpret(pose_scans(batch, matrix_of(yaw=0.5), (7.0, -4.0, 1.0)), ReturnOptions())
+    rays = look(batch, (7.0, -4.0, 1.0), yaw=0.5)
     expected = [
         [7 + 2 * math.cos(0.8), -4 + 2 * math.sin(0.8)],
         [7 + 3 * math.cos(1.0), -4 + 3 * math.sin(1.0)],
@@ -169,8 +169,8 @@ def test_a_beam_ends_where_range_and_bearing_say() -> None:
 
 
 def test_rays_know_when_each_scan_was_taken() -> None:
-    batch = replace(make_batch([[2.0], [3.0], [4.0]]), stamp_ns=np.array([7, 5, 9]))
-    rays, _ = interpret(pose_scans(batch, matrix_of()), ReturnOptions())
+    batch = make_batch([[2.0], [3.0], [4.0]], stamp_ns=np.array([7, 5, 9]))
+    rays = look(batch)
     assert rays.stamp_ns.tolist() == [7, 5, 9]
     some = rays.take(np.array([True, False, True]))
     assert (some.stamp_ns.tolist(), some.distance[:, 0].tolist()) == ([7, 9], [2, 4])
@@ -178,22 +178,16 @@ def test_rays_know_when_each_scan_was_taken() -> None:
 
 def test_an_upside_down_lidar_sees_bearings_mirrored() -> None:
     batch = make_batch([[2.0] * 5], angle_min=-0.4, angle_increment=0.3)
-    level, _ = interpret(pose_scans(batch, matrix_of()), ReturnOptions())
-    inverted, _ = interpret(pose_scans(batch, matrix_of(roll=math.pi)), ReturnOptions())
+    level = look(batch)
+    inverted = look(batch, roll=math.pi)
     np.testing.assert_allclose(inverted.end, level.end * [1, -1], atol=1e-12)
 
 
-def test_a_tilted_lidar_is_shortened_along_its_tilt_and_not_across_it() -> None:
-    batch = make_batch([[2.0, 2.0]], angle_increment=math.pi / 2)
-    rays, _ = interpret(pose_scans(batch, matrix_of(pitch=0.6)), ReturnOptions())
-    expected: list[list[float]] = [[2 * math.cos(0.6), 0.0], [0.0, 2.0]]
-    np.testing.assert_allclose(rays.end[0], expected, atol=1e-12)
-
-
-def test_a_lidar_that_looks_straight_down_ends_below_itself() -> None:
-    batch = make_batch([[2.0, 2.0]], angle_increment=math.pi / 2)
-    rays, _ = interpret(pose_scans(batch, matrix_of(pitch=math.pi / 2)), ReturnOptions())
-    np.testing.assert_allclose(rays.end[0, 0], [0, 0], atol=1e-12)
+@pytest.mark.parametrize("pitch", [0.6, math.pi / 2])
+def test_a_tilted_lidar_is_shortened_along_its_tilt_and_not_across_it(pitch: float) -> None:
+    """One that looks straight down ends below itself."""
+    rays = look(make_batch([[2.0, 2.0]], angle_increment=math.pi / 2), pitch=pitch)
+    np.testing.assert_allclose(rays.end[0], [(2 * math.cos(pitch), 0), (0, 2)], atol=1e-12)
 
 
 def test_each_beam_may_have_its_own_pose() -> None:
@@ -227,7 +221,7 @@ def test_whether_a_scan_goes_all_the_way_round(
 ) -> None:
     batch = make_batch([[1.0] * beams], angle_increment=increment)
     assert sensor.goes_round(batch) is round_it_goes
-    rays, _ = interpret(pose_scans(batch, matrix_of()), ReturnOptions())
+    rays = look(batch)
     assert rays.full_circle is round_it_goes
 
 
@@ -235,5 +229,5 @@ def test_batches_of_other_geometry_are_not_mixed_up() -> None:
     batch = make_batch([[1.0]])
     turned = replace(batch, angle_min=1.0)
     for one, bearing in ((batch, 0.0), (turned, 1.0), (batch, 0.0)):
-        rays, _ = interpret(pose_scans(one, matrix_of()), ReturnOptions())
+        rays = look(one)
         np.testing.assert_allclose(rays.direction[0, 0], [math.cos(bearing), math.sin(bearing)])
