@@ -71,7 +71,7 @@ MERGING = "a0: &a0 {x: 1}\n" + "\n".join(
 def test_the_files_of_a_folder_with_damaged_metadata_are_read(text: str, folder: Path) -> None:
     (folder / "metadata.yaml").write_text(text)
 
-    with time_limit(5):
+    with time_limit(20):
         log = open_log(folder)
 
     assert count_scans(log) == 6
