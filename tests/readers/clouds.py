@@ -42,20 +42,12 @@ def echoes(store: Typestore, beams: list[list[float]]) -> Any:
 
 def cloud(store: Typestore, points: list[tuple[float, float, float]], form: str = "<f4") -> Any:
     """With a column of something else before x, and two bytes of padding behind each point."""
-    size = np.dtype(form).itemsize
-    layout = np.dtype(
-        {
-            "names": ["ring", "x", "y", "z"],
-            "formats": ["<u2", form, form, form],
-            "offsets": [0, 2, 2 + size, 2 + 2 * size],
-            "itemsize": 4 + 3 * size,
-        }
-    )
+    layout = np.dtype([("ring", "<u2"), *((axis, form) for axis in "xyz"), ("padding", "V2")])
     data = np.zeros(len(points), layout)
     for name, column in zip("xyz", np.array(points, np.float64).reshape(-1, 3).T, strict=True):
         data[name] = column
     field = store.types["sensor_msgs/msg/PointField"]
-    kind = {2: INT16, 4: FLOAT32, 8: FLOAT64}[size]
+    kind = {2: INT16, 4: FLOAT32, 8: FLOAT64}[np.dtype(form).itemsize]
     return store.types[CLOUD](
         header=header(store, SECOND, "/lidar"),
         height=1,

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
+from google.protobuf import descriptor_pb2 as pb2
+from google.protobuf import descriptor_pool, json_format, message_factory, timestamp_pb2
 
 from tests.readers.ros import Encoded, write_encoded
 
@@ -124,36 +124,24 @@ SCHEMA = {
 }
 
 
-def make_descriptors() -> descriptor_pb2.FileDescriptorSet:
+def make_descriptors() -> pb2.FileDescriptorSet:
     """The schemas, their file before that of the times that it needs."""
-    time = FileDescriptorProto(
-        name="google/protobuf/timestamp.proto", package="google.protobuf", syntax="proto3"
-    )
-    stamp_type = time.message_type.add(name="Timestamp")
-    for number, (name, kind) in enumerate((("seconds", "INT64"), ("nanos", "INT32")), start=1):
-        _add_field(stamp_type, name, number, kind)
-    file = FileDescriptorProto(name="foxglove/all.proto", package="foxglove", syntax="proto3")
-    file.dependency.append(time.name)
+    file = pb2.FileDescriptorProto(name="foxglove/all.proto", package="foxglove", syntax="proto3")
+    file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
     for message, fields in SCHEMA.items():
         described = file.message_type.add(name=message)
         for number, (name, text) in enumerate(fields.items(), start=1):
-            field = _add_field(described, name, number, text.rstrip("*"))
-            if text.endswith("*"):
-                field.label = FieldDescriptorProto.LABEL_REPEATED
-    return descriptor_pb2.FileDescriptorSet(file=[file, time])
-
-
-def _add_field(
-    message: descriptor_pb2.DescriptorProto, name: str, number: int, kind: str
-) -> FieldDescriptorProto:
-    field = message.field.add(name=name, number=number)
-    field.label = FieldDescriptorProto.LABEL_OPTIONAL
-    if kind in SCHEMA or kind == "Timestamp":
-        package = "google.protobuf" if kind == "Timestamp" else "foxglove"
-        field.type, field.type_name = FieldDescriptorProto.TYPE_MESSAGE, f".{package}.{kind}"
-    else:
-        field.type = FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
-    return field
+            kind = text.rstrip("*")
+            field = described.field.add(name=name, number=number)
+            field.label = field.LABEL_REPEATED if kind != text else field.LABEL_OPTIONAL
+            if kind in SCHEMA or kind == "Timestamp":
+                package = "foxglove" if kind in SCHEMA else "google.protobuf"
+                field.type, field.type_name = field.TYPE_MESSAGE, f".{package}.{kind}"
+            else:
+                field.type = pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
+    time = pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(time)
+    return pb2.FileDescriptorSet(file=[file, time])
 
 
 def encode_protobuf(schema: str, fields: dict[str, Any]) -> bytes:

@@ -1,12 +1,15 @@
-"""Scans that are counted, flattened and compared, and memory that is bounded."""
+"""Texts that are opened, scans that are counted and compared, and memory that is bounded."""
 
 import tracemalloc
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
 from occmap.readers import Log
+from occmap.readers.carmen import CarmenLog, CarmenReader
+from occmap.readers.csv import CsvLog, CsvReader
 from occmap.types import Cloud, Pose, Scan, ScanRun
 
 
@@ -20,6 +23,18 @@ def bounded_memory(most: int = 64_000_000) -> Iterator[None]:
     finally:
         tracemalloc.stop()
     assert peak < most
+
+
+def open_csv(folder: Path, content: str | bytes) -> CsvLog:
+    path = folder / "log.csv"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return CsvReader().open(path)
+
+
+def open_carmen(folder: Path, content: str | bytes) -> CarmenLog:
+    path = folder / "log.log"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return CarmenReader().open(path)
 
 
 def count_scans(log: Log) -> int:

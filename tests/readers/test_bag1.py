@@ -9,17 +9,8 @@ import pytest
 from occmap.errors import LogError
 from occmap.readers import Log, Note, Role, Stream, open_log
 from occmap.readers.bag1 import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE
-from tests.readers.ros import (
-    RANGES,
-    ROS1,
-    SCAN,
-    SECOND,
-    Written,
-    bag1_record,
-    drive,
-    transforms,
-    write_bag1,
-)
+from tests.readers import ros
+from tests.readers.ros import RANGES, ROS1, SECOND, bag1_record, drive, write_bag1
 from tests.readers.runs import bounded_memory, count_scans
 
 PACKED = pytest.mark.parametrize("packed", ["none", "bz2", "lz4"])
@@ -71,8 +62,8 @@ def list_records(
 
 
 def test_old_transforms_are_read(path: Path) -> None:
-    message = transforms(ROS1, SECOND, [("/map", "/base", 1.0)], "tf/msg/tfMessage")
-    log = open_log(write_bag1(path, [Written("/tf", SECOND, message)]))
+    message = ros.transforms(ROS1, SECOND, [("/map", "/base", 1.0)], "tf/msg/tfMessage")
+    log = open_log(write_bag1(path, [ros.Written("/tf", SECOND, message)]))
 
     assert [(sample.parent, sample.child) for sample in log.poses()] == [("map", "base")]
     assert list(log.streams) == [Stream("/tf", "tf/tfMessage", 1, Role.POSE)]
@@ -296,4 +287,4 @@ def test_a_message_that_does_not_decode_is_counted_and_passed_over(path: Path) -
     (note,) = log.notes
     assert note.damage
     assert note.text.startswith("1 of 30 messages on /scan are damaged and not used: ")
-    assert SCAN in note.text
+    assert ros.SCAN in note.text

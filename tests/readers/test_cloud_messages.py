@@ -29,6 +29,14 @@ def read(path: Path) -> tuple[list[Cloud], list[str]]:
     return clouds, [note.text for note in log.notes]
 
 
+def record(
+    tmp_path: Path, *messages: tuple[str, Any], store: Typestore = ROS2
+) -> tuple[list[Cloud], list[str]]:
+    """Record messages on topics, and read the clouds and notes."""
+    log = [Written(topic, 2 * SECOND, message) for topic, message in messages]
+    return read(write_mcap(tmp_path / "log.mcap", log, store))
+
+
 def decode(message: Any) -> list[list[float]]:
     points: list[list[float]] = convert_cloud(message, "/cloud", 7).points.tolist()
     return points
@@ -55,11 +63,14 @@ def test_points_that_are_none_stay_as_their_driver_wrote_them() -> None:
     assert decode(cloud(ROS2, [(1e300, 0.0, 0.0)], "<f8")) == [[math.inf, 0.0, 0.0]]
 
 
-def test_an_organised_cloud_with_padded_rows() -> None:
+def test_rows_of_an_organised_cloud_may_be_padded_and_a_single_one_need_not_say_its_length() -> (
+    None
+):
     message = cloud(ROS2, [(2.0, 0.5, 0.0), (9.0, 9.0, 9.0), (-3.0, 0.5, 0.0), (9.0, 9.0, 9.0)])
     message.height, message.width, message.row_step = 2, 1, 2 * message.point_step
-
     assert decode(message) == [[2.0, 0.5, 0.0], [-3.0, 0.5, 0.0]]
+    message.height, message.row_step = 1, 0
+    assert decode(message) == [[2.0, 0.5, 0.0]]
 
 
 def test_clouds_are_used_where_there_are_no_scans_or_on_request(tmp_path: Path) -> None:
@@ -82,8 +93,8 @@ def test_clouds_are_used_where_there_are_no_scans_or_on_request(tmp_path: Path) 
 def test_livox_points_have_their_times(
     store: Typestore, package: str, frame: str, tmp_path: Path
 ) -> None:
-    log = [Written("/livox/lidar", 2 * SECOND, livox(store, package, frame))]
-    (cloud,), notes = read(write_mcap(tmp_path / "l.mcap", log, store))
+    message = livox(store, package, frame)
+    (cloud,), notes = record(tmp_path, ("/livox/lidar", message), store=store)
 
     assert cloud.points.tolist() == [[1, 2, 3], [-4, 5.5, 0.25]]
     assert cloud.offset_ns is not None
@@ -93,9 +104,8 @@ def test_livox_points_have_their_times(
 
 
 def test_livox_points_that_are_not_all_there_are_damaged(tmp_path: Path) -> None:
-    path = write_bag1(
-        tmp_path / "l.bag", [Written("/livox", SECOND, livox(ROS1, "livox_ros_driver", "livox"))]
-    )
+    message = Written("/livox", SECOND, livox(ROS1, "livox_ros_driver", "livox"))
+    path = write_bag1(tmp_path / "l.bag", [message])
     data = path.read_bytes()
     count = (2).to_bytes(4, "little")
     at = data.rindex(count, 0, data.index(np.array([1, 2, 3], "<f4").tobytes()))
@@ -125,17 +135,11 @@ def test_a_cloud_that_lies_is_counted_as_damaged(tmp_path: Path, change: dict[st
     message = cloud(ROS2, [(2.0, 0.1, 0.0), (2.0, 0.2, 0.0)])
     for name, value in change.items():
         setattr(message, name, value)
-    log = open_log(write_mcap(tmp_path / "bad.mcap", [Written("/points", SECOND, message)]))
 
-    assert list(read_recorded(log, ["/points"])) == []
-    assert "1 of 1 messages on /points are damaged" in log.notes[0].text
+    clouds, notes = record(tmp_path, ("/points", message))
 
-
-def test_a_single_row_of_points_needs_no_row_step() -> None:
-    message = cloud(ROS2, [(2.0, 0.1, 0.0)])
-    message.row_step = 0
-    found = convert_cloud(message, "/p", 7).points
-    np.testing.assert_array_equal(found, np.array([[2.0, 0.1, 0.0]], np.float32))
+    assert clouds == []
+    assert "1 of 1 messages on /points are damaged" in notes[0]
 
 
 NOW, TENTH = 1_700_000_000_000_000_000, 100_000_000
@@ -174,8 +178,6 @@ def test_points_without_a_return_tell_no_time() -> None:
 
 
 FIELDS = [{"name": name, "offset": 4 * at, "type": 7} for at, name in enumerate("xyz")]
-
-
 OWN = {"position": {"x": 0, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 0}}
 
 
@@ -200,6 +202,7 @@ def test_a_cloud_of_foxglove(at: dict[str, Any], tmp_path: Path) -> None:
 
 MILLIMETRES = np.array([[0, 2000, 0], [0, 0, 4000]])
 # (column - 1) / 2 * z and (row - 0.5) / 4 * z, by the camera of `info`
+DEPTHS = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
 SEEN = [[0.0, -0.25, 2.0], [2.0, 0.5, 4.0]]
 
 
@@ -222,8 +225,8 @@ SEEN = [[0.0, -0.25, 2.0], [2.0, 0.5, 4.0]]
 def test_a_depth_image_is_a_point_for_each_pixel(
     store: Typestore, topic: str, make: Any, tmp_path: Path
 ) -> None:
-    log = [Written(INFO, SECOND, info(store)), Written(topic, SECOND, make(store))]
-    (cloud,), notes = read(write_mcap(tmp_path / "d.mcap", log, store))
+    log = (INFO, info(store)), (topic, make(store))
+    (cloud,), notes = record(tmp_path, *log, store=store)
 
     np.testing.assert_allclose(cloud.points, SEEN, rtol=1e-6)
     assert (cloud.frame, cloud.topic, cloud.offset_ns) == ("optical", topic, None)
@@ -231,43 +234,34 @@ def test_a_depth_image_is_a_point_for_each_pixel(
 
 
 def test_a_camera_that_never_comes_is_told_of(tmp_path: Path) -> None:
-    log = [Written(DEPTH, SECOND, image(ROS2, MILLIMETRES.astype("<u2"), "16UC1"))]
-    clouds, notes = read(write_mcap(tmp_path / "d.mcap", log))
+    clouds, (note,) = record(tmp_path, (DEPTH, DEPTHS))
 
     assert clouds == []
-    (note,) = notes
     assert DEPTH in note
     assert INFO in note
 
 
 def test_an_image_of_zeros_has_no_points(tmp_path: Path) -> None:
-    black = image(ROS2, np.zeros((2, 3), "<u2"), "16UC1")
-    log = [Written(INFO, SECOND, info(ROS2)), Written(DEPTH, SECOND, black)]
-    black_log = open_log(write_mcap(tmp_path / "d.mcap", log))
-    assert isinstance(black_log, HoldingClouds)
+    black = (INFO, info(ROS2)), (DEPTH, image(ROS2, np.zeros((2, 3), "<u2"), "16UC1"))
 
     with pytest.raises(LogError, match=f"{DEPTH} holds a point"):
-        list(black_log.clouds({DEPTH}))
-    seen = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
-    (first, second), notes = read(write_mcap(tmp_path / "e.mcap", [*log, Written(DEPTH, 2, seen)]))
+        record(tmp_path, *black)
+    (first, second), (note,) = record(tmp_path, *black, (DEPTH, DEPTHS))
     assert (len(first.points), len(second.points)) == (0, 2)
-    assert [DEPTH in note for note in notes] == [True]
+    assert DEPTH in note
 
 
 def test_an_image_of_another_size_than_its_camera_is_damaged(tmp_path: Path) -> None:
-    depth = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
-    log = [Written(INFO, SECOND, info(ROS2, width=4)), Written(DEPTH, SECOND, depth)]
-    clouds, notes = read(write_mcap(tmp_path / "d.mcap", log))
+    clouds, (note,) = record(tmp_path, (INFO, info(ROS2, width=4)), (DEPTH, DEPTHS))
 
     assert clouds == []
-    assert "1 of 1 messages" in notes[0]
+    assert "1 of 1 messages" in note
 
 
 def test_images_of_colours_are_no_clouds(tmp_path: Path) -> None:
     colours = image(ROS2, np.zeros((2, 9), np.uint8), "rgb8")
-    log = [Written("/c/camera_info", SECOND, info(ROS2)), Written("/c/image", SECOND, colours)]
 
-    assert read(write_mcap(tmp_path / "c.mcap", log)) == ([], [])
+    assert record(tmp_path, ("/c/camera_info", info(ROS2)), ("/c/image", colours)) == ([], [])
 
 
 @pytest.mark.parametrize("kind", ["velodyne_msgs/msg/VelodyneScan", "ouster_ros/msg/PacketMsg"])
@@ -276,9 +270,8 @@ def test_packets_are_named_with_the_node_that_makes_clouds_of_them(
 ) -> None:
     ROS2.register(get_types_from_msg("uint8[] buf", kind))
     packet = ROS2.types[kind](np.zeros(9, np.uint8))
-    clouds, notes = read(write_mcap(tmp_path / "p.mcap", [Written("/packets", SECOND, packet)]))
+    clouds, (note,) = record(tmp_path, ("/packets", packet))
 
     assert clouds == []
-    (note,) = notes
     assert "/packets" in note
     assert kind[:6] in note

@@ -3,67 +3,20 @@ from pathlib import Path
 
 import pytest
 from mcap.opcode import Opcode
-from mcap.writer import CompressionType
 
 from occmap.errors import LogError
-from occmap.readers import Note, Role, Stream, open_log, probe_path
+from occmap.readers import Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader
 from tests.fuzz.__main__ import alarm
+from tests.readers import ros
 from tests.readers.mcap_variants import list_records
-from tests.readers.ros import (
-    POSED,
-    RANGES,
-    ROS2,
-    SCAN,
-    Encoded,
-    Written,
-    drive,
-    encode,
-    posed,
-    scan,
-    write_encoded,
-    write_mcap,
-)
-from tests.readers.runs import count_scans
-
-NONE = {"compression": CompressionType.NONE, "chunk_size": 1000}
-ZSTD = {"compression": CompressionType.ZSTD, "chunk_size": 1000}
+from tests.readers.ros import RANGES, ROS2, SCAN, Written, drive, scan, write_mcap
 
 
 def test_mcap_is_recognised_by_content(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "no_suffix", drive(ROS2))
 
     assert McapReader().recognises(probe_path(path))
-
-
-@pytest.mark.parametrize("options", [NONE, ZSTD])
-def test_a_cut_chunk_is_told_from_a_damaged_one(options: dict[str, object], tmp_path: Path) -> None:
-    """Its length stands in its head and again in its body: nothing else can follow."""
-    path = write_mcap(tmp_path / "drive.mcap", drive(ROS2), options=options)
-    data = path.read_bytes()
-    position, length = list_records(data, Opcode.CHUNK)[-1]
-    path.write_bytes(data[: position + length - 20])
-
-    cut = [note for note in open_log(path).notes if "chunk at byte" not in note.text]
-
-    there = f"{length - 20:,} of its {length:,} bytes are there"
-    assert cut == [
-        Note(f"the file ends in the middle of the record at byte {position}: {there}", damage=True)
-    ]
-
-
-def test_a_file_without_footer_says_so(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "drive.mcap", drive(ROS2), options=NONE)
-    data = path.read_bytes()
-    position, length = list_records(data, Opcode.CHUNK)[-1]
-    path.write_bytes(data[: position + length])
-
-    log = open_log(path)
-
-    assert count_scans(log) == 6
-    (note,) = log.notes
-    assert note.damage
-    assert "the file is cut before its end" in note.text
 
 
 def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None:
@@ -84,27 +37,13 @@ def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None
 
 def test_a_record_time_beyond_64_bits_is_the_latest_there_is(tmp_path: Path) -> None:
     log = drive(ROS2)
-    path = write_mcap(tmp_path / "drive.mcap", log, options=NONE)
+    path = write_mcap(tmp_path / "drive.mcap", log)
     recorded = [written.record_ns for written in log if written.topic == "/scan"]
     path.write_bytes(path.read_bytes().replace(struct.pack("<Q", recorded[-1]), b"\xff" * 8))
 
     found = [scan.record_ns for scan in open_log(path).scans({"/scan"})]
 
     assert found == [*recorded[:-1], 2**63 - 1]
-
-
-def test_a_wrong_checksum_is_noted_once_and_the_messages_used(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "drive.mcap", drive(ROS2), options=NONE)
-    data = bytearray(path.read_bytes())
-    data[data.find((RANGES + 3).tobytes()) + 2] ^= 1
-    path.write_bytes(data)
-
-    log = open_log(path)
-
-    assert count_scans(log) == count_scans(log) == 6
-    (note,) = log.notes
-    assert "wrong checksum" in note.text
-    assert note.damage
 
 
 def test_a_file_of_nothing_but_its_magic_is_refused(tmp_path: Path) -> None:
@@ -122,9 +61,9 @@ def test_messages_of_no_known_kind_are_listed_and_not_read(tmp_path: Path) -> No
         "/other": (SCAN, "jsonschema", b"{}"),
         "/bare": None,
     }
-    messages = [Encoded(topic, 1, b"{}", "json", schema) for topic, schema in kinds.items()]
+    messages = [ros.Encoded(topic, 1, b"{}", "json", schema) for topic, schema in kinds.items()]
 
-    log = open_log(write_encoded(tmp_path / "foxglove.mcap", messages))
+    log = open_log(ros.write_encoded(tmp_path / "foxglove.mcap", messages))
 
     assert set(log.streams) == {
         Stream("/log", "foxglove.Log", 1, Role.OTHER),
@@ -166,10 +105,10 @@ IDL = (
 def test_messages_defined_in_idl_are_read_as_ros_defines_them(
     definition: str, tmp_path: Path
 ) -> None:
-    message = posed(ROS2, POSED[0], 3_000_000_004, ("/map", "", 1.0))
-    schema = POSED[0], "ros2idl", definition.encode()
-    encoded = encode(Written("/pose", 1, message))._replace(schema=schema)
-    path = write_encoded(tmp_path / "idl.mcap", [encoded])
+    message = ros.posed(ROS2, ros.POSED[0], 3_000_000_004, ("/map", "", 1.0))
+    schema = ros.POSED[0], "ros2idl", definition.encode()
+    encoded = ros.encode(Written("/pose", 1, message))._replace(schema=schema)
+    path = ros.write_encoded(tmp_path / "idl.mcap", [encoded])
 
     with alarm(5):
         (sample,) = open_log(path).poses()

@@ -124,6 +124,40 @@ def test_a_chunk_under_another_opcode_is_told_of(
         assert f"the chunk at byte {at} is marked as another kind" in notes[0]
 
 
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_a_cut_chunk_is_told_from_a_damaged_one(tmp_path: Path, compression: str) -> None:
+    """Its length stands in its head and again in its body: nothing else can follow."""
+    data = write(BARE, compression)
+    at, length = list_records(data, Opcode.CHUNK)[-1]
+
+    notes, _ = read_damaged(tmp_path, data[: at + length - 20])
+
+    there = f"{length - 20:,} of its {length:,} bytes are there"
+    assert [note for note in notes if "chunk at byte" not in note] == [
+        f"the file ends in the middle of the record at byte {at}: {there}"
+    ]
+
+
+def test_a_file_without_footer_says_so(tmp_path: Path) -> None:
+    data = write(BARE)
+    at, length = list_records(data, Opcode.CHUNK)[-1]
+
+    (note,), stamps = read_damaged(tmp_path, data[: at + length])
+
+    assert stamps == STAMPS
+    assert "the file is cut before its end" in note
+
+
+def test_a_wrong_checksum_is_noted_once_and_the_messages_used(tmp_path: Path) -> None:
+    data = write(FULL)
+    data[data.find((RANGES + 3).tobytes()) + 2] ^= 1
+
+    (note,), stamps = read_damaged(tmp_path, data)
+
+    assert stamps == STAMPS
+    assert "wrong checksum" in note
+
+
 def test_two_chunks_of_which_nothing_can_be_read_are_not_one_that_is_there_twice(
     tmp_path: Path,
 ) -> None:

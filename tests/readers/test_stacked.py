@@ -16,19 +16,8 @@ from occmap.readers import ros_log
 from occmap.readers.containers import Channel, RawMessage
 from occmap.readers.ros_log import RosLog
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
-from tests.readers.ros import (
-    POSED,
-    ROS2,
-    SCAN,
-    TF,
-    Memory,
-    both,
-    make_channel,
-    posed,
-    scan,
-    serialise,
-    transforms,
-)
+from tests.readers import ros
+from tests.readers.ros import ROS2, SCAN, TF, Memory, both, make_channel, scan, serialise
 from tests.readers.runs import bounded_memory, flatten, list_fields
 
 Messages: TypeAlias = list[tuple[Channel, int, bytes]]
@@ -81,7 +70,9 @@ def write_poses(
 ) -> bytes:
     edge = edges[0] if edges else ("", "", math.nan)
     message = (
-        transforms(store, stamp_ns, edges) if kind == TF else posed(store, kind, stamp_ns, edge)
+        ros.transforms(store, stamp_ns, edges)
+        if kind == TF
+        else ros.posed(store, kind, stamp_ns, edge)
     )
     # The count of transforms; of a single pose, that of messages or seconds
     return spoil(serialise(message, store), damage, 4 if store is ROS2 else 0)
@@ -185,7 +176,7 @@ def by_key(items: Iterable[PoseSample | PoseBatch]) -> dict[Key, list[PoseSample
 
 
 @both
-@pytest.mark.parametrize("kind", [TF, *POSED])
+@pytest.mark.parametrize("kind", [TF, *ros.POSED])
 @given(data=st.data())
 @settings(max_examples=100)
 def test_stacked_poses_are_those_read_one_by_one(
@@ -205,7 +196,7 @@ def test_stacked_poses_are_those_read_one_by_one(
 
 
 @both
-@pytest.mark.parametrize("kind", [TF, *POSED])
+@pytest.mark.parametrize("kind", [TF, *ros.POSED])
 def test_messages_laid_out_alike_are_read_at_a_stroke(
     store: Typestore, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
