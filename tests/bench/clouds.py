@@ -40,7 +40,7 @@ def write_clouds(folder: Path, clouds: int) -> Path:
     return log
 
 
-def measure_clouds(folder: Path, rounds: int, clouds: int = 300) -> list[Row]:
+def measure_clouds(folder: Path, clouds: int = 300) -> list[Row]:
     """Build maps of clouds with one thread and with two, in this process and in ones of their own.
 
     Points a second, time against copying the same bytes, two threads against one, and memory.
@@ -51,7 +51,7 @@ def measure_clouds(folder: Path, rounds: int, clouds: int = 300) -> list[Row]:
         for jobs in (1, 2)
     }
     copies = {"copy": partial(shutil.copyfile, log, folder / "copy.mcap")}
-    times = time_in_turn({**runs, **copies}, rounds)
+    times = time_in_turn({**runs, **copies})
     what = "clouds, MCAP to map"
     return [
         tell_speed(times, points),

@@ -61,3 +61,9 @@ def time_processor(*command: str | Path) -> float:
 def build_command(update: Update, log: Path, output: Path, *options: str) -> list[str | Path]:
     """The occmap command that builds a map, with its report as JSON."""
     return [OCCMAP, "build", update.value, log, "-o", output, "--json", *options]
+
+
+def measure_size(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())

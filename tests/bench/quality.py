@@ -44,11 +44,21 @@ ROUNDS = 3
 """The shortest of so many builds is told"""
 
 
-class Scans(NamedTuple):
-    """What maps are made of, and what they are asked for."""
+class Scans:
+    """Takes the scans of a log: what maps are made of, and what they are asked for."""
 
-    seen: list[Rays]
-    held_out: list[Rays]
+    def __init__(self) -> None:
+        self.seen: list[Rays] = []
+        self.hold_out = HoldOut()
+
+    @property
+    def held_out(self) -> list[Rays]:
+        """Every fifth scan."""
+        return self.hold_out.sample.parts
+
+    def add(self, rays: Rays) -> None:
+        """Take the scans of a batch."""
+        self.seen.append(self.hold_out.split(rays))
 
 
 class Fare(NamedTuple):
@@ -67,18 +77,6 @@ class Fare(NamedTuple):
         return float(near / beams)
 
 
-class Kept:
-    """Takes all scans of a log, and holds some out."""
-
-    def __init__(self) -> None:
-        self.seen: list[Rays] = []
-        self.hold_out = HoldOut()
-
-    def add(self, rays: Rays) -> None:
-        """Take the scans of a batch."""
-        self.seen.append(self.hold_out.split(rays))
-
-
 def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     """Read a log; every fifth scan is held out.
 
@@ -89,9 +87,9 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     """
     posing = replace(recording.posing, deskew=options.posing.deskew)
     options = replace(options, posing=posing)
-    kept, _, _ = scoring.read_scans([recording.path], options, Kept, ignore_progress)
+    kept, _, _ = scoring.read_scans([recording.path], options, Scans, ignore_progress)
     refuse_unscored([str(recording.path)], kept.hold_out.sample.scans, kept.hold_out.hits)
-    return Scans(kept.seen, kept.hold_out.sample.parts)
+    return kept
 
 
 def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:

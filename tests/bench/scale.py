@@ -4,7 +4,7 @@ import os
 import resource
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,8 @@ from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store.layout import import_zarr
 from tests.bench.limits import Row, divide
 from tests.bench.logs import write_mcap
-from tests.bench.processes import OCCMAP, run
+from tests.bench.measuring import ROUNDS, time_once
+from tests.bench.processes import OCCMAP, measure_size, run
 from tests.bench.tables import draw_rows
 from tests.bench.workloads import Sensor, make_office
 
@@ -128,21 +129,6 @@ def measure_shuffle(fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
         return shuffled, told
 
 
-def measure_size(path: Path) -> int:
-    """Bytes of all files in a folder."""
-    return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
-
-
-def time_shortest(action: Callable[[], object], rounds: int = 5) -> float:
-    """The shortest of some times that it takes (s)."""
-    times = []
-    for _ in range(rounds):
-        start = perf_counter()
-        action()
-        times.append(perf_counter() - start)
-    return min(times)
-
-
 def measure(folder: Path) -> tuple[list[Row], str]:
     """Measure all that has a limit; and say what the start of workers costs, which has none."""
     small, large = write_fleet(folder, 1), write_fleet(folder, 10)
@@ -153,7 +139,10 @@ def measure(folder: Path) -> tuple[list[Row], str]:
     two = build_by(2, large, folder / "two.zarr")
     one = build_by(1, large, folder / "one.zarr")
     levels = import_zarr().open_group(folder / "two.zarr", mode="r")["classes"]
-    overview, whole = (time_shortest(partial(levels[n].__getitem__, ...)) for n in ("16", "1"))
+    overview, whole = (
+        min(time_once(partial(levels[n].__getitem__, ...)) for _ in range(ROUNDS))
+        for n in ("16", "1")
+    )
     store, mega = measure_size(folder / "two.zarr"), 1e-6
     what_started = (
         f"\nTwo workers are there after {two.start[0]:.1f} s, which takes {two.start[1]:.1f} s of "

@@ -6,14 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from occmap.cells import CellClass
 from occmap.difference import find_largest_blob
 from occmap.grid import CellBox
 from occmap.types import Bool
-
-
-def mask_of(art: str) -> Bool:
-    """Top line = highest row."""
-    return np.array([[letter == "#" for letter in line] for line in art.split()][::-1])
+from tests.difference.drawings import draw_map
 
 
 @pytest.mark.parametrize(
@@ -29,7 +26,7 @@ def mask_of(art: str) -> Bool:
     ],
 )
 def test_drawings(art: str, expected: tuple[int, CellBox] | None) -> None:
-    assert find_largest_blob(mask_of(art)) == expected
+    assert find_largest_blob(draw_map(art).classes == CellClass.OCCUPIED) == expected
 
 
 def flood(mask: Bool) -> int:

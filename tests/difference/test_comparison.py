@@ -1,21 +1,11 @@
 """What changed between two maps, on drawings small enough to count by hand."""
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 from occmap.difference import ChangedBlob, MapDifference, compare_maps, paint
-from occmap.difference.maps import ClassMap, Place
+from occmap.difference.maps import Place
 from occmap.errors import MapError
-
-AT_ZERO = Place(0.5, 0.0, 0.0)
-
-
-def map_at(art: str, place: Place | None = AT_ZERO, name: str = "m.pgm") -> ClassMap:
-    """Build a map from a drawing, top line = highest y."""
-    rows = [["?.#".index(letter) for letter in line] for line in art.split()]
-    return ClassMap(Path(name), np.array(rows[::-1], np.uint8), place)
+from tests.difference.drawings import draw_map
 
 
 def list_changes(difference: MapDifference) -> dict[str, int]:
@@ -23,13 +13,13 @@ def list_changes(difference: MapDifference) -> dict[str, int]:
 
 
 def test_a_map_equals_itself() -> None:
-    difference = compare_maps(map_at("#.? ..."), map_at("#.? ..."))
+    difference = compare_maps(draw_map("#.? ..."), draw_map("#.? ..."))
     assert (list_changes(difference), difference.share, difference.largest) == ({}, 0.0, None)
     assert difference.known == 5
 
 
 def test_changes_are_counted_by_class() -> None:
-    difference = compare_maps(map_at("##.?? #...?"), map_at("#.#.? ?...#"))
+    difference = compare_maps(draw_map("##.?? #...?"), draw_map("#.#.? ?...#"))
     assert list_changes(difference) == {
         "occupied to free": 1,
         "free to occupied": 1,
@@ -44,8 +34,8 @@ def test_changes_are_counted_by_class() -> None:
 
 
 def test_maps_of_different_size_are_compared_where_they_lie() -> None:
-    before = map_at("#. ..", Place(0.5, 0.0, 0.0))
-    after = map_at(".. #.", Place(0.5, -0.5, 0.5))  # one column to the left, one row up
+    before = draw_map("#. ..", Place(0.5, 0.0, 0.0))
+    after = draw_map(".. #.", Place(0.5, -0.5, 0.5))  # one column to the left, one row up
     difference = compare_maps(before, after)
     assert difference.before.shape == difference.after.shape == (3, 3)
     # Below lost: two; above and on the left new: three; the wall is free now.
@@ -59,7 +49,7 @@ def test_maps_of_different_size_are_compared_where_they_lie() -> None:
 
 
 def test_swapping_the_maps_swaps_the_changes() -> None:
-    a, b = map_at("#.?."), map_at("..#?", Place(0.5, 1.0, 0.0))
+    a, b = draw_map("#.?."), draw_map("..#?", Place(0.5, 1.0, 0.0))
     forth, back = compare_maps(a, b), compare_maps(b, a)
     mirrored = {" to ".join(name.split(" to ")[::-1]): n for name, n in back.changed.items()}
     assert forth.changed == mirrored
@@ -67,17 +57,17 @@ def test_swapping_the_maps_swaps_the_changes() -> None:
 
 
 def test_an_origin_rounded_to_millimetres_is_on_the_lattice() -> None:
-    after = map_at("#.", Place(0.5, 1e-3, -1e-3))
-    assert list_changes(compare_maps(map_at("#."), after)) == {}
+    after = draw_map("#.", Place(0.5, 1e-3, -1e-3))
+    assert list_changes(compare_maps(draw_map("#."), after)) == {}
 
 
 @pytest.mark.parametrize("cells", [0.06, -0.06, 0.94, 3.44])
 def test_more_than_a_twentieth_of_a_cell_off_is_no_lattice(cells: float) -> None:
     for nearby in (0.04, 0.96, -3.04):
-        assert compare_maps(map_at("#."), map_at("#.", Place(0.5, nearby * 0.5, 0.0)))
+        assert compare_maps(draw_map("#."), draw_map("#.", Place(0.5, nearby * 0.5, 0.0)))
     for place in (Place(0.5, cells * 0.5, 0.0), Place(0.5, 0.0, cells * 0.5)):
         with pytest.raises(MapError, match="not on one lattice"):
-            compare_maps(map_at("#."), map_at("#.", place, "b.pgm"))
+            compare_maps(draw_map("#."), draw_map("#.", place, "b.pgm"))
 
 
 @pytest.mark.parametrize(
@@ -90,22 +80,22 @@ def test_more_than_a_twentieth_of_a_cell_off_is_no_lattice(cells: float) -> None
 )
 def test_maps_on_other_lattices_are_refused(place: Place, found: str) -> None:
     with pytest.raises(MapError, match=rf"^b.pgm: .*{found}"):
-        compare_maps(map_at("#."), map_at("#.", place, "b.pgm"))
+        compare_maps(draw_map("#."), draw_map("#.", place, "b.pgm"))
 
 
 def test_a_bare_image_is_compared_with_a_map_of_its_size() -> None:
-    bare = map_at("..", None, "b.png")
-    assert list_changes(compare_maps(map_at("#."), bare)) == {"occupied to free": 1}
+    bare = draw_map("..", None, "b.png")
+    assert list_changes(compare_maps(draw_map("#."), bare)) == {"occupied to free": 1}
     with pytest.raises(MapError, match=r"^b.png: a PNG does not say where it lies"):
-        compare_maps(map_at("#.."), bare)
+        compare_maps(draw_map("#.."), bare)
 
 
 def test_nothing_known_is_nothing_changed() -> None:
-    assert compare_maps(map_at("??"), map_at("??")).share == 0.0
+    assert compare_maps(draw_map("??"), draw_map("??")).share == 0.0
 
 
 def test_the_picture_has_the_highest_row_on_top() -> None:
-    picture = paint(compare_maps(map_at("#. .."), map_at("## ..")))
+    picture = paint(compare_maps(draw_map("#. .."), draw_map("## ..")))
     assert picture.shape == (2, 2, 3)
     assert picture[0].tolist() == [[0, 0, 0], [213, 94, 0]]
     assert picture[1].tolist() == [[254] * 3, [254] * 3]

@@ -8,14 +8,18 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.types import Float64
+from tests.samples import import_generator
 
+office = import_generator("office")
 BEAMS, FIRST, STEP = 80, -19.75, 0.5
-"""Degrees: a narrow view ahead."""
+"""Degrees: a narrow view ahead, in which no beam runs along a wall."""
+BEARINGS = np.radians(FIRST + STEP * np.arange(BEAMS))
 WALLS_Y = (-0.42, 0.42)
 """In the rows of cells from -0.45 and from 0.4 m, in cells of 5 cm. The sensor looks ahead, so all
 beams come in flat and cross some cells of the row before they end."""
 LENGTH = 6.0
 """From x = 0 (m); the corridor is open at both ends."""
+WALLS = np.array([(0, y, LENGTH, y) for y in WALLS_Y])
 STEP_S, STEP_M = 0.4, 0.15
 PASS_S = 60.0
 RADIUS = 0.15
@@ -45,34 +49,9 @@ def drive(passes: int, person: Person) -> Iterator[Look]:
     for index in range(passes):
         for step in range(int(LENGTH / STEP_M)):
             x, seconds = step * STEP_M, step * STEP_S
-            ranges = measure_walls(x)
-            if index == person.on_pass:
-                ranges = np.minimum(ranges, measure_person(x, person.at(seconds)))
+            at = person.at(seconds) if index == person.on_pass else (1e6, 1e6)
+            ranges = office.cast_rays((x, 0.0), BEARINGS, WALLS, (*at, RADIUS))
             yield Look(index * PASS_S + seconds, x, ranges)
-
-
-def aim() -> tuple[Float64, Float64]:
-    """40 degrees ahead; none runs along a wall."""
-    bearings = np.radians(FIRST + STEP * np.arange(BEAMS))
-    return np.cos(bearings), np.sin(bearings)
-
-
-def measure_walls(x: float) -> Float64:
-    """From (x, 0) to the nearer wall; infinite where the corridor is open."""
-    along, up = aim()
-    reach = np.where(up > 0, WALLS_Y[1], WALLS_Y[0]) / up
-    end = x + reach * along
-    return np.where((end >= 0) & (end <= LENGTH), reach, math.inf)
-
-
-def measure_person(x: float, place: tuple[float, float]) -> Float64:
-    """From (x, 0) to a circle; infinite where a beam misses it."""
-    along, up = aim()
-    to_x, to_y = place[0] - x, place[1]
-    middle = to_x * along + to_y * up
-    squared = RADIUS**2 - (to_x**2 + to_y**2 - middle**2)
-    met = (squared > 0) & (middle > 0)
-    return np.where(met, middle - np.sqrt(np.maximum(squared, 0)), math.inf)
 
 
 def write_passes(path: Path, passes: int, person: Person) -> Path:

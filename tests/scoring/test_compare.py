@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.cells import OccupancyMap
 from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
@@ -32,8 +31,10 @@ from occmap.sensor.models import (
     parse_model,
     shorten_model,
 )
-from occmap.types import Kind, Rays, Update
+from occmap.types import Rays, Update
+from tests.grid.scans import make_rays
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
+from tests.writers.maps import map_of
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
 
@@ -66,10 +67,7 @@ def make_scans(scans: int) -> Rays:
     """Scans that are told apart by their x."""
     origin = np.zeros((scans, 1, 2))
     origin[:, 0, 0] = np.arange(scans)
-    beam = np.tile([1.0, 0.0], (scans, 1, 1))
-    kind = np.full((scans, 1), Kind.HIT, np.uint8)
-    reach, stamp_ns = np.ones((scans, 1), np.float32), np.arange(scans, dtype=np.int64)
-    return Rays.along(origin, beam, reach, kind, stamp_ns, full_circle=False)
+    return make_rays(origin, (1, 0), 1.0)
 
 
 def list_x(batches: list[Rays]) -> list[float]:
@@ -105,29 +103,25 @@ def test_no_variant_is_charged_for_loading_or_compiling_kernels() -> None:
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
 
 
-def test_nine_variants_need_six_pieces_of_evidence() -> None:
-    variants = combine([], [])
+def test_variants_are_every_update_with_every_model_once() -> None:
     usual = {"beam": "counting", "polygon": "counting:cut=0.4,spread=0", "surface": "counting"}
     expected = [
         f"{update} {model}"
         for update, counting in usual.items()
         for model in (counting, "simple", "quadratic")
     ]
-    assert [variant.name for variant in variants] == expected
-    assert len({variant.evidence for variant in variants}) == 6
+    assert [variant.name for variant in combine([], [])] == expected
+    models = [parse_model(text) for text in ("simple:p_hit=0.9", "simple:p_hit=0.90", "counting")]
+    names = [variant.name for variant in combine([Update.POLYGON], models)]
+    assert names == ["polygon simple:p_hit=0.9", "polygon counting"]
 
 
 def test_what_only_a_map_depends_on_needs_no_evidence_of_its_own() -> None:
+    assert len({variant.evidence for variant in combine([], [])}) == 6
     texts = ["quadratic", "quadratic:clamp_max=0.9", "quadratic:prior=0.4", "quadratic:p_min=0.3"]
     variants = combine([Update.BEAM], [parse_model(text) for text in texts])
     assert len(variants) == 4
     assert len({variant.evidence for variant in variants}) == 2
-
-
-def test_variants_are_every_update_with_every_model_once() -> None:
-    models = [parse_model(text) for text in ("simple:p_hit=0.9", "simple:p_hit=0.90", "counting")]
-    names = [variant.name for variant in combine([Update.POLYGON], models)]
-    assert names == ["polygon simple:p_hit=0.9", "polygon counting"]
 
 
 @pytest.mark.parametrize(
@@ -143,14 +137,13 @@ def test_a_model_is_written_as_it_is_read(model: SimpleModel, text: str) -> None
     assert parse_model(text) == model
 
 
-def stand_before_a_wall(folder: Path, ranges: list[float]) -> VariantComparison:
-    """Ten scans of the same wall, from one place; beams half a milliradian apart."""
-    log = write_csv(folder / "wall.csv", [(0.025, 0.025, 0.0)] * 10, ranges, 5e-4)
-    return compare([log], [Variant(Update.BEAM, SimpleModel(0.7, 0.4, spread=0.0))], PLAIN)
+LONE = Variant(Update.BEAM, PLAIN.model)
 
 
 def test_the_scores_of_a_wall(tmp_path: Path) -> None:
-    comparison = stand_before_a_wall(tmp_path, [1.0])
+    """Ten scans of the same wall, from one place."""
+    log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0.0)] * 10, [1.0])
+    comparison = compare([log], [LONE], PLAIN)
     score = comparison.results[0].score
     wall, free = (1 / (1 + math.exp(-8 * math.log(p / (1 - p)))) for p in (0.7, 0.4))
     assert comparison.scans.held_out == 2
@@ -168,7 +161,7 @@ def test_a_map_is_scored_by_scans_that_it_was_not_made_from(tmp_path: Path) -> N
     head = "# angle_min: 0\n# angle_increment: 0\nstamp,x,y,yaw,r0\n"
     ranges = [1.0, 1.0, 2.0, 1.0, 1.0]  # the third is held out, and sees no wall at 1 m
     log.write_text(head + "".join(f"{i},0.025,0.025,0,{r}\n" for i, r in enumerate(ranges)))
-    (result,) = compare([log], [Variant(Update.BEAM, PLAIN.model)], PLAIN).results
+    (result,) = compare([log], [LONE], PLAIN).results
     assert (result.score.beams, result.score.share) == (1, 0.0)
     assert result.map.shape == (1, 21)
     assert result.score.log_likelihood < math.log(0.2)
@@ -212,11 +205,10 @@ def make_result(
     by_scan = np.array([(beams, near, 0, 0, 0, 0) for near in predicted], float)
     share = sum(predicted) / (beams * len(predicted))
     score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
-    grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
     variant = Variant(Update.SURFACE, model)
     return ScoredVariant(
         variant=variant,
-        map=grid,
+        map=map_of([[0.5]]),
         trial=Trial(by_scan, np.zeros((1, 3)), None),
         score=score,
         name=variant.name,
