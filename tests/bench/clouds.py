@@ -73,7 +73,7 @@ def tell_speed(times: Times, points: int) -> Row:
 def compare_memory(folder: Path, log: Path, clouds: int) -> Row:
     """Peak memory of three times the clouds of the same place, in processes of their own."""
     more, few = (
-        run([OCCMAP, "build", each, "-o", folder / "peak.pgm", "--json"]).peak_bytes / 2**20
+        run([OCCMAP, "build", each, "-o", folder / "peak.pgm", "--json"]).peak_bytes
         for each in (write_clouds(folder, 3 * clouds), log)
     )
     return divide("clouds: memory for 3 x the clouds", MEMORY_LIMIT, more, few, "MiB")

@@ -164,9 +164,10 @@ def make_build(update: Update, log: Path, jobs: int) -> Callable[[], object]:
     return partial(build, [log], BuildOptions(update=update, jobs=jobs), [log.with_suffix(".pgm")])
 
 
-def divide(what: str, limit: float, mine: float, its: float, unit: str) -> Row:
-    """The ratio of two figures of one unit."""
-    return Row(what, limit, mine / its, f"{mine:.4g} / {its:.4g} {unit}")
+def divide(what: str, limit: float, mine: float, its: float, unit: str = "s") -> Row:
+    """The ratio of two figures: seconds, or bytes that are told in another unit."""
+    size = {"s": 1, "MB": 10**6, "MiB": 2**20}[unit]
+    return Row(what, limit, mine / its, f"{mine / size:.4g} / {its / size:.4g} {unit}")
 
 
 def compare(times: Times, pair: tuple[str, str], what: str, limit: float) -> Row:

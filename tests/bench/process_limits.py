@@ -86,7 +86,7 @@ def compare_tenfold_memory(logs: Mapping[int, Path]) -> list[Row]:
     rows = []
     for update in BEAM_UPDATES:
         few, many = (
-            median(measure_peak(update, logs[scans]) for _ in range(ROUNDS)) / MIB
+            median(measure_peak(update, logs[scans]) for _ in range(ROUNDS))
             for scans in sorted(logs)
         )
         what = f"build {update.value}: peak memory for 10 x the scans"

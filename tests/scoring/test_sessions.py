@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Manifest
 from occmap.choices import format_mount, to_rpy
 from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
@@ -21,7 +21,7 @@ from occmap.scoring.fit import Transform, Walls, find_transform, fit, lay_on, mo
 from occmap.store.merging import merge
 from occmap.types import Pose
 from tests.evidence.saving import DRIVE, halve, save
-from tests.grid.scans import make_grid
+from tests.grid.scans import assert_same_slices, make_grid
 from tests.samples import REAL_LOGS
 
 MOVED = (1.2, -0.7, 0.2)
@@ -197,10 +197,7 @@ def test_whole_cells_and_quarter_turns_move_evidence_exactly() -> None:
     turned = move_evidence(evidence, Transform(0.0, 0.0, math.pi / 2))
     assert list_cells(turned) == {(c, -r - 1): both for (r, c), both in CELLS.items()}
     (slices,) = turned.slices
-    grid = to_grid(turned)
-    expected = mark_observed(grid, 7)
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(slices, name), getattr(expected, name))
+    assert_same_slices(slices, mark_observed(to_grid(turned), 7))
 
 
 def test_a_turn_leaves_neither_holes_in_a_floor_nor_gaps_in_a_wall() -> None:
