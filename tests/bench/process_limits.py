@@ -4,7 +4,7 @@ import gzip
 import json
 import shutil
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -12,15 +12,8 @@ from statistics import median
 from occmap.types import BEAM_UPDATES, Update
 from tests.bench.limits import Row, compare, divide
 from tests.bench.logs import write_mcap
-from tests.bench.measuring import ROUNDS, take_in_turn
-from tests.bench.processes import (
-    OCCMAP,
-    build_command,
-    measure_size,
-    run,
-    time_process,
-    time_processor,
-)
+from tests.bench.measuring import ROUNDS, Times, take_in_turn
+from tests.bench.processes import OCCMAP, Command, build_command, measure_size, run
 from tests.bench.workloads import Sensor, Workload, make_corridor
 from tests.samples import DRIVES
 
@@ -61,24 +54,36 @@ def compare_mrpt(log: Path, folder: Path) -> list[Row]:
     if missing:
         why = f"absent: {', '.join(missing)}"
         return [Row(name, MRPT_LIMIT, None, why) for name in names.values()]
-    timers: dict[str, Callable[[], float]] = {"mrpt": prepare_mrpt(log, folder)}
-    for update in BEAM_UPDATES:
-        command = build_command(update, log, folder / "mrpt.pgm", "--resolution", "0.05")
-        timers[update.value] = partial(time_process, *command)
-    times = take_in_turn(timers, 2 * ROUNDS)
+    flags = ("--resolution", "0.05")
+    commands = {
+        update.value: [build_command(update, log, folder / "mrpt.pgm", *flags)]
+        for update in BEAM_UPDATES
+    }
+    times = time_commands({**commands, "mrpt": prepare_mrpt(log, folder)}, 2 * ROUNDS)
     return [
         compare(times, (update.value, "mrpt"), name, MRPT_LIMIT) for update, name in names.items()
     ]
 
 
-def prepare_mrpt(log: Path, folder: Path) -> Callable[[], float]:
-    """Make what runs both programs and returns their seconds together."""
+def prepare_mrpt(log: Path, folder: Path) -> list[Command]:
+    """Both programs as commands, one after the other."""
     plain, ini, between = (folder / f"mrpt.{suffix}" for suffix in ("log", "ini", "simplemap"))
     plain.write_bytes(gzip.decompress(log.read_bytes()))  # which it reads here; not in its time
     ini.write_text(MRPT_MAP, encoding="ascii")
-    convert = (MRPT_PROGRAMS[0], "-q", "-w", "-i", plain, "-o", between)
-    insert = (MRPT_PROGRAMS[1], ini, between, folder / "mrpt")
-    return lambda: time_process(*convert) + time_process(*insert)
+    convert: Command = [MRPT_PROGRAMS[0], "-q", "-w", "-i", plain, "-o", between]
+    insert: Command = [MRPT_PROGRAMS[1], ini, between, folder / "mrpt"]
+    return [convert, insert]
+
+
+def time_commands(
+    runs: Mapping[str, Sequence[Command]], rounds: int = ROUNDS, measure: str = "seconds"
+) -> Times:
+    """Run commands in turn, each in a process of its own; those of a name follow each other."""
+
+    def time(commands: Sequence[Command]) -> float:
+        return float(sum(getattr(run(command), measure) for command in commands))
+
+    return take_in_turn({name: partial(time, commands) for name, commands in runs.items()}, rounds)
 
 
 def compare_tenfold_memory(logs: Mapping[int, Path]) -> list[Row]:
@@ -114,7 +119,7 @@ def measure_corridor(length: float, folder: Path) -> list[Row]:
     return rows
 
 
-def measure_cells(command: list[str | Path]) -> tuple[int, int]:
+def measure_cells(command: Command) -> tuple[int, int]:
     """Peak memory of a build (bytes), and how many cells of its map are not unknown."""
     usage = run(command)
     grid = json.loads(usage.output)["map"]
@@ -125,12 +130,13 @@ def compare_slices(log: Path) -> list[Row]:
     """Processor time of evidence, which keeps slices of time, against that of a picture."""
     rows = []
     for update in BEAM_UPDATES:
-        timers = {}
-        for suffix in ("npz", "pgm"):
-            command = build_command(update, log, log.with_suffix(f".{suffix}"))
-            timers[suffix] = partial(time_processor, *command)
+        commands = {
+            suffix: [build_command(update, log, log.with_suffix(f".{suffix}"))]
+            for suffix in ("npz", "pgm")
+        }
+        times = time_commands(commands, measure="processor_seconds")
         what = f"build {update.value} -o map.npz / -o map.pgm, processor time"
-        rows.append(compare(take_in_turn(timers), ("npz", "pgm"), what, 1.5))
+        rows.append(compare(times, ("npz", "pgm"), what, 1.5))
     return rows
 
 
@@ -149,11 +155,11 @@ def measure_field(folder: Path) -> list[Row]:
 
 def compare_help() -> Row:
     """The start-up of the command against the import of click."""
-    timers = {
-        "help": partial(time_process, OCCMAP, "--help"),
-        "click": partial(time_process, sys.executable, "-c", "import click"),
+    commands: dict[str, list[Command]] = {
+        "help": [[OCCMAP, "--help"]],
+        "click": [[sys.executable, "-c", "import click"]],
     }
-    times = take_in_turn(timers, 2 * ROUNDS)
+    times = time_commands(commands, 2 * ROUNDS)
     return compare(times, ("help", "click"), "occmap --help / import click", 1.5)
 
 
@@ -161,12 +167,12 @@ def measure_smallest(folder: Path) -> Row:
     """Seconds of a build that is mostly start-up, and where they go."""
     log = find_smallest_sample()
     command = build_command(Update.POLYGON, log, folder / "process.pgm")
-    timers = {
-        "build": partial(time_process, *command),
-        "python": partial(time_process, sys.executable, "-c", "pass"),
-        "numpy": partial(time_process, sys.executable, "-c", "import numpy"),
+    commands: dict[str, list[Command]] = {
+        "build": [command],
+        "python": [[sys.executable, "-c", "pass"]],
+        "numpy": [[sys.executable, "-c", "import numpy"]],
     }
-    times = take_in_turn(timers)
+    times = time_commands(commands)
     python = times.median("python")
     stages = json.loads(run(command).output)["seconds"]
     longest = ", ".join(f"{stage} {s:.3f}" for stage, s in stages.items() if s >= 0.005)

@@ -12,6 +12,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from statistics import mean
@@ -28,9 +29,11 @@ from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
 from occmap.scans.tracing import ignore_progress
 from occmap.scoring import HoldOut, Score, estimate_error, score_map
 from occmap.scoring.compare import SharedEvidence, refuse_unscored
+from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Float64, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
@@ -238,15 +241,14 @@ def score_neighbours(
     recording: Recording, groups: Sequence[Mapping[str, BuildOptions]]
 ) -> dict[str, Fare]:
     """Score what differs from a default in one setting; a log is read once for each way to read."""
+
+    @cache
+    def read(returns: ReturnOptions, posing: PosingOptions) -> Scans:
+        return read_scans(recording, replace(DEFAULT, returns=returns, posing=posing))
+
     fares: dict[str, Fare] = {}
-    settings = dict(chain.from_iterable(group.items() for group in groups))
-    for reading in {(each.returns, each.posing): each for each in settings.values()}.values():
-        alike = {
-            name: each
-            for name, each in settings.items()
-            if (each.returns, each.posing) == (reading.returns, reading.posing)
-        }
-        fares |= score_builds(read_scans(recording, reading), alike)
+    for name, each in chain.from_iterable(group.items() for group in groups):
+        fares |= score_builds(read(each.returns, each.posing), {name: each})
     return fares
 
 

@@ -15,24 +15,15 @@ from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, Rays, Update
-from tests.bench import drives, people, quality
-from tests.bench.peers import (
-    COUNT_RULES,
-    SCAN_RULES,
-    Verdict,
-    add_log_odds,
-    map_peers,
-    pass_through,
-    share_hits,
-)
+from tests.bench import drives, peers, people, quality
 from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
 from tests.grid.scans import make_rays, make_scan
 from tests.samples import SAMPLE_LOGS, write_csv
 
-SCAN_PEERS = sorted(SCAN_RULES)
+SCAN_PEERS = sorted(peers.SCAN_RULES)
 
 
-def look(verdict: Verdict) -> str:
+def look(verdict: peers.Verdict) -> str:
     """A letter for each cell."""
     odds = math.log(verdict.cut / (1 - verdict.cut))
     with np.errstate(invalid="ignore"):
@@ -47,16 +38,16 @@ def look(verdict: Verdict) -> str:
     ("rule", "counts", "shown"),
     [
         # gmapping calls a cell occupied above one hit in four visits.
-        (share_hits, [(0, 0), (0, 5), (1, 0), (1, 2), (1, 3), (3, 8)], " .##.#"),
+        (peers.share_hits, [(0, 0), (0, 5), (1, 0), (1, 2), (1, 3), (3, 8)], " .##.#"),
         # Karto wants three passes and more than one hit in ten, and a hit is two passes:
         # 1 of 2, 1 of 3, 1 of 9, 1 of 10; 0 of 2, 0 of 3.
-        (pass_through, [(1, 0), (1, 1), (1, 7), (1, 8), (0, 2), (0, 3)], " ##. ."),
+        (peers.pass_through, [(1, 0), (1, 1), (1, 7), (1, 8), (0, 2), (0, 3)], " ##. ."),
         # Bayes takes two misses for a hit and not three.
-        (add_log_odds, [(0, 0), (1, 2), (1, 3), (2, 4)], " #.#"),
+        (peers.add_log_odds, [(0, 0), (1, 2), (1, 3), (2, 4)], " #.#"),
     ],
 )
 def test_a_rule_of_counts_by_hand(
-    rule: Callable[..., Verdict], counts: list[tuple[int, int]], shown: str
+    rule: Callable[..., peers.Verdict], counts: list[tuple[int, int]], shown: str
 ) -> None:
     """Of cells with these hits and misses."""
     hits, misses = np.array(counts, np.float32).T
@@ -66,14 +57,15 @@ def test_a_rule_of_counts_by_hand(
 def test_bayes_adds_log_odds() -> None:
     """ln(7/3) = 0.847 for a hit, ln(2/3) = -0.405 for a miss."""
     two, four = np.array([2], np.float32), np.array([4], np.float32)
-    assert add_log_odds(two, four).log_odds == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
+    found = peers.add_log_odds(two, four).log_odds
+    assert found == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
 
 
 def map_scans(*scans: Rays) -> dict[str, OccupancyMap]:
     engine = GridEngine(GridSpec(Update.BEAM, Lattice(1.0)))
     for rays in scans:
         engine.add(rays)
-    return map_peers(scans, engine.finish())
+    return peers.map_peers(scans, engine.finish())
 
 
 def read_row(grid: OccupancyMap) -> list[float | None]:
@@ -171,7 +163,7 @@ def test_the_tables_of_a_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str
     quality.main([str(log), "--resolution", "0.2"])
     text = capsys.readouterr().out
     shares, walked, leads = (table.splitlines() for table in text.split("\n\n"))
-    rules = [*COUNT_RULES, *SCAN_RULES, *list_steps()]
+    rules = [*peers.COUNT_RULES, *peers.SCAN_RULES, *list_steps()]
     for table in (shares, walked):
         assert [line[2:].split("  ")[0].strip(" |") for line in table[2:]] == rules
     assert leads[2].startswith("| drive.csv")

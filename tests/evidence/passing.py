@@ -1,13 +1,12 @@
 """A robot that drives down a corridor again and again, past thin walls and, once, a person."""
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from occmap.types import Float64
+from tests.csv_logs import write_scans
 from tests.samples import import_generator
 
 office = import_generator("office")
@@ -25,14 +24,6 @@ PASS_S = 60.0
 RADIUS = 0.15
 
 
-class Look(NamedTuple):
-    """One scan: when, from where along the corridor, and what was measured (B,) m."""
-
-    stamp: float
-    x: float
-    ranges: Float64
-
-
 class Person(NamedTuple):
     """Walks along the corridor's axis, or stands."""
 
@@ -45,24 +36,15 @@ class Person(NamedTuple):
         return self.x + self.speed * seconds, self.y
 
 
-def drive(passes: int, person: Person) -> Iterator[Look]:
-    for index in range(passes):
-        for step in range(int(LENGTH / STEP_M)):
-            x, seconds = step * STEP_M, step * STEP_S
-            at = person.at(seconds) if index == person.on_pass else (1e6, 1e6)
-            ranges = office.cast_rays((x, 0.0), BEARINGS, WALLS, (*at, RADIUS))
-            yield Look(index * PASS_S + seconds, x, ranges)
-
-
 def write_passes(path: Path, passes: int, person: Person) -> Path:
-    beams = ",".join(f"r{beam}" for beam in range(BEAMS))
-    head = (
-        f"# angle_min: {math.radians(FIRST)}\n# angle_increment: {math.radians(STEP)}\n"
-        f"# range_max: 1e6\nstamp,x,y,yaw,{beams}\n"
-    )
-    rows = [
-        f"{look.stamp},{look.x},0,0,{','.join(f'{r:.6g}' for r in look.ranges)}\n"
-        for look in drive(passes, person)
-    ]
-    path.write_text(head + "".join(rows))
-    return path
+    steps = np.arange(int(LENGTH / STEP_M))
+    stamps, places, ranges = [], [], []
+    for index in range(passes):
+        for x, seconds in zip(steps * STEP_M, steps * STEP_S, strict=True):
+            at = person.at(seconds) if index == person.on_pass else (1e6, 1e6)
+            stamps.append(index * PASS_S + seconds)
+            places.append((x, 0.0, 0.0))
+            ranges.append(office.cast_rays((x, 0.0), BEARINGS, WALLS, (*at, RADIUS)))
+    first, step = math.radians(FIRST), math.radians(STEP)
+    shape = {"angle_min": first, "angle_increment": step, "range_max": 1e6}
+    return write_scans(path, stamps, ranges, places, **shape)

@@ -1,6 +1,5 @@
 """Whether parts of a map fit each other: by hand on a few cells, and on drives that were moved."""
 
-import math
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ from occmap.sensor.models import CountingModel, QuadraticModel
 from tests.evidence.saving import DRIVE, MIDDLE_S
 from tests.grid.scans import make_grid
 from tests.samples import DRIVES
+from tests.tuning.simulated import write_parts
 
 RULE = CountingModel(spread=0.0)
 ELSEWHERE = (3.0, 1.0, 0.4)
@@ -80,16 +80,6 @@ def test_a_build_does_not_fit_what_it_is_added_to(parts: Path) -> None:
 def test_a_log_that_does_not_fit_those_before_it_is_named(tmp_path: Path) -> None:
     """The second log has a frame of its own, turned by a right angle."""
     assert not keep_misfits(occmap.build_map(*DRIVES[:2]))
-    head, *rows = DRIVE.read_text().splitlines()
-    moved = tmp_path / "moved.csv"
-    moved.write_text("\n".join([head, *map(turn, rows)]))
+    (moved,) = write_parts(tmp_path, [0.0], scans=414)
     (note,) = keep_misfits(occmap.build_map(DRIVE, moved))
     assert note.startswith(f"{moved}: does not fit the logs before it")
-
-
-def turn(row: str) -> str:
-    """Turn the pose in a row by a right angle; rows of comments and names stay."""
-    if not row[0].isdigit():
-        return row
-    stamp, x, y, yaw, ranges = row.split(",", 4)
-    return ",".join([stamp, str(-float(y)), x, str(float(yaw) + math.pi / 2), ranges])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from occmap.cells import Slices
-from occmap.errors import MapError, UsageError
-from occmap.evidence import keep_lasting, list_lost, render, render_lasting
+from occmap.errors import MapError
+from occmap.evidence import keep_lasting, render_lasting
 from occmap.grid.tiles import TILE, TileGrid, pack
 from occmap.options import BuildOptions
 from occmap.pipeline import build
@@ -97,9 +97,8 @@ def test_a_quarter_of_the_occupied_cells_is_not_lost_without_a_word(
     cells = [(3, 0, 1, 1)] * lost + [(3, 0, 2, 2)] * (20 - lost)
     others = [(0, 5, 0, 1)] * 9 + [(1, 50, 1, 1)] * 7 + [(9, 50, 2, 2)]
     grid, slices = observe(cells + others)
-    model = parse_model("simple:spread=0")
-    before, after = (render(each, model, 10**9) for each in (grid, keep_lasting(grid, [slices], 2)))
-    notes = list(list_lost(before, after))
+    options = RenderOptions(min_passes=2)
+    _, notes = render_lasting(grid, [slices], parse_model("simple:spread=0"), options)
     if share is None:
         assert not notes
     else:
@@ -187,11 +186,6 @@ def test_nothing_left_is_no_map() -> None:
     grid, slices = observe([(9, 0, 1, 1)])
     with pytest.raises(MapError, match=r"no cell was hit on 2 visits, .*; give a smaller `min_p"):
         render_lasting(grid, [slices], parse_model("simple"), RenderOptions(min_passes=2))
-
-
-def test_a_number_of_visits_below_one_is_refused() -> None:
-    with pytest.raises(UsageError, match="`min_passes=0` is not possible; give 1 or more"):
-        BuildOptions(min_passes=0)
 
 
 def test_a_radial_model_knows_no_hits(tmp_path: Path) -> None:

@@ -17,17 +17,12 @@ from occmap.explanation.history import add_up
 from occmap.grid.tiles import EvidenceKind
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Deskew, PosingOptions
-from occmap.sensor.models import (
-    CountingModel,
-    QuadraticModel,
-    SensorModel,
-    SimpleModel,
-    parse_model,
-)
+from occmap.sensor import models
 from occmap.store.merging import merge, subtract
 from occmap.store.publishing import RenderOptions, render_kept
 from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import MapMode, WriteOptions
+from tests.csv_logs import write_poses, write_scans
 from tests.evidence.saving import DRIVE, choose, each_combination, save
 from tests.samples import PLAIN, REAL_LOGS, Planar, write_csv
 
@@ -76,12 +71,12 @@ def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -
 
 def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
     evidence = save(tmp_path / "m.npz", BuildOptions())
-    models: list[SensorModel] = [
-        SimpleModel(0.9, 0.25, 0.3),
-        CountingModel(0.4, cut=0.2),
-        SimpleModel(spread=0.0),
+    judges: list[models.SensorModel] = [
+        models.SimpleModel(0.9, 0.25, 0.3),
+        models.CountingModel(0.4, cut=0.2),
+        models.SimpleModel(spread=0.0),
     ]
-    for model, min_passes in product(models, (None, 2)):
+    for model, min_passes in product(judges, (None, 2)):
         lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
         grid = render(lasting, model, 10**9)
         rng = np.random.default_rng(2)
@@ -244,17 +239,11 @@ def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 @pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_deskewed_scans_add_up(tmp_path: Path, update: Update, model: str) -> None:
-    log = tmp_path / "turning.csv"
-    ranges = ",".join(["1.0"] * 8)
-    log.write_text(
-        "# angle_min: -0.4\n# angle_increment: 0.1\n# time_increment: 0.1\nstamp,"
-        + ",".join(f"r{beam}" for beam in range(8))
-        + f"\n0,{ranges}\n0.8,{ranges}\n"
-    )
-    path = tmp_path / "path.csv"
-    path.write_text("stamp,x,y,yaw\n0,0,0,0\n1,0.5,0.1,1\n2,1,0.5,2\n")
+    shape = {"angle_min": -0.4, "angle_increment": 0.1, "time_increment": 0.1}
+    log = write_scans(tmp_path / "turning.csv", [0, 0.8], np.ones((2, 8)), **shape)
+    path = write_poses(tmp_path / "path.csv", [0, 1, 2], [(0, 0, 0), (0.5, 0.1, 1), (1, 0.5, 2)])
     posing = PosingOptions(poses=str(path), deskew=Deskew.ON)
-    options = replace(TENTH, update=update, model=parse_model(model), posing=posing)
+    options = replace(TENTH, update=update, model=models.parse_model(model), posing=posing)
     evidence = save(tmp_path / "m.npz", options, log)
     for point in choose_points(evidence, 8):
         found = ask(evidence, point, log, poses=(path,))
@@ -290,7 +279,7 @@ def test_json_says_it_all(tmp_path: Path) -> None:
 
 def test_the_numbers_of_a_radial_model_are_log_odds_and_observations(tmp_path: Path) -> None:
     for scans in (1, 2):
-        options = replace(TENTH, model=QuadraticModel(p_min=0.2))
+        options = replace(TENTH, model=models.QuadraticModel(p_min=0.2))
         found = ask(observe(tmp_path, [AHEAD] * scans, options), (0.05, 0.05))
         assert found.seen.kind is EvidenceKind.LOG_ODDS
         seen = found.to_json()["seen"]

@@ -1,7 +1,6 @@
 """Tuning: what was put out of true in a simulated drive is found, and nothing else is."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +21,10 @@ from occmap.tuning import tune
 from occmap.tuning.search import TIME, YAW, Correction, KeptLog, Verdict, X, find_mount, keep_logs
 from occmap.types import Float64, Pose, ScanBatch
 from tests.bench.raycast import cast_scans
+from tests.csv_logs import write_poses, write_scans
 from tests.grid.pictures import box
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
-from tests.tuning.simulated import read_drive, write_drive
+from tests.tuning.simulated import read_drive, write_drive, write_parts
 
 STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
 
@@ -100,22 +100,14 @@ def write_spin(folder: Path, increment_s: float) -> tuple[Path, Path]:
     def place(seconds: Float64) -> Float64:
         return np.stack([np.sin(seconds / 3) - 3.5, np.cos(seconds / 4) - 2.2, 2 * seconds])
 
-    beams = np.arange(90)
-    head = f"# angle_min: 0\n# angle_increment: {math.tau / 90!r}\n# range_max: 8\n"
-    lines = [f"{head}# time_increment: 0.0025\nstamp," + ",".join(f"r{it}" for it in beams)]
-    for second in np.arange(1.0, 39.0, 0.25):
-        poses = place(second + beams * increment_s).T
-        poses[:, 2] += beams * math.tau / 90
-        ranges = cast_scans(poses, np.zeros(1), ROOM)[:, 0].tolist()
-        lines.append(f"{second}," + ",".join(f"{it:.4f}" for it in ranges))
-    (folder / "spin.csv").write_text("\n".join(lines) + "\n")
-    moments = np.arange(0.0, 40.0, 0.02)
-    rows = [
-        f"{second!r},{x!r},{y!r},{yaw!r}"
-        for second, x, y, yaw in zip(moments.tolist(), *place(moments).tolist(), strict=True)
-    ]
-    (folder / "poses.csv").write_text("\n".join(["stamp,x,y,yaw", *rows]) + "\n")
-    return folder / "spin.csv", folder / "poses.csv"
+    angles = np.arange(90) * math.tau / 90
+    stamps, moments, ranges = np.arange(1.0, 39.0, 0.25), np.arange(0.0, 40.0, 0.02), []
+    for second in stamps:
+        poses = place(second + np.arange(90) * increment_s).T + np.outer(angles, (0, 0, 1))
+        ranges.append(cast_scans(poses, np.zeros(1), ROOM)[:, 0])
+    shape = {"angle_min": 0.0, "angle_increment": math.tau / 90, "range_max": 8.0}
+    scans = write_scans(folder / "spin.csv", stamps, ranges, **shape, time_increment=0.0025)
+    return scans, write_poses(folder / "poses.csv", moments, place(moments).T)
 
 
 def test_scans_that_take_long_need_a_pose_for_each_beam(tmp_path: Path) -> None:
@@ -235,22 +227,6 @@ def test_lasers_at_different_places_have_no_one_mount() -> None:
     tuning = tune([SAMPLE_LOGS / "drive.bag", SAMPLE_LOGS / "drive.csv"], BuildOptions())
     assert tuning.mount.verdict is Verdict.UNSEEN
     assert any("no single `sensor_pose`" in text for text in tuning.notes)
-
-
-def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Path]:
-    """Write parts of the drive, each in a frame of its own, with its laser turned by so much."""
-    lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
-    first = next(i for i, line in enumerate(lines) if line[0].isdigit())
-    parts = []
-    for part, turn in enumerate(turns_deg):
-        rows, begin = [], first + part * (len(lines) - first) // len(turns_deg)
-        for line in lines[begin : begin + scans]:
-            stamp, x, y, yaw, *ranges = line.split(",")
-            away, ahead = 20.0 * part - float(y), float(yaw) + math.pi / 2 - math.radians(turn)
-            rows.append(",".join([stamp, f"{away!r}", x, f"{ahead!r}", *ranges]))
-        parts.append(folder / f"part{part}.csv")
-        parts[-1].write_text("".join([*lines[:first], *rows]))
-    return parts
 
 
 def test_logs_of_one_robot_are_sure_together_where_none_is_alone(tmp_path: Path) -> None:
