@@ -1,6 +1,6 @@
 """What occmap must reach, as ratios within one run: the rows that this process measures itself."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -60,7 +60,7 @@ class Row:
         return "met" if self.value <= self.limit else "NOT MET"
 
 
-def compare_engine(times: Times, workload: Workload) -> list[Row]:
+def compare_engine(times: Times, workload: Workload) -> Iterator[Row]:
     """One thread against the C++ loop; its tuned build has no limit, and is told for what it is.
 
     The surface update is held against the beam update, whose beams it traces, too.
@@ -69,33 +69,30 @@ def compare_engine(times: Times, workload: Workload) -> list[Row]:
     def tell(name: str) -> str:
         return f"{1e6 * times.median(name) / workload.scans:.1f}"
 
-    rows, where = [], "" if workload.name == OFFICE else f", {workload.name}"
+    where = "" if workload.name == OFFICE else f", {workload.name}"
     for name, limit in ENGINE_LIMITS.get(workload.name, {}).items():
         what = f"{name} / {PLAIN}{where}"
         if PLAIN in times.seconds:
             tuned = f"/ {TUNED}: {times.ratio(name, TUNED):.2f} ({tell(TUNED)} us)"
             detail = f"{tell(name)} / {tell(PLAIN)} us a scan; {tuned}"
-            rows.append(Row(what, limit, times.ratio(name, PLAIN), detail))
+            yield Row(what, limit, times.ratio(name, PLAIN), detail)
         else:
-            rows.append(Row(what, limit, None, "no g++"))
+            yield Row(what, limit, None, "no g++")
     if (most := SURFACE_LIMITS.get(workload.name)) is not None:
         what = f"surface / beam, counts, {workload.name.partition(',')[0]}"
         detail = f"{tell(SURFACE)} / {tell(BEAM)} us a scan"
-        rows.append(Row(what, most, times.ratio(SURFACE, BEAM), detail))
-    return rows
+        yield Row(what, most, times.ratio(SURFACE, BEAM), detail)
 
 
-def compare_threads(workload: Workload) -> list[Row]:
+def compare_threads(workload: Workload) -> Iterator[Row]:
     """Two threads against one: ranges to evidence, without reading."""
-    rows = []
     for update in BEAM_UPDATES:
         runs = {str(jobs): partial(trace, workload, update, COUNTS, jobs) for jobs in (2, 1)}
         times = time_in_turn(runs, 2 * ROUNDS)
         what = f"{update.value}: two threads / one, engine only, {workload.scans} scans"
         row = compare(times, ("2", "1"), what, THREADS_LIMIT)
         busy = ", ".join(f"{count_busy_cores(run):.2f}" for run in runs.values())
-        rows.append(replace(row, detail=f"{row.detail}; cores at work: {busy}"))
-    return rows
+        yield replace(row, detail=f"{row.detail}; cores at work: {busy}")
 
 
 def count_busy_cores(run: Callable[[], object]) -> float:
@@ -105,7 +102,7 @@ def count_busy_cores(run: Callable[[], object]) -> float:
     return (process_time() - processor) / (perf_counter() - wall)
 
 
-def compare_builds(log: Path) -> list[Row]:
+def compare_builds(log: Path) -> Iterator[Row]:
     """The whole tool on an MCAP in one process, all loaded before: against rosbags reading it, and
     with two threads against one.
     """
@@ -122,12 +119,10 @@ def compare_builds(log: Path) -> list[Row]:
         for jobs in (1, 2)
     }
     times = time_in_turn({"rosbags": read_all, **builds})
-    rows = []
     for update, limit in ROSBAGS_LIMITS.items():
         what, two, one = f"build {update.value} MCAP", f"{update.value}, 2", f"{update.value}, 1"
-        rows.append(compare(times, (two, "rosbags"), f"{what} / rosbags reads it", limit))
-        rows.append(compare(times, (two, one), f"{what}: two threads / one", THREADS_LIMIT))
-    return rows
+        yield compare(times, (two, "rosbags"), f"{what} / rosbags reads it", limit)
+        yield compare(times, (two, one), f"{what}: two threads / one", THREADS_LIMIT)
 
 
 def compare_loadtxt(log: Path, what: str) -> Row:
@@ -148,15 +143,13 @@ def read_all(path: Path) -> list[Scan | ScanRun]:
     return list(read_scans(log, choose_topics(log, [])))
 
 
-def compare_tenfold_time(logs: Mapping[int, Path]) -> list[Row]:
+def compare_tenfold_time(logs: Mapping[int, Path]) -> Iterator[Row]:
     """Ten times the scans of the same rooms, in this process."""
     few, many = map(str, sorted(logs))
-    rows = []
     for update in BEAM_UPDATES:
         runs = {str(scans): make_build(update, log, 2) for scans, log in logs.items()}
         what = f"build {update.value}: time for 10 x the scans"
-        rows.append(compare(time_in_turn(runs), (many, few), what, 10.5))
-    return rows
+        yield compare(time_in_turn(runs), (many, few), what, 10.5)
 
 
 def make_build(update: Update, log: Path, jobs: int) -> Callable[[], object]:

@@ -4,7 +4,7 @@ import gzip
 import json
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import median
@@ -86,17 +86,15 @@ def time_commands(
     return take_in_turn({name: partial(time, commands) for name, commands in runs.items()}, rounds)
 
 
-def compare_tenfold_memory(logs: Mapping[int, Path]) -> list[Row]:
+def compare_tenfold_memory(logs: Mapping[int, Path]) -> Iterator[Row]:
     """Ten times the scans of the same rooms."""
-    rows = []
     for update in BEAM_UPDATES:
         few, many = (
             median(measure_peak(update, logs[scans]) for _ in range(ROUNDS))
             for scans in sorted(logs)
         )
         what = f"build {update.value}: peak memory for 10 x the scans"
-        rows.append(divide(what, 1.1, many, few, "MiB"))
-    return rows
+        yield divide(what, 1.1, many, few, "MiB")
 
 
 def measure_peak(update: Update, log: Path) -> int:
@@ -104,19 +102,18 @@ def measure_peak(update: Update, log: Path) -> int:
     return run(build_command(update, log, log.with_name("process.pgm"))).peak_bytes
 
 
-def measure_corridor(length: float, folder: Path) -> list[Row]:
+def measure_corridor(length: float, folder: Path) -> Iterator[Row]:
     """Peak memory on a long corridor against 16 bytes a cell and the peak of a small build."""
     log = write_mcap(make_corridor(Sensor.spanning(541, 270, 30.0), length, spacing=1.0), folder)
     small = build_command(Update.POLYGON, find_smallest_sample(), folder / "process.pgm")
-    constant, rows = run(small).peak_bytes, []
+    constant = run(small).peak_bytes
     for update in BEAM_UPDATES:
         peak, cells = measure_cells(build_command(update, log, folder / "process.pgm"))
         what = f"peak memory on {length / 1000:g} km / (16 B x cells + constant)"
         detail = f"{peak / MIB:.0f} MiB for {cells / 1e6:.1f} M cells; constant "
         detail += f"{constant / MIB:.0f} MiB: a build of the smallest sample log"
         ratio = peak / (BYTES_A_CELL * cells + constant)
-        rows.append(Row(f"build {update.value}: {what}", 2.0, ratio, detail))
-    return rows
+        yield Row(f"build {update.value}: {what}", 2.0, ratio, detail)
 
 
 def measure_cells(command: Command) -> tuple[int, int]:
@@ -126,9 +123,8 @@ def measure_cells(command: Command) -> tuple[int, int]:
     return usage.peak_bytes, round(grid["columns"] * grid["rows"] * (1 - grid["unknown"]))
 
 
-def compare_slices(log: Path) -> list[Row]:
+def compare_slices(log: Path) -> Iterator[Row]:
     """Processor time of evidence, which keeps slices of time, against that of a picture."""
-    rows = []
     for update in BEAM_UPDATES:
         commands = {
             suffix: [build_command(update, log, log.with_suffix(f".{suffix}"))]
@@ -136,21 +132,18 @@ def compare_slices(log: Path) -> list[Row]:
         }
         times = time_commands(commands, measure="processor_seconds")
         what = f"build {update.value} -o map.npz / -o map.pgm, processor time"
-        rows.append(compare(times, ("npz", "pgm"), what, 1.5))
-    return rows
+        yield compare(times, ("npz", "pgm"), what, 1.5)
 
 
-def measure_field(folder: Path) -> list[Row]:
+def measure_field(folder: Path) -> Iterator[Row]:
     """Peak memory of a build that keeps slices of time, on a field that is seen once."""
     log = write_mcap(make_corridor(Sensor.spanning(541, 270, 30.0), **FIELD), folder)
-    rows = []
     for update in BEAM_UPDATES:
         command = build_command(update, log, folder / "field.npz", "--pass-gap", "1")
         peak, cells = measure_cells(command)
         what = f"build {update.value} -o map.npz: bytes of peak memory for a cell of a field"
         detail = f"{peak / MIB:.0f} MiB for {cells / 1e6:.1f} M cells"
-        rows.append(Row(what, 48.0, peak / cells, detail))
-    return rows
+        yield Row(what, 48.0, peak / cells, detail)
 
 
 def compare_help() -> Row:

@@ -27,15 +27,10 @@ def draw_engine(workload: Workload, figures: Sequence[Figure]) -> str:
         f"{workload.mean_range:.1f} m, {workload.resolution} m cells, one thread\n\n"
     )
     base = figures[0].microseconds
-    rows = [
-        (
-            each.name,
-            f"{each.microseconds:.1f}",
-            f"{each.microseconds / base:.2f}",
-            f"{each.cells_per_second / 1e6:.0f}",
-        )
-        for each in figures
-    ]
+    rows = []
+    for figure in figures:
+        spent, cells = figure.microseconds, figure.cells_per_second / 1e6
+        rows.append((figure.name, f"{spent:.1f}", f"{spent / base:.2f}", f"{cells:.0f}"))
     return title + draw(("", "us a scan", f"/ {figures[0].name}", "M cells/s"), rows)
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -23,9 +24,50 @@ from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap, read_error
-from tests.evidence.passing import BEARINGS, LENGTH, WALLS_Y, Person, write_passes
+from tests.csv_logs import write_scans
 from tests.grid.scans import make_grid
-from tests.samples import PLAIN, PLAIN_WORDS, write_csv
+from tests.samples import PLAIN, PLAIN_WORDS, import_generator, write_csv
+
+office = import_generator("office")
+BEAMS, FIRST, STEP = 80, -19.75, 0.5
+"""Degrees: a narrow view ahead, in which no beam runs along a wall."""
+BEARINGS = np.radians(FIRST + STEP * np.arange(BEAMS))
+WALLS_Y = (-0.42, 0.42)
+"""In the rows of cells from -0.45 and from 0.4 m, in cells of 5 cm. The sensor looks ahead, so all
+beams come in flat and cross some cells of the row before they end."""
+LENGTH = 6.0
+"""From x = 0 (m); the corridor is open at both ends."""
+WALLS = np.array([(0, y, LENGTH, y) for y in WALLS_Y])
+STEP_S, STEP_M = 0.4, 0.15
+PASS_S = 60.0
+RADIUS = 0.15
+
+
+class Person(NamedTuple):
+    """Walks along the corridor's axis, or stands."""
+
+    on_pass: int
+    x: float
+    y: float
+    speed: float
+
+    def at(self, seconds: float) -> tuple[float, float]:
+        return self.x + self.speed * seconds, self.y
+
+
+def write_passes(path: Path, passes: int, person: Person) -> Path:
+    steps = np.arange(int(LENGTH / STEP_M))
+    stamps, places, ranges = [], [], []
+    for index in range(passes):
+        for x, seconds in zip(steps * STEP_M, steps * STEP_S, strict=True):
+            at = person.at(seconds) if index == person.on_pass else (1e6, 1e6)
+            stamps.append(index * PASS_S + seconds)
+            places.append((x, 0.0, 0.0))
+            ranges.append(office.cast_rays((x, 0.0), BEARINGS, WALLS, (*at, RADIUS)))
+    first, step = math.radians(FIRST), math.radians(STEP)
+    shape = {"angle_min": first, "angle_increment": step, "range_max": 1e6}
+    return write_scans(path, stamps, ranges, places, **shape)
+
 
 PASSES = 3
 PERSON = Person(on_pass=1, x=1.0, y=0.1, speed=0.375)

@@ -165,16 +165,10 @@ def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
 
 def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]:
     """Of each build: its number, since when and until when (s), and on how many visits."""
-    return [
-        (
-            each.build,
-            each.since_ns // 10**9,
-            each.until_ns // 10**9,
-            each.hit_visits or 0,
-            each.seen_visits,
-        )
-        for each in ask(evidence, (x, y)).builds
-    ]
+    found = ask(evidence, (x, y)).builds
+    spans = [(each.build, each.since_ns // 10**9, each.until_ns // 10**9) for each in found]
+    visits = [(each.hit_visits or 0, each.seen_visits) for each in found]
+    return [span + visit for span, visit in zip(spans, visits, strict=True)]
 
 
 def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:

@@ -6,45 +6,35 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.choices import to_rpy
-from occmap.readers import open_log
-from occmap.types import Scan
+from occmap.types import Float64
 from tests.csv_logs import write_poses, write_scans
-from tests.samples import SAMPLE_LOGS, Planar
+from tests.samples import SAMPLE_LOGS, Planar, import_generator
 
+drive = import_generator("drive")
 NOWHERE: Planar = (0.0, 0.0, 0.0)
+NAMES = ("angle_min", "angle_increment", "range_max")
+SHAPE: dict[str, float] = {name: getattr(drive.SENSOR, name) for name in NAMES}
+"""Of all scans"""
 
 
-def read_drive() -> list[Scan]:
-    """The scans of the drive, each with the pose that it was simulated from."""
-    log = open_log(SAMPLE_LOGS / "drive.csv")
-    return list(log.scans([log.streams[0].topic]))
-
-
-def find_body(laser: Planar, mount: Planar) -> Planar:
-    """Where the robot is whose laser sits at a mount on it."""
-    (x, y, yaw), (forward, left, turn) = laser, mount
-    ahead = yaw - turn
-    return (
-        x - math.cos(ahead) * forward + math.sin(ahead) * left,
-        y - math.sin(ahead) * forward - math.cos(ahead) * left,
-        ahead,
-    )
+def read_drive() -> Float64:
+    """(S, 4 + B): of each scan its stamp (s), x, y and yaw of the laser, and ranges (m)."""
+    return np.loadtxt(SAMPLE_LOGS / "drive.csv", delimiter=",", skiprows=5)
 
 
 def write_drive(
     folder: Path, delay: Callable[[int], float] = lambda _: 0.0, mount: Planar = NOWHERE
 ) -> tuple[Path, Path]:
-    """Write scans without poses, each stamped too late by a delay (s), and a file of poses."""
-    drive = read_drive()
-    seconds = np.array([scan.stamp_ns for scan in drive]) / 1e9 - 1.7e9
-    late = seconds + [delay(number) for number in range(len(drive))]
-    lasers = [scan.pose for scan in drive if scan.pose]
-    places = [find_body((pose.x, pose.y, to_rpy(pose)[2]), mount) for pose in lasers]
-    shape = {"angle_min": drive[0].angle_min, "angle_increment": drive[0].angle_increment}
-    ranges = np.array([scan.ranges for scan in drive])
-    scans = write_scans(folder / "scans.csv", late, ranges, **shape, range_max=8)
-    return scans, write_poses(folder / "poses.csv", seconds, places)
+    """Write scans without poses, each stamped too late by a delay (s), and a file of poses.
+
+    These are of the robot, whose laser sits at a mount on it.
+    """
+    rows = read_drive()
+    stamps, back = rows[:, 0] - 1.7e9, drive.invert(drive.Planar(*mount))
+    robot = [drive.compose(drive.Planar(*laser), back) for laser in rows[:, 1:4]]
+    late = stamps + [delay(number) for number in range(len(rows))]
+    scans = write_scans(folder / "scans.csv", late, rows[:, 4:], **SHAPE)
+    return scans, write_poses(folder / "poses.csv", stamps, robot)
 
 
 def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Path]:
@@ -52,15 +42,11 @@ def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Pa
 
     The frame of the first is turned by a right angle, and the others lie beside it.
     """
-    lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
-    first = next(i for i, line in enumerate(lines) if line[0].isdigit())
     parts = []
-    for part, turn in enumerate(turns_deg):
-        rows, begin = [], first + part * (len(lines) - first) // len(turns_deg)
-        for line in lines[begin : begin + scans]:
-            stamp, x, y, yaw, *ranges = line.split(",")
-            away, ahead = 20.0 * part - float(y), float(yaw) + math.pi / 2 - math.radians(turn)
-            rows.append(",".join([stamp, f"{away!r}", x, f"{ahead!r}", *ranges]))
-        parts.append(folder / f"part{part}.csv")
-        parts[-1].write_text("".join([*lines[:first], *rows]))
+    for part, rows in enumerate(np.array_split(read_drive(), len(turns_deg))):
+        stamps, x, y, yaw = rows[:scans, :4].T
+        ahead = yaw + math.pi / 2 - math.radians(turns_deg[part])
+        poses, ranges = np.column_stack([20 * part - y, x, ahead]), rows[:scans, 4:]
+        log = folder / f"part{part}.csv"
+        parts.append(write_scans(log, stamps, ranges, poses, **SHAPE))
     return parts
