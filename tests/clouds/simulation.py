@@ -18,8 +18,9 @@ from occmap.pipeline import build
 from occmap.posing.tracks import rotate_by, to_quaternions
 from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
-from tests.samples import SAMPLE_LOGS
+from tests.samples import SAMPLE_LOGS, import_generator
 
+hall = import_generator("hall")
 Solid: TypeAlias = tuple[float, float, float, float, float, float]
 """x, y and z from and to"""
 WALLS: list[Solid] = [
@@ -49,23 +50,16 @@ class Room:
 
     def cast(self, origin: Float64, rays: Float64) -> Float64:
         """Where rays (N, 3) from one place end: (N, 3), NaN where they meet nothing."""
-        nearest = np.full(len(rays), np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            for low, high, slope in ((-9, 4, 0.0), (4, 8, self.slope), (8, 99, 0.0)):
-                level = float(self.floor(np.array(float(low)))) if low > 0 else 0.0
-                foot = max(low, 4) if slope else 0.0
-                down = rays[:, 2] - slope * rays[:, 0]
-                away = (level - origin[2] + slope * (origin[0] - foot)) / down
-                x = origin[0] + away * rays[:, 0]
-                met = (away > 0) & (x >= low) & (x <= high)
-                nearest = np.where(met, np.minimum(nearest, away), nearest)
-            for solid in [*WALLS, *self.solids]:
-                near, far = np.array(solid).reshape(3, 2).T
-                one, other = (near - origin) / rays, (far - origin) / rays
-                enter = np.minimum(one, other).max(axis=1)
-                leave = np.maximum(one, other).min(axis=1)
-                met = (enter < leave) & (enter > 0)
-                nearest = np.where(met, np.minimum(nearest, enter), nearest)
+            top = self.slope * (8 - 4)
+            solids = [*WALLS, *self.solids, (8, 99, -99, 99, -1, top)]
+            met = [hall._meet_block(origin, rays, np.reshape(each, (3, 2)).T) for each in solids]
+            ramp = (self.slope * (origin[0] - 4) - origin[2]) / (
+                rays[:, 2] - self.slope * rays[:, 0]
+            )
+            x = origin[0] + ramp * rays[:, 0]
+            met += [-origin[2] / rays[:, 2], np.where((x >= 4) & (x <= 8), ramp, np.inf)]
+            nearest = np.min([np.where(each > 0, each, np.inf) for each in met], axis=0)
         nearest[~np.isfinite(nearest)] = np.nan
         return np.asarray(origin + nearest[:, None] * rays)
 

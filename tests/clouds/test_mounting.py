@@ -1,11 +1,19 @@
-"""How a 3D sensor sits is found from the floor and the walls that its clouds show."""
+"""How a 3D sensor sits is found from the floor and the walls, and a wrong mount or up is told."""
 
 import numpy as np
 import pytest
 
-from occmap.clouds.mounting import find_seat
+from occmap.clouds.ground import measure_slope
+from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.posing.chain import Transforms
-from tests.clouds.simulation import SENSOR_M, change_points, drive_turning, read_points, turn
+from tests.clouds.simulation import (
+    SENSOR_M,
+    change_points,
+    drive_turning,
+    find_ground,
+    read_points,
+    turn,
+)
 
 
 @pytest.mark.parametrize(
@@ -37,3 +45,34 @@ def test_walls_alone_are_no_floor() -> None:
     walls = [change_points(posed, all_[all_[:, 2] > 0.1 - SENSOR_M]) for posed, all_ in clouds]
     assert find_seat(walls) is None
     assert find_seat([]) is None
+
+
+@pytest.mark.parametrize("angles", [(0, 1, 0), (-0.8, 0.5, 0)])
+def test_a_wrong_mount_is_measured_in_the_frame_of_the_sensor(
+    angles: tuple[float, float, float],
+) -> None:
+    clouds = drive_turning(posed_by=turn(*angles))
+    tilts = measure_tilts(clouds, find_ground(clouds))
+
+    assert tilts
+    assert tilts.is_mount
+    assert np.degrees(tilts.sensor) == pytest.approx(-np.array(angles), abs=0.2)
+
+
+def test_a_wrong_up_is_measured_in_the_map_though_the_ground_is_made_of_the_same() -> None:
+    clouds = drive_turning(up=turn(0, 1, 0))
+    tilts = measure_tilts(clouds, find_ground(clouds))
+
+    assert tilts
+    assert not tilts.is_mount
+    assert np.degrees(tilts.upright) == pytest.approx((0, -1, 0), abs=0.1)
+
+
+def test_right_poses_are_not_blamed() -> None:
+    clouds = drive_turning()
+    ground = find_ground(clouds)
+    tilts = measure_tilts(clouds, ground)
+
+    assert tilts
+    assert abs(np.degrees([*tilts.sensor, *tilts.upright])).max() < 0.1
+    assert measure_slope(ground) == pytest.approx((0, 0), abs=0.002)

@@ -10,6 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
+from occmap.cells import Slices
 from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import INT32_LIMIT, TILE, WINDOW_CELLS, EvidenceKind, GridSpec, TileGrid
@@ -136,40 +137,29 @@ def take(rays: Rays, scans: list[int]) -> Rays:
     return rays.take(np.array(scans))  # numbers serve as a mask does
 
 
-class Geometry(NamedTuple):
-    """What scans of a batch share."""
+class Drive(NamedTuple):
+    """Rays and the lattice that they are meant for."""
 
-    beams: int
-    angle_min: float
-    angle_increment: float
-
-    @property
-    def full_circle(self) -> bool:
-        return (self.beams + 0.5) * abs(self.angle_increment) >= 2 * math.pi
+    rays: Rays
+    resolution: float
 
 
-@st.composite
-def geometries(draw: st.DrawFn) -> Geometry:
-    """A narrow fan, a wide one, a circle, more than a circle; either way round."""
-    beams = draw(st.sampled_from([40, 1, 2, 3, 7, 25, 32, 39, 48]))
-    turn = 2 * math.pi / beams
-    increment = draw(st.sampled_from([0.03, 0.1, turn * 0.6, turn, turn * 1.1, turn * 1.4]))
-    sign = draw(st.sampled_from([1, -1]))
-    return Geometry(beams, draw(st.floats(-4, 4)), sign * increment)
+def draw_random(draw: st.DrawFn) -> np.random.Generator:
+    """What is drawn in bulk; only its seed shrinks."""
+    return np.random.default_rng(draw(st.integers(0, 2**32)))
 
 
 @st.composite
 def kinds(draw: st.DrawFn, shape: tuple[int, int]) -> UInt8:
     """(S, B) of Kind: of one sort only, or mixed, often in runs."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     shares = draw(st.sampled_from([*MIXED, (0, 0, 1), (0, 1, 0), (1, 0, 0), *MIXED, *MIXED]))
-    return rng.choice(np.array(Kind, np.uint8), shape, p=shares)
+    return draw_random(draw).choice(np.array(Kind, np.uint8), shape, p=shares)
 
 
 @st.composite
 def distances(draw: st.DrawFn, shape: tuple[int, int]) -> Float64:
     """(S, B) in cells: walls with steps, now and then no length at all."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    rng = draw_random(draw)
     far = draw(st.sampled_from([14.0, 8.0, 4.0, 0.3, 0.0, 14.0, 18.0]))
     wall = np.repeat(rng.uniform(0, far, (shape[0], -(-shape[1] // 6))), 6, axis=1)[:, : shape[1]]
     rough = wall + rng.normal(0, draw(st.sampled_from([0.1, 0.0, 2.0])), shape)
@@ -179,18 +169,10 @@ def distances(draw: st.DrawFn, shape: tuple[int, int]) -> Float64:
 @st.composite
 def origins(draw: st.DrawFn, scans: int, viewpoints: int) -> Float64:
     """(S, K, 2) in cells, beside the world's zero: a drive, and some way within each scan."""
-    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    apart = draw(st.sampled_from([0.0, 0.5, 8.0]))
+    rng, apart = draw_random(draw), draw(st.sampled_from([0.0, 0.5, 8.0]))
     inside = draw(st.sampled_from([0.05, 1.0]))
     start = rng.uniform(-apart, apart, (scans, 1, 2))
     return np.asarray(start + rng.normal(0, inside, (scans, viewpoints, 2)))
-
-
-class Drive(NamedTuple):
-    """Rays and the lattice that they are meant for."""
-
-    rays: Rays
-    resolution: float
 
 
 @st.composite
@@ -199,24 +181,26 @@ def drives(
     resolutions: tuple[float, ...] = (0.01, 0.05, 0.25, 1.0),
     places: tuple[float, ...] = (0.0, 1e5, -1e5),
 ) -> Drive:
-    """Up to three scans, somewhere, with a viewpoint a scan or one a beam."""
-    geometry = draw(geometries())
+    """Up to three scans, somewhere, with a viewpoint a scan or one a beam.
+
+    They are a narrow fan, a wide one, a circle, or more than a circle, either way round.
+    """
+    scans, beams = draw(st.integers(1, 3)), draw(st.sampled_from([40, 1, 2, 3, 7, 25, 32, 39, 48]))
+    turn = math.tau / beams
+    width = draw(st.sampled_from([0.03, 0.1, turn * 0.6, turn, turn * 1.1, turn * 1.4]))
+    increment, first = width * draw(st.sampled_from([1, -1])), draw(st.floats(-4, 4))
+    headings = draw(st.lists(st.floats(-3, 3), min_size=scans, max_size=scans))
     resolution = draw(st.sampled_from(resolutions))
-    shape = (draw(st.integers(1, 3)), geometry.beams)
-    viewpoints = draw(st.sampled_from([1, 1, geometry.beams]))
-    kind = draw(kinds(shape))
-    headings = draw(st.lists(st.floats(-3, 3), min_size=shape[0], max_size=shape[0]))
-    direction = np.stack(
-        [aim(geometry.angle_min + h, geometry.angle_increment, geometry.beams) for h in headings]
-    )
     place = np.array([draw(st.sampled_from(places)), draw(st.sampled_from(places))])
-    rays = Rays.along(
-        origin=place + draw(origins(shape[0], viewpoints)) * resolution,
-        direction=direction,
-        distance=(draw(distances(shape)) * resolution * (kind > 0)).astype(np.float32),
-        kind=kind,
-        stamp_ns=np.array(draw(st.lists(STAMPS, min_size=shape[0], max_size=shape[0])), np.int64),
-        full_circle=geometry.full_circle,
+    viewpoints = draw(origins(scans, draw(st.sampled_from([1, 1, beams]))))
+    kind = draw(kinds((scans, beams)))
+    rays = make_rays(
+        place + viewpoints * resolution,
+        np.stack([aim(first + heading, increment, beams) for heading in headings]),
+        draw(distances((scans, beams))) * resolution * (kind > 0),
+        kind,
+        draw(st.lists(STAMPS, min_size=scans, max_size=scans)),
+        full_circle=(beams + 0.5) * width >= math.tau,
     )
     return Drive(rays, resolution)
 
@@ -228,15 +212,14 @@ def upright_drives(draw: st.DrawFn) -> Drive:
     In some all others point one of two ways on the map, as its beams lie in one plane.
     """
     rays, resolution = draw(drives())
-    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    vertical = rng.random(rays.kind.shape) < draw(st.sampled_from([0.05, 0.5, 1.0, 0.0]))
+    share = draw(st.sampled_from([0.05, 0.5, 1.0, 0.0]))
+    vertical = draw_random(draw).random(rays.kind.shape) < share
     direction = np.where(vertical[..., None], 0.0, rays.direction)
     if draw(st.booleans()):
         plane = draw(st.sampled_from([0.0, 1.0, math.pi / 2, -2.5, math.pi]))
         direction = direction[..., :1] * np.array([math.cos(plane), math.sin(plane)])
-    turn = np.stack([direction, np.zeros_like(direction)], axis=-1)
-    # Contiguous, or kernels would be compiled once more, for arrays that no sensor gives.
-    return Drive(rays._replace(turn=np.ascontiguousarray(turn)), resolution)
+    turned = make_rays(rays.origin, direction, rays.distance, rays.kind, rays.stamp_ns)
+    return Drive(turned._replace(full_circle=rays.full_circle), resolution)
 
 
 TWELVE = [
@@ -249,20 +232,24 @@ TWELVE = [
 @st.composite
 def aligned_drives(draw: st.DrawFn) -> Drive:
     """One scan of a full circle or less in which all lies on centres and borders of cells."""
-    resolution = draw(st.sampled_from([0.25, 1.0]))
-    beams = draw(st.integers(1, 12))
-    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    resolution, beams = draw(st.sampled_from([0.25, 1.0])), draw(st.integers(1, 12))
+    rng, sense = draw_random(draw), draw(st.sampled_from([1, -1]))
     distance = rng.integers(0, 7, (1, beams)) * draw(st.sampled_from([1.0, 2.5]))
     kind = draw(kinds((1, beams)))
-    rays = Rays.along(
-        origin=rng.integers(-4, 5, (1, 1, 2)) * resolution / 2,
-        direction=np.array([TWELVE[:: draw(st.sampled_from([1, -1]))][:beams]]) / 5,
-        distance=(distance * resolution * (kind > 0)).astype(np.float32),
-        kind=kind,
-        stamp_ns=np.zeros(1, np.int64),
+    rays = make_rays(
+        rng.integers(-4, 5, (1, 1, 2)) * resolution / 2,
+        np.array(TWELVE[::sense][:beams]) / 5,
+        distance * resolution * (kind > 0),
+        kind,
         full_circle=beams == 12,
     )
     return Drive(rays, resolution)
+
+
+def assert_same_slices(one: Slices, other: Slices) -> None:
+    """They are equal to a byte."""
+    for name in Slices.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
 
 
 def shift(rays: Rays, metres: tuple[float, float]) -> Rays:

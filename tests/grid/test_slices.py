@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from occmap.cells import Slices
 from occmap.grid import tiles as module
 from occmap.grid.tiles import TILE, pack, restrict, split_tiles, take, unite, unpack
-from tests.grid.scans import FEW, make_grid
+from tests.grid.scans import FEW, assert_same_slices, make_grid
 
 CELLS = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 63), st.integers(0, 63)), max_size=9)
 KEYS = st.tuples(st.integers(-1, 1), st.integers(-1, 1), st.integers(-2, 2))
@@ -86,8 +86,7 @@ def test_a_union_has_what_any_part_has_in_order(
         again = unite([pack_tables(third), unite(map(pack_tables, (other, one)))])
     assert_equal(read_tables(united), expected)
     assert list(read_tables(united)) == sorted(expected)
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(united, name), getattr(again, name)), name
+    assert_same_slices(united, again)
 
 
 @FEW
