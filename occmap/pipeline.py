@@ -197,5 +197,5 @@ def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: Ma
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),
-        looked_up=any(tally.frames.values()),
+        looked_up=tally.looked_up,
     )

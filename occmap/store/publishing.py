@@ -15,7 +15,7 @@ import numpy as np
 
 from occmap import evidence, writers
 from occmap.cells import About, Box, CellClass, Decision, Evidence, Manifest, OccupancyMap
-from occmap.choices import option
+from occmap.choices import check_bounds, option
 from occmap.errors import UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import CellBox, Lattice, rendering
@@ -48,13 +48,20 @@ class RenderOptions:
     model: SensorModel | None = option(None, form=MODEL)
     """None: the one that the evidence was built with"""
     writing: WriteOptions = field(default_factory=WriteOptions)
-    max_cells: int = MAX_CELLS
+    max_cells: int = option(MAX_CELLS, bounds=(1, math.inf))
     """A map with more cells is refused"""
     framing: Framing = field(default_factory=Framing)
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
-    overview: int | None = None
-    """Make each pixel a square of so many cells, from the pictures in a store; None: a cell"""
+    overview: int | None = option(
+        None,
+        "Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
+        metavar="N",
+        bounds=(1, math.inf),
+    )
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class Piece(NamedTuple):
@@ -251,6 +258,25 @@ def sum_up(found: Int64) -> tuple[float | None, list[str]]:
     return agreeing / hits if hits else None, lost
 
 
+def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
+    """Refuse, before evidence is read, outputs of what it does not hold.
+
+    Raises
+    ------
+    UsageError
+        One shows only where the robot went, or single cells where an overview is wanted.
+    """
+    for path in outputs:
+        writer = writers.find_writer(path)
+        if writer.needs_journey:
+            found = "evidence does not say where the robot went, only the logs do"
+            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
+        is_page = writer.needs_evidence and writer.shows_journey
+        if is_page and overview is not None:
+            found = "shows single cells, and `overview` has none"
+            raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
+
+
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
@@ -259,7 +285,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     Parameters
     ----------
     outputs
-        That they can be written was found before the evidence was read.
+        That they can be written, and of evidence, was found before it was read.
 
     Raises
     ------
@@ -267,14 +293,6 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     formats = [writers.find_writer(path) for path in outputs]
-    for path, writer in zip(outputs, formats, strict=True):
-        if writer.needs_journey:
-            found = "evidence does not say where the robot went, only the logs do"
-            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
-        is_page = writer.needs_evidence and writer.shows_journey
-        if is_page and options.overview is not None:
-            found = "shows single cells, and `overview` has none"
-            raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
     saved, model = settle_model(saved, options)
     blocks = None if isinstance(saved, Evidence) else saved
     grid: Any
@@ -403,7 +421,7 @@ def summarise(
         notes=(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
-            *results.list_outside(facts, options.writing),
+            *results.list_vain_edits(facts, options.writing),
             *facts.lost,
             *results.list_disagreement(facts),
         ),

@@ -146,6 +146,17 @@ def test_where_poses_stand_beside_scans_no_clock_is_blamed(tmp_path: Path) -> No
         assert "occmap tune" not in occmap(*command).out
 
 
+@pytest.mark.parametrize("command", ["build", "check"])
+def test_where_poses_stand_beside_scans_no_time_mends_them(tmp_path: Path, command: str) -> None:
+    words = [SAMPLE_LOGS / "drive.csv", "--sensor-pose", "0.3,0.3,0.4"]
+    outputs = ["-o", tmp_path / "m.pgm"] if command == "build" else []
+    told = occmap(command, *words, *outputs)
+    assert "the poses do not fit the scans; " in told.err + told.out
+    assert "another trajectory by --poses FILE" in told.err + told.out
+    for vain in ("tune", "--time-offset", "--deskew"):
+        assert vain not in told.err + told.out
+
+
 def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
     result = occmap("build", DRIVE, "--json", "-o", tmp_path / "m.pgm")
     report = json.loads(result.out)

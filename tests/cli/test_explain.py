@@ -172,7 +172,7 @@ def test_what_is_not_explained_is_noted() -> None:
         (["a.npz", "-inf", "0"], 2, "-i"),
         (["a.npz", "1e300", "0"], 2, "is in no map"),
         (["a.npz", "0"], 2, "Missing argument 'Y'"),
-        (["a.npz", "0", "north"], 2, "'north' is not a valid float"),
+        (["a.npz", "0", "north"], 2, "`Y` is 'north'; give a number"),
         (["a.npz", "0", "0", "--modle", "counting"], 2, "--model"),
         (["a.npz", "0", "0", "--model", "quadratic"], 1, "which quadratic cannot read"),
         (["q.npz", "0", "0", "--min-passes", "2"], 2, "quadratic sums up log-odds"),

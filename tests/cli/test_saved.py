@@ -132,6 +132,13 @@ def test_halves_that_are_merged_are_no_loss() -> None:
     assert occmap("build", "long.csv", "--start", "2", "-o", "2.npz").code == 0
     merged = occmap("merge", "1.npz", "2.npz", "-o", "12.npz").out.splitlines()
     assert "scans    4 used of 4 asked for, in 2 builds" in merged
+    assert not any(line.startswith("dropped") for line in merged)
+
+
+def test_what_evidence_does_not_hold_is_refused_before_it_is_read() -> None:
+    Path("damaged.npz").write_bytes(b"")
+    told = occmap("merge", "damaged.npz", "a.npz", "-o", "way.tum")
+    assert "way.tum: evidence does not say where the robot went" in read_error(told, 2)
 
 
 def test_evidence_is_a_map_to_diff() -> None:
@@ -170,7 +177,7 @@ def test_an_undecided_cell_is_not_called_unknown() -> None:
         (
             ["render", "a.npz", "-o", "m.pgm", "--model", "counting", "--p-hit", "0.8"],
             2,
-            "the model counting has no parameter 'p_hit'; it has prior, strength",
+            "the model counting has no parameter 'p_hit'; choose --model simple",
         ),
         (["render", "q.npz", "-o", "m.pgm", "--model", "simple"], 1, "q.npz: was summed up for"),
         (["render", "q.npz", "-o", "m.pgm", "--p-min", "0.3"], 1, "no other can read it"),

@@ -67,8 +67,8 @@ def test_what_does_not_belong_together_is_told(made: Path, tmp_path: Path) -> No
         (["--log", DRIVE, "--fail-if", "edges_found < 1%"], "give the truth"),
         (["--log", DRIVE, "-o", "s.png"], "add --truth MAP"),
         (["--truth", PLAN, "-o", "s.pgm"], "ends in .png"),
-        (["--truth", PLAN, "--within", "-1"], "from 0 to 1 m"),
-        (["--truth", PLAN, "--within", "near"], "'near' is not a valid float"),
+        (["--truth", PLAN, "--within", "-1"], "give 0 to 1"),
+        (["--truth", PLAN, "--within", "near"], "--within is 'near'; give a number"),
         (["--truth", DRIVE], "is not that of a map"),
     ],
 )
