@@ -19,7 +19,7 @@ from occmap.choices import check_bounds, option
 from occmap.errors import UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import CellBox, Lattice, rendering
-from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
+from occmap.grid.rendering import Framing, choose_box, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report
@@ -71,8 +71,7 @@ class Piece(NamedTuple):
     """Its rows and columns in the map"""
     map: OccupancyMap
     found: Int64
-    """(4,) hits in occupied cells and all hits, of a whole map; cells that would be occupied if all
-    hits lasted, and those of them that are"""
+    """(4,) as `paint_lasting` counts it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,15 +155,8 @@ class BlockMap:
             area = block.box if counts_beyond else own
             if not area.cells:
                 continue
-            grid, lasting = read_lasting(self.source, area, self.options.min_passes)
-            made = evidence.paint_box(lasting, self.model, own)
-            found = np.zeros(4, np.int64)
-            if is_whole:
-                found[:2] = count_agreeing(lasting, made.occupied, own)
-            if lasting is not grid:
-                before = evidence.paint_box(grid, self.model, area).occupied
-                found[2] = np.count_nonzero(before)
-                found[3] = np.count_nonzero(before[own.within(area)] & made.occupied)
+            grids = read_lasting(self.source, area, self.options.min_passes)
+            made, found = evidence.paint_lasting(*grids, self.model, own, area)
             yield Piece(own.within(box), self.options.writing.edit(made), found)
 
 
@@ -248,14 +240,7 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     for piece in made.list_pieces(made.box):
         cells += results.count_cells(piece.map, made.options.writing)
         found += piece.found
-    return MapFacts(made.resolution, made.extent, made.shape, cells, *sum_up(found))
-
-
-def sum_up(found: Int64) -> tuple[float | None, list[str]]:
-    """Say how well a map agrees, and what does not last, by (4,) what all its pieces found."""
-    agreeing, hits, were, still = found.tolist()
-    lost = list(evidence.describe_lost(were, were - still))
-    return agreeing / hits if hits else None, lost
+    return MapFacts(made.resolution, made.extent, made.shape, cells, *evidence.sum_up(found))
 
 
 def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
@@ -358,7 +343,7 @@ def paint_saved(
         made = open_map(saved, model, options)
         refuse_large(made.box, Lattice(made.resolution), options.max_cells)
         shown, found = made.paint(made.box)
-        agreement, lost = sum_up(found)
+        agreement, lost = evidence.sum_up(found)
         shown = replace(shown, agreement=agreement)
     about = describe_about(saved.manifest, identify(saved), options)
     facts = results.describe_map(shown, options.writing)._replace(lost=lost)
