@@ -17,8 +17,8 @@ from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
 from occmap.report import Row, count, label_first
 from occmap.report.limits import CHECK, SCORE
-from occmap.scoring.fit import STAY, Transform
 from occmap.scoring.maps import Against, MapScore, score
+from occmap.store.moving import STAY, Transform
 from occmap.writers import check_picture
 
 LABEL = 10

@@ -21,7 +21,8 @@ from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring import MOST_SCANS, Sample, Trial, read_scans, score_map
-from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
+from occmap.scoring.fit import Match, Walls, fit, list_hits
+from occmap.store.moving import STAY, Transform
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 

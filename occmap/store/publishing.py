@@ -26,7 +26,7 @@ from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision
-from occmap.store import Blocks, Saved, Store, identify, read_all, read_part
+from occmap.store import Blocks, Saved, identify, read_all, read_part
 from occmap.store.layout import Block, list_blocks
 from occmap.types import Int64, UInt8
 from occmap.writers import WriteOptions
@@ -361,7 +361,7 @@ def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyM
         Nothing was observed or lies in the extent, the map would be too large, or the picture
         cannot be read.
     """
-    if not isinstance(store, Store):
+    if isinstance(store, Evidence) or store.root is None:
         raise UsageError("`overview` goes with a store", where=store.where, fix="leave it out")
     if options.model or options.min_passes:
         found = "the pictures in a store show what its own model decided of all that was observed"
