@@ -219,20 +219,7 @@ def command(
             console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
-            console.clear()
-            failed = judge(limits or (), answer.result)
-            console.note(*getattr(answer.result, "notes", ()))
-            if console.as_json:
-                added = {} if limits is None else Limited(failed).to_json()
-                console.put_json(name, answer.result.to_json() | added)
-            else:
-                console.put(answer.lines)
-            for each in failed:
-                console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
-            if answer.failure:
-                raise answer.failure
-            if failed:
-                raise click.exceptions.Exit(LIMIT_BROKEN)
+            tell(console, name, answer, limits)
 
         text = describe(function) or COMMANDS[name]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
@@ -243,6 +230,24 @@ def command(
         return made
 
     return decorate
+
+
+def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | None) -> None:
+    """Tell notes, print the result, and say which limits it does not keep to."""
+    console.clear()
+    failed = judge(limits or (), answer.result)
+    console.note(*getattr(answer.result, "notes", ()))
+    if console.as_json:
+        added = {} if limits is None else Limited(failed).to_json()
+        console.put_json(name, answer.result.to_json() | added)
+    else:
+        console.put(answer.lines)
+    for each in failed:
+        console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
+    if answer.failure:
+        raise answer.failure
+    if failed:
+        raise click.exceptions.Exit(LIMIT_BROKEN)
 
 
 def describe(function: Callable[..., Any]) -> str:
