@@ -86,7 +86,7 @@ class Map(OccupancyMap):
             (.npz), or the file cannot be written.
         """
         outputs = read_value("path", Paths, path)
-        check_outputs(outputs, self.inputs)
+        check_outputs(outputs, self.inputs, self.writing)
         product = Product(self, self._take_evidence, report=self.report)
         return tuple(map(Path, write_outputs(outputs, product, self.writing)))
 

@@ -83,6 +83,8 @@ def _read_number(value: Any) -> float:
 
 
 def _read_whole_number(value: Any) -> int:
+    if isinstance(value, bool):
+        raise TypeError
     return int(value) if isinstance(value, str) else operator.index(value)
 
 
@@ -129,6 +131,13 @@ def _read_text(value: Any) -> str:
     return text
 
 
+def _read_path(value: Any) -> Path:
+    """Make a path; an empty one, as of a variable that is not set, is no folder."""
+    if text := _read_text(value):
+        return Path(text)
+    raise ValueError
+
+
 def _read_pose(value: Any, *sizes: int) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
@@ -162,7 +171,7 @@ FORMS: dict[Any, Form] = {
     float: Form(_read_number, "a number"),
     int: Form(_read_whole_number, "a whole number"),
     str: Form(_read_text, "text"),
-    Path: Form(lambda value: Path(_read_text(value)), "a path"),
+    Path: Form(_read_path, "a path"),
 }
 """How values look by their type, where an option does not say it"""
 MOUNT = Form(
@@ -254,7 +263,8 @@ class Option:
             return self.form.read(value)
         except UsageError as error:
             fix = error.fix or self._tell(value)
-            raise UsageError(error.found, where=f"`{self.name}={value}`", fix=fix) from None
+            where = error.where or f"`{self.name}={value}`"
+            raise UsageError(error.found, where=where, fix=fix) from None
         except (TypeError, ValueError, OverflowError):
             if self.none[0] and str(value) == self.none[0]:
                 return None
@@ -356,8 +366,11 @@ def check_bounds(options: Any) -> None:
     """Refuse a value out of the bounds of its option; raises UsageError with what to give."""
     for each in fields(options):
         value = getattr(options, each.name)
-        low, high = each.metadata.get("option", Option()).bounds
-        if isinstance(value, int | float) and not low <= value <= high:
+        if isinstance(each.default, float) and not isinstance(value, int | float | None):
+            raise UsageError(f"`{each.name}` is {value!r}", fix="give a number")
+        low, high = bounds = each.metadata.get("option", Option()).bounds
+        is_bounded = bounds != Option.bounds and isinstance(value, int | float)
+        if is_bounded and not low <= value <= high:
             least = "more than 0" if low == ABOVE_ZERO else f"{low:g}"
             most = f" to {high:g}" if math.isfinite(high) else " or more" * (low != ABOVE_ZERO)
             raise UsageError(f"`{each.name}={value}` is not possible", fix=f"give {least}{most}")
@@ -393,7 +406,7 @@ def read_options(
     values = {
         name: known[name].read(value)
         for name, value in given.items()
-        if value is not None or known[name].takes_none
+        if value is not None or known[name].takes_none or known[name].default is MISSING
     }
     return take(kind, values)
 

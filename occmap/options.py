@@ -98,7 +98,9 @@ class BuildOptions:
         unit="cells",
         bounds=(0, 10),  # no hit lies deeper in a wall
     )
-    max_cells: int = option(MAX_CELLS, "Refuse to make a larger map.", unit="cells", metavar="N")
+    max_cells: int = option(
+        MAX_CELLS, "Refuse to make a larger map.", unit="cells", metavar="N", bounds=(1, math.inf)
+    )
     min_passes: int | None = option(
         None,
         "Keep the hits of a cell only if they came on at least this many visits: drops people who "
@@ -135,11 +137,11 @@ class BuildOptions:
     def __post_init__(self) -> None:
         if self.model is None:
             object.__setattr__(self, "model", choose_model(self.update))
+        check_bounds(self)
         Lattice(self.resolution)  # refuses one that is not possible
         check_passes(self.min_passes, self.model)
         both = bool(self.resume and self.resume_if_there)
         require(not both, "`resume` and `resume_if_there` are both given", "leave one out")
-        check_bounds(self)
 
     def list_idle(self) -> Iterator[str]:
         """Name the options that do nothing under the update."""

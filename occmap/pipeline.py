@@ -6,17 +6,17 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import Evidence, Slices, sum_tiles
+from occmap.cells import Evidence, Manifest, OccupancyMap, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_misfit, render_lasting
 from occmap.evidence.manifest import describe_about, describe_build, list_doubts, plan_manifest
-from occmap.grid.tiles import TileGrid, add_stack, stack_tiles, view_tiles
+from occmap.grid.tiles import add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
 from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import Keep, Observe, Progress, Remarks, ignore_progress
+from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import open_saved, read_all
 from occmap.store.merging import refuse_different
@@ -50,31 +50,30 @@ def build(
     with hold_alone(options.resume or options.resume_if_there, outputs):
         past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)
-        wants_evidence = want_evidence(outputs)
         options, keep = choose_keep(options, outputs, past)
-        tiles, slices, tally, remarks, ground, options = observe(paths, options, keep, progress)
-        slices, misfit = add_past(tiles, slices, past, options)
+        seen, misfit = add_past(observe(paths, options, keep, progress), past)
+        options, tally = seen.options, seen.tally
         refuse_unused(paths, tally)
-        refuse_unseen(paths, tally, tiles.tiles)
+        refuse_unseen(paths, tally, seen.tiles.tiles)
 
+        manifest = plan_manifest(options, past.manifest if past else None)
         with tally.time("render"):
-            painted, lost = render_lasting(tiles, slices, options.model, options)
-            manifest = plan_manifest(options, past.manifest if past else None)
-            name = manifest.identify(sum_tiles(tiles.tiles, tiles.tiles.values()))
-            about = describe_about(manifest, name, options, (path.name for path in paths))
-            grid = replace(options.writing.edit(painted), about=about)
+            grid, lost = paint(paths, seen, manifest)
         with tally.time("write"):  # to hash the logs takes time
+            wants_evidence = want_evidence(outputs)
             made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
         manifest = replace(manifest, builds=(*manifest.builds, *made))
         facts = results.describe_map(grid, options.writing)
-        remarks.notes += [
+        seen.remarks.notes += [
             *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
-        report = replace(make_report(options, tally, remarks, facts), resumed=tell_resumed(past))
+        report = make_report(options, tally, seen.remarks, facts, past)
 
         evidence = cache(
-            lambda: Evidence(manifest, *stack_tiles(tiles.tiles), slices, ground=ground)
+            lambda: Evidence(
+                manifest, *stack_tiles(seen.tiles.tiles), seen.slices, ground=seen.ground
+            )
         )
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
@@ -83,7 +82,7 @@ def build(
             product = Product(grid, evidence, journey, report, check)
             files = write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
-        return Build(grid, report, tiles, evidence() if wants_evidence else None)
+        return Build(grid, report, seen.tiles, evidence() if wants_evidence else None)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -152,10 +151,8 @@ def choose_keep(
     return options, Keep(slices, want_journey(outputs), ground)
 
 
-def add_past(
-    tiles: TileGrid, slices: tuple[Slices, ...], past: Evidence | None, options: BuildOptions
-) -> tuple[tuple[Slices, ...], list[str]]:
-    """Add the evidence that a build goes on from; return all slices, and say what does not fit.
+def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]]:
+    """Add the evidence that a build goes on from to what it observed; say what does not fit.
 
     Raises
     ------
@@ -163,21 +160,25 @@ def add_past(
         It is evidence of another kind.
     """
     if past is None:
-        return slices, []
-    refuse_different(plan_manifest(options), past)  # only the logs say if they hold clouds
+        return seen, []
+    refuse_different(plan_manifest(seen.options), past)  # only the logs say if they hold clouds
     before = view_tiles(past.tiles, past.cells)
-    misfit = list_misfit(tiles, before, options.model, "the logs that are added to it")
-    notes = [f"{past.where}: {text}" for text in misfit]
-    add_stack(tiles, past.tiles, past.cells)
-    return past.slices + slices, notes
+    whom = "the logs that are added to it"
+    misfit = list(list_misfit(seen.tiles, before, seen.options.model, whom))
+    add_stack(seen.tiles, past.tiles, past.cells)
+    seen = seen._replace(slices=past.slices + seen.slices)
+    return seen, [f"{past.where}: {text}" for text in misfit]
 
 
-def tell_resumed(past: Evidence | None) -> Resumed | None:
-    """Say what a build was added to."""
-    if past is None:
-        return None
-    scans = sum_scans(past.manifest.builds)
-    return Resumed(past.where, scans.read, scans.used)
+def paint(
+    paths: Sequence[Path], seen: Observed, manifest: Manifest
+) -> tuple[OccupancyMap, list[str]]:
+    """Render what was observed, as it is to be shown; say of what it is, and what does not last."""
+    options, tiles = seen.options, seen.tiles.tiles
+    painted, lost = render_lasting(seen.tiles, seen.slices, options.model, options)
+    name = manifest.identify(sum_tiles(tiles, tiles.values()))
+    about = describe_about(manifest, name, options, (path.name for path in paths))
+    return replace(options.writing.edit(painted), about=about), lost
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
@@ -187,15 +188,26 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
     return inspect(paths, options)
 
 
-def make_report(options: BuildOptions, tally: Tally, remarks: Remarks, facts: MapFacts) -> Report:
-    """Sum up what was done."""
+def make_report(
+    options: BuildOptions,
+    tally: Tally,
+    remarks: Remarks,
+    facts: MapFacts,
+    past: Evidence | None = None,
+) -> Report:
+    """Sum up what was done, and what it was added to."""
+    resumed = None
+    if past is not None:
+        before = sum_scans(past.manifest.builds)
+        resumed = Resumed(past.where, before.read, before.used)
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
+        resumed=resumed,
         beams=tally.beams,
         points=tally.points,
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),
-        looked_up=any(tally.frames.values()),
+        looked_up=tally.looked_up,
     )

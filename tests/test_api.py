@@ -384,6 +384,7 @@ def test_a_map_passes_between_processes(log: Path, tmp_path: Path) -> None:
     [
         ("map.npz", UsageError, 'did not keep when .*; build it with outputs="map.npz"'),
         ("map.jpg", UsageError, "unknown suffix"),
+        ("map.keepout.pgm", UsageError, "a keepout mask is of edits, and none are given"),
         ("nowhere/map.pgm", OutputError, "does not exist"),
     ],
 )
@@ -577,7 +578,7 @@ def test_score_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> No
     [
         ({}, "add `logs=LOG` or `truth=MAP`"),
         ({"logs": DRIVE, "picture": "a.png"}, "add `truth=MAP`"),
-        ({"truth": "a.yaml", "within_m": 2}, "not from 0 to 1 m"),
+        ({"truth": "a.yaml", "within_m": 2}, "is not possible; give 0 to 1"),
         ({"truth": "a.yaml", "fit": 1}, "give True or False"),
         ({"logs": DRIVE, "resolution": 0.1}, "score has no option 'resolution'"),
         ({"logs": DRIVE, "occupied_tresh": 0.1}, "did you mean 'occupied_thresh'"),
@@ -596,8 +597,11 @@ def test_explain_gives_what_the_command_prints(halves: Path) -> None:
     words = ("--log", DRIVE, "--model", "simple", "--min-passes", "1")
     hold_against_command(found, "explain", path, "1.5", "-0.25", *words)
     assert found.scans
-    with pytest.raises(UsageError, match=r"^`x` is 'here'; give a number"):
-        occmap.explain(path, "here", 0)  # type: ignore[arg-type]
+    for wrong in ("here", None):
+        with pytest.raises(UsageError, match=rf"^`x` is {wrong!r}; give a number"):
+            occmap.explain(path, wrong, 0)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="`resolution` is 'fine'; give a number"):
+        occmap.BuildOptions(resolution="fine")  # type: ignore[arg-type]
 
 
 def test_the_version_is_that_of_the_package() -> None:

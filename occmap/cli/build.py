@@ -10,10 +10,10 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from occmap.choices import take
+from occmap.choices import read_value, take
 from occmap.cli import options
 from occmap.cli.console import Console, write_rows
-from occmap.cli.declaring import CONFIG, PATH, RUN, Answer, Option, command, fail_if, flag
+from occmap.cli.declaring import CONFIG, PATH, RUN, TEXT, Answer, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, Values
 from occmap.errors import LogError, OccmapError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -28,6 +28,7 @@ from occmap.writers.atomic import refuse_unwritable
 DASK = Option(
     RUN,
     "--dask",
+    type=TEXT,
     metavar="local|ADDRESS",
     help="Build by processes on this machine, as many as --jobs, or by the workers of a Dask "
     "scheduler, such as tcp://HOST:8786.",
@@ -145,7 +146,7 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
         raise UsageError(f"{first!r} is neither a log nor an update", fix=fix)
     if not words:
         raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
-    return update, [Path(word) for word in words]
+    return update, [read_value("logs", Path, word) for word in words]
 
 
 def run_build(

@@ -7,18 +7,18 @@ from typing import Any
 
 import click
 
-from occmap.choices import take
+from occmap.choices import list_options, take
 from occmap.cli import options
 from occmap.cli.console import Console, write_command, write_rows
-from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if, flag
+from occmap.cli.declaring import CONFIG, PATH, Answer, command, fail_if
 from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import BuildOptions
 from occmap.readers import Role, Stream
 from occmap.report import Row, count, label_first
 from occmap.report.limits import CHECK, SCORE
-from occmap.scoring.fit import STAY, Transform
-from occmap.scoring.maps import WITHIN_M, Against, MapScore, score
+from occmap.scoring.maps import Against, MapScore, score
+from occmap.store.moving import STAY, Transform
 from occmap.writers import check_picture
 
 LABEL = 10
@@ -95,35 +95,12 @@ def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
         yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
 
 
-AGAINST = "What it is held against"
-
-
 @command(
     "score",
     MapScore,
     click.Argument(["path"], type=PATH, metavar="MAP"),
-    options.paths(AGAINST, "LOG", "A recording of the place.", "--log", "logs"),
-    Option(
-        AGAINST,
-        "--truth",
-        type=PATH,
-        metavar="MAP",
-        help="The map that is true: a plan, a simulator's, or another tool's.",
-    ),
-    Option(
-        AGAINST,
-        "--within",
-        "within_m",
-        default=WITHIN_M,
-        show_default=True,
-        metavar="M",
-        help="A wall is found, and not invented, if it is off by at most so much.",
-    ),
-    flag(
-        AGAINST,
-        "--fit",
-        text="First move the recordings onto the map, or the map onto the truth, by the shift of "
-        "up to 2 m and the turn of up to 20 degrees by which they fit best.",
+    *options.fields(
+        "What it is held against", "logs", "truth", "within_m", "fit", of=list_options(Against)
     ),
     options.one_output("picture", "FILE", "Write a .png here: where the map and the truth differ."),
     *options.THRESHOLDS,

@@ -13,7 +13,7 @@ import click
 from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_command, write_rows
-from occmap.cli.declaring import CONFIG, PATH, Answer, Option, command, fail_if
+from occmap.cli.declaring import CONFIG, PATH, Answer, Option, Value, command, fail_if
 from occmap.difference import MapDifference
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
@@ -21,10 +21,9 @@ from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE
 from occmap.scoring import SMALL
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
-from occmap.sensor.models import parse_model
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.types import BEAM_UPDATES, Update
+from occmap.types import BEAM_UPDATES
 from occmap.writers import WriteOptions
 
 VARIANTS = "What to compare"
@@ -38,15 +37,15 @@ VARIANTS = "What to compare"
         VARIANTS,
         "--update",
         "updates",
-        type=click.Choice([update.value for update in BEAM_UPDATES]),
+        type=Value(OPTIONS["update"]),
         multiple=True,
+        metavar=f"[{'|'.join(BEAM_UPDATES)}]",
         show_default="all",
         help="How a scan becomes observations. May repeat.",
     ),
     options.field(
         VARIANTS,
         "model",
-        type=parse_model,
         multiple=True,
         show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
         help=f"{OPTIONS['model'].help} May repeat.",
@@ -77,7 +76,7 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
       occmap compare intel.log.gz -o compare.png --resolution 0.1
       occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
     """
-    chosen = combine([Update(text) for text in values["updates"]], values.pop("model"))
+    chosen = combine(values["updates"], values.pop("model"))
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
     comparison = compare_logs(found, chosen, common, values["picture"], console.advance)

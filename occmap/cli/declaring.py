@@ -9,14 +9,17 @@ import json
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import EnumType
 from glob import has_magic
 from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
+from click.shell_completion import CompletionItem
 
+from occmap import choices
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import OccmapError, UsageError
@@ -32,8 +35,39 @@ NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
 LIMITS, RUN = "Limits", "Run"
 ALL = "occmap.all_options"
 """Set in the context where help lists all options"""
-PATH = click.Path(path_type=Path, readable=False)
-"""Where click would look whether it can be read, occmap's own error says more."""
+
+
+class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it takes none
+    """A value that is read as in a notebook; shells complete paths and the words of an enum."""
+
+    name = "value"
+
+    def __init__(self, known: choices.Option) -> None:
+        self.known = known
+
+    @classmethod
+    def of(cls, kind: Any, name: str = "", form: choices.Form | None = None) -> "Value":
+        """Make one of a type; without a name, errors have that of the parameter."""
+        return cls(choices.Option(name=name, **choices.read_hint(kind, form)))
+
+    def convert(self, value: Any, param: click.Parameter | None, _: click.Context | None) -> Any:
+        """Read what was typed, or what a file of options states; raises UsageError."""
+        if self.known.name or param is None:
+            return self.known.read_one(value)
+        label = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
+        return replace(self.known, name=label.strip("[].")).read_one(value)
+
+    def shell_complete(
+        self, _ctx: click.Context, _param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """List what a word may go on as."""
+        if self.known.kind is Path:
+            return [CompletionItem(incomplete, type="file")]
+        words: list[str] = list(self.known.kind) if isinstance(self.known.kind, EnumType) else []
+        return [CompletionItem(word) for word in words if word.startswith(incomplete)]
+
+
+PATH, TEXT = Value.of(Path), Value.of(str)
 
 
 class Option(click.Option):
@@ -145,10 +179,11 @@ def fail_if(measures: Measures, example: str, *others: str) -> Option:
 
     text = f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. May repeat.'
     text += "".join(f" {each} SHARE is short for {measures[0].name} > SHARE." for each in others)
+    form = choices.Form(read, f'a limit such as "{example}"')
     return Option(
         LIMITS,
         *("--fail-if", *others, "limits"),
-        type=read,
+        type=Value.of(Limit, "limits", form),
         multiple=True,
         metavar='"NAME > NUMBER"',
         help=f"{text} Names: {', '.join(measure.name for measure in measures)}.",
@@ -184,20 +219,7 @@ def command(
             console.note(*console.announced)  # what the file of options states
             limits = values.pop("limits", None)  # None: the command takes no limits
             answer = function(console, **values)
-            console.clear()
-            failed = judge(limits or (), answer.result)
-            console.note(*getattr(answer.result, "notes", ()))
-            if console.as_json:
-                added = {} if limits is None else Limited(failed).to_json()
-                console.put_json(name, answer.result.to_json() | added)
-            else:
-                console.put(answer.lines)
-            for each in failed:
-                console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
-            if answer.failure:
-                raise answer.failure
-            if failed:
-                raise click.exceptions.Exit(LIMIT_BROKEN)
+            tell(console, name, answer, limits)
 
         text = describe(function) or COMMANDS[name]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
@@ -208,6 +230,24 @@ def command(
         return made
 
     return decorate
+
+
+def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | None) -> None:
+    """Tell notes, print the result, and say which limits it does not keep to."""
+    console.clear()
+    failed = judge(limits or (), answer.result)
+    console.note(*getattr(answer.result, "notes", ()))
+    if console.as_json:
+        added = {} if limits is None else Limited(failed).to_json()
+        console.put_json(name, answer.result.to_json() | added)
+    else:
+        console.put(answer.lines)
+    for each in failed:
+        console.fail(OccmapError(each.sentence), LIMIT_BROKEN)
+    if answer.failure:
+        raise answer.failure
+    if failed:
+        raise click.exceptions.Exit(LIMIT_BROKEN)
 
 
 def describe(function: Callable[..., Any]) -> str:
@@ -318,29 +358,18 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
 
 
 def convert(path: Path, option: click.Option, value: Any, ctx: click.Context) -> Any:
-    """Turn a value of a file of options into what is typed; raises UsageError if it cannot be."""
-    place = f"{path}: {option.opts[-1]}"
+    """Check a value of a file of options, and give it as the option takes it; raises UsageError."""
     if option.is_flag:
         if not isinstance(value, bool):
+            place = f"{path}: {option.opts[-1]}"
             raise UsageError(f"is {value!r}", where=place, fix="write true or false")
         return option.flag_value if value else option.get_default(ctx)
-    several = as_list(value)
-    if not option.multiple or (several and isinstance(several[0], int | float)):
-        several = [several]  # one sector, not many
-    words = [",".join(map(str, as_list(each))) for each in several]
-    if any("\0" in word for word in words):  # as on a command line, which nothing behind it expects
-        raise UsageError("holds a null character", where=place, fix="take it out")
-    typed = words if option.multiple else words[0]
+    # Several numbers are one sector, not many.
+    is_list = isinstance(value, list) and not isinstance(next(iter(value), None), int | float)
+    given = [value] if option.multiple and not is_list else value
     try:
-        option.type_cast_value(ctx, typed)
+        option.type_cast_value(ctx, given)
     except UsageError as error:
         where = f"{path}: {error.where}".removesuffix(": ")
         raise UsageError(error.found, where=where, fix=error.fix) from None
-    except click.UsageError as error:
-        raise UsageError(error.message.rstrip("."), where=place) from None
-    return typed
-
-
-def as_list(value: Any) -> Any:
-    """A list or tuple as it is, anything else as a list of one."""
-    return value if isinstance(value, list | tuple) else [value]
+    return given

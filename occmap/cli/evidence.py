@@ -6,10 +6,10 @@ from typing import Any
 
 import click
 
-from occmap.choices import take
+from occmap.choices import list_options, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
-from occmap.cli.declaring import NUMBER, PATH, Answer, Command, Option, command, fail_if, flag
+from occmap.cli.declaring import NUMBER, PATH, Answer, Command, Value, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
@@ -21,7 +21,7 @@ from occmap.report.results import Report, tell_map, tell_scans
 from occmap.scans.logs import keep_stdin
 from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
-from occmap.store.publishing import RenderOptions, publish
+from occmap.store.publishing import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
 
 EVIDENCE = click.Argument(["path"], type=PATH, metavar="NPZ|ZARR")
@@ -68,13 +68,7 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
     "render",
     Report,
     *(EVIDENCE, *options.WRITING, *options.FRAMING),
-    Option(
-        MAP,
-        "--overview",
-        type=click.IntRange(min=1),
-        metavar="N",
-        help="Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
-    ),
+    options.field(MAP, "overview", of=list_options(RenderOptions)),
     *(options.MIN_PASSES, options.MAX_CELLS, *options.SAVED_MODEL, LIMIT),
 )
 def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
@@ -110,6 +104,7 @@ def put_out(
     outputs = options.place_outputs(console, values["outputs"], inputs[0])
     writing = take(WriteOptions, values)
     check_outputs(outputs, inputs, writing)
+    refuse_unsaved(outputs, values.get("overview"))
     evidence = read()
     view = {"model": choose_saved_model(evidence, values), "writing": writing}
     chosen = take(RenderOptions, values | view)
@@ -144,8 +139,8 @@ class PointCommand(Command):
     "explain",
     Explanation,
     EVIDENCE,
-    click.Argument(["x"], type=float),
-    click.Argument(["y"], type=float),
+    click.Argument(["x"], type=Value.of(float)),
+    click.Argument(["y"], type=Value.of(float)),
     options.paths(
         SCANS, "LOG", "List the scans of this log that observed the cell.", "--log", "logs"
     ),

@@ -16,9 +16,10 @@ from typing import Any
 
 import click
 
+from occmap import choices
 from occmap.choices import list_options
 from occmap.cli.console import Console, put_on_stdout, spell
-from occmap.cli.declaring import PATH, RUN, Option
+from occmap.cli.declaring import PATH, RUN, Option, Value
 from occmap.clouds import CloudOptions
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
@@ -36,6 +37,8 @@ BY_THEMSELVES = ("align", "shade")
 """Options that are listed by themselves"""
 PIECE_BYTES = 1 << 20
 """So much of a file goes to stdout at once."""
+Known = Mapping[str, choices.Option]
+"""Options that are declared somewhere, by their names"""
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
@@ -43,35 +46,32 @@ MAP, MODEL = "Map", "Sensor model"
 SCANS, POSES, FILES = "Which scans", "Where the scans were taken", "Files"
 
 
-def field(section: str, name: str, *short: str, **more: Any) -> Option:
-    """Make an option of a build as it is declared there.
+def field(section: str, name: str, *short: str, of: Known = OPTIONS, **more: Any) -> Option:
+    """Make an option as it is declared, `of` a build or of another command.
 
     It may have a `short` flag as well, and `more` settings, which replace these.
     """
-    known = OPTIONS[name]
+    known = of[name]
     kind, default = known.kind, known.default
     settings: dict[str, Any] = {
-        "type": known.read_one,
+        "type": Value(known),
         "metavar": known.metavar or None,
         "multiple": known.is_many,
         "help": spell(known.help) + " May repeat." * known.is_many,
     }
     if isinstance(kind, EnumType):
-        settings["type"] = click.Choice(list(map(str, kind)))
-        settings["callback"] = lambda _ctx, _param, value: kind(value)
-        settings |= {"default": default.value, "show_default": True}
+        words = "|".join(map(str, kind))
+        settings |= {"metavar": f"[{words}]", "default": default.value, "show_default": True}
     elif kind is bool:
         settings |= {"is_flag": True, "type": None}
-    elif kind is Path:
-        settings["type"] = PATH
     elif isinstance(default, int | float):
         settings |= {"default": default, "show_default": math.isfinite(default)}
     return Option(section, *short, known.flag, name, **settings | more)
 
 
-def fields(section: str, *names: str) -> list[Option]:
-    """Make some options of a build."""
-    return [field(section, name) for name in names]
+def fields(section: str, *names: str, of: Known = OPTIONS) -> list[Option]:
+    """Make some options, `of` a build or of another command."""
+    return [field(section, name, of=of) for name in names]
 
 
 def group(section: str, *kinds: Any) -> list[Option]:
@@ -103,7 +103,7 @@ def one_output(name: str, metavar: str, text: str) -> Option:
 
 LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
 RESOLUTION = field(MAP, "resolution", "-r")
-MAX_CELLS = field(MAP, "max_cells", type=click.IntRange(min=1))
+MAX_CELLS = field(MAP, "max_cells")
 MIN_PASSES = field(MAP, "min_passes")
 ALIGN = field(MAP, "align", metavar="[DEG]", show_default="not turned")
 LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
@@ -123,7 +123,7 @@ WRITING = [
     ),
     *fields(FILES, "edits", "georeference", "mode"),
     *THRESHOLDS,
-    field(FILES, "shade", is_flag=True, type=str, flag_value="light", show_default=False),
+    field(FILES, "shade", is_flag=True, metavar=None, flag_value="light", show_default=False),
 ]
 JOBS = field(RUN, "jobs", show_default="one for each core")
 
@@ -131,10 +131,10 @@ JOBS = field(RUN, "jobs", show_default="one for each core")
 def list_model(usual: str) -> list[Option]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
     parameters = [
-        Option(MODEL, FLAGS[name], type=float, metavar=metavar, help=text)
+        Option(MODEL, FLAGS[name], type=Value.of(float, name), metavar=metavar, help=text)
         for name, (metavar, text) in PARAMETERS.items()
     ]
-    return [field(MODEL, "model", type=None, show_default=usual), *parameters]
+    return [field(MODEL, "model", type=Value.of(str, "model"), show_default=usual), *parameters]
 
 
 SAVED_MODEL = list_model("what it was built with")

@@ -14,11 +14,11 @@ from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
 from occmap.grid import CellBox, Lattice, rendering, tiles
-from occmap.grid.rendering import Framing, SpreadHits, count_agreeing, find_bounds, paint
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
-from occmap.types import Float64
+from occmap.types import Float64, Int64
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -256,32 +256,53 @@ def render_lasting(
     lasting = keep_lasting(grid, slices, options.min_passes)
     if grid.tiles and not lasting.tiles:
         rendering.refuse_nothing_left(options.min_passes)
-    made, lost = render(lasting, model, options.max_cells), []
+    whole = find_bounds(choose_tiles(lasting, model))
+    box = rendering.choose_box(whole, options.framing, grid.lattice)
+    # Cells that were forgotten may lie beyond those that are left.
+    is_whole = lasting is not grid and options.framing.extent is None
+    around = box.join(find_bounds(choose_tiles(grid, model))) if is_whole else box
+    tiles.refuse_large(around, grid.lattice, options.max_cells)
+    made, found = paint_lasting(grid, lasting, model, box, around)
+    agreement, lost = sum_up(found)
+    return replace(made, agreement=agreement), lost
+
+
+def paint_lasting(
+    grid: TileGrid, lasting: TileGrid, model: SensorModel, box: CellBox, around: CellBox
+) -> tuple[OccupancyMap, Int64]:
+    """Paint what lasts in a box of cells, and count what `sum_up` tells.
+
+    Parameters
+    ----------
+    around
+        The box, or a larger one in which cells are counted that do not last.
+
+    Returns
+    -------
+    map, found
+        (4,) hits in occupied cells and all hits of the box; cells that would be occupied if all
+        hits lasted, and those of them that are.
+    """
+    made, found = paint_box(lasting, model, box), np.zeros(4, np.int64)
+    found[:2] = count_agreeing(lasting, made.occupied, box)
     if lasting is not grid:
-        lost = list(list_lost(render(grid, model, options.max_cells), made))
-    if options.framing == Framing():
-        return made, lost
-    box = rendering.choose_box(CellBox.of(made), options.framing, grid.lattice)
-    tiles.refuse_large(box, grid.lattice, options.max_cells)
-    return replace(paint_box(lasting, model, box), agreement=made.agreement), lost
+        before = paint_box(grid, model, around).occupied
+        found[2] = np.count_nonzero(before)
+        found[3] = np.count_nonzero(before[box.within(around)] & made.occupied)
+    return made, found
 
 
-def list_lost(before: OccupancyMap, after: OccupancyMap) -> Iterator[str]:
-    """Say so if many cells are no longer occupied after hits and misses were forgotten."""
-    inside = CellBox.of(after).within(CellBox.of(before))
-    still = int(np.count_nonzero(before.occupied[inside] & after.occupied))
-    were = int(np.count_nonzero(before.occupied))
-    yield from describe_lost(were, were - still)
-
-
-def describe_lost(were: int, lost: int) -> Iterator[str]:
-    """Say so if many of the occupied cells are lost."""
+def sum_up(found: Int64) -> tuple[float | None, list[str]]:
+    """Say how well a map agrees, and if much does not last, by (4,) what its parts found."""
+    agreeing, hits, were, still = found.tolist()
+    notes, lost = [], were - still
     if lost and lost >= MUCH * were:
-        yield (
+        notes.append(
             f"`min_passes` takes away {100 * lost / were:.0f}% of the occupied cells ({lost:,} of "
             f"{were:,}), since they were hit on fewer visits; walls may be among them: leave it "
             "out, or build with a smaller `pass_gap_s`"
         )
+    return agreeing / hits if hits else None, notes
 
 
 def check_passes(min_passes: int | None, model: SensorModel) -> None:

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from occmap import evidence
-from occmap.cells import Box, Evidence, OccupancyMap
+from occmap.cells import Box, Evidence, Manifest, OccupancyMap, Slices
 from occmap.choices import option
-from occmap.errors import UsageError
+from occmap.errors import UsageError, require
 from occmap.evidence.manifest import list_doubts
 from occmap.explanation import history
 from occmap.explanation.history import Cell, Numbers, Seen, Sighting, Use, Visits
@@ -43,6 +43,10 @@ class Question:
     """The cell keeps its hits only if they came on so many visits; None: it keeps all"""
     writing: WriteOptions = field(default_factory=WriteOptions)
     """Its thresholds decide what the cell is called"""
+
+    def __post_init__(self) -> None:
+        is_of_logs = bool(self.logs) or not self.poses
+        require(is_of_logs, "`poses` goes with a log", "add `logs=LOG`, or leave it out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,8 +115,6 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         that the evidence was made of, or a trajectory is missing.
     """
     model = evidence.choose_model(saved, question.model, question.min_passes)
-    if question.poses and not question.logs:
-        raise UsageError("`poses` goes with a log", fix="add `logs=LOG`, or leave it out")
     if question.logs and saved.manifest.update == Update.CLOUD:
         found = "evidence of clouds does not say which of them observed a cell"
         raise UsageError(found, where=saved.where, fix="leave out `logs`")
@@ -122,11 +124,10 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     manifest, grid = part.manifest, evidence.to_grid(part)
     around = cell.read_around(grid)
     layers = cell.read_slices(part)
+    lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
+    made, blocks = evidence.paint_box(lasting, model, cell.box), as_blocks(saved)
     uses = history.find_uses(part, question.logs, question.poses)
     sightings, scans_used = history.find_sightings(uses, cell, progress)
-    lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
-    blocks = as_blocks(saved)
-    made = evidence.paint_box(lasting, model, cell.box)
     return Explanation(
         point=(question.x, question.y),
         cell=cell,
@@ -140,15 +141,18 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         around=around,
         min_passes=question.min_passes,
         visits=cell.read_visits(unite(layers), manifest),
-        builds=tuple(
-            BuildVisits(**vars(visits), build=index, logs=history.list_logs(manifest.builds[index]))
-            for index, layer in enumerate(layers)
-            if (visits := cell.read_visits(layer, manifest))
-        ),
+        builds=tuple(list_visits(cell, layers, manifest)),
         scans_used=scans_used,
         scans=tuple(sightings),
         notes=(*list_doubts(manifest), *list_unexplained(part, around[1][1], uses, sightings)),
     )
+
+
+def list_visits(cell: Cell, layers: Sequence[Slices], manifest: Manifest) -> Iterator[BuildVisits]:
+    """List when each build observed the cell, of those that did."""
+    for at, (layer, build) in enumerate(zip(layers, manifest.builds, strict=True)):
+        if visits := cell.read_visits(layer, manifest):
+            yield BuildVisits(**vars(visits), build=at, logs=history.list_logs(build))
 
 
 def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:

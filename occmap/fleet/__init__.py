@@ -149,42 +149,25 @@ class Fleet:
         OccmapError
             As `observe`.
         """
-        tally = Tally(recorder=keep.make_recorder(0, 1))
-        remarks = Remarks([str(path) for path in paths])
         with (
             open_cluster(self.address, options.jobs, self.describe) as cluster,
             open_scratch(self.scratch, paths, options, keep) as folder,
         ):
-            remarks.notes += [
-                f"{other}: of a build with another log, option or version of occmap, which this "
-                "build does not go on from; remove the folder if nobody will"
-                for other in sorted(folder.parent.glob("build-*"))
-                if other != folder
-            ]
             # A log that is not here either is refused when it is opened.
             refuse_unseen_files(cluster, [folder, *(path for path in paths if path.exists())])
             spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
             window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, WINDOW_CELLS)
             setting = Setting(options, keep, folder, len(paths), window, spare)
             jobs = [Job(setting, f"log{place:05}", str(each)) for place, each in enumerate(paths)]
-            with tally.time("open"):
-                counts, settled = zip(*cluster.run("open", tasks.survey_log, jobs), strict=True)
-            total = sum(counts)
-            require(
-                len({each.update for each in settled}) == 1,
-                "some of the logs hold laser scans, others clouds of points",
-                "map one kind at a time: choose with `topics`",
-            )
-            setting = replace(setting, options=settled[0], scans=total)
-            if settled[0].update is Update.CLOUD and settled[0].clouds.file is None:
-                with tally.time("ground"):
-                    found = find_ground(cluster, jobs, setting)
-                remarks.notes += found.notes
-                keep = keep._replace(ground=found.ground)
-                setting = replace(setting, keep=keep, options=found.options)
+            tally = Tally(recorder=keep.make_recorder(0, 1))
+            remarks = Remarks([str(path) for path in paths], list(list_others(folder)))
+            setting = settle(cluster, jobs, tally, remarks)
             jobs = [replace(job, setting=setting) for job in jobs]
             traced = cluster.run(
-                "trace", tasks.trace_log, jobs, lambda one: progress(one.tally.scans_read, total)
+                "trace",
+                tasks.trace_log,
+                jobs,
+                lambda log: progress(log.tally.scans_read, setting.scans),
             )
             blocks: dict[Block, list[Piece]] = defaultdict(list)
             for path, log in zip(paths, traced, strict=True):
@@ -194,6 +177,43 @@ class Fleet:
                     blocks[block] += pieces
             reductions = [BlockJob.of(setting, *each) for each in sorted(blocks.items())]
             yield Work(cluster, setting, jobs, tally, remarks, reductions)
+
+
+def list_others(folder: Path) -> Iterator[str]:
+    """Say which folders beside that of a build are of other ones."""
+    for other in sorted(folder.parent.glob("build-*")):
+        if other != folder:
+            yield (
+                f"{other}: of a build with another log, option or version of occmap, which this "
+                "build does not go on from; remove the folder if nobody will"
+            )
+
+
+def settle(cluster: Cluster, jobs: Sequence[Job], tally: Tally, remarks: Remarks) -> Setting:
+    """Settle what only the logs show: how many scans, which update, and the ground below clouds.
+
+    Raises
+    ------
+    OccmapError
+        A log cannot be read, or they hold scans and clouds.
+    """
+    setting = jobs[0].setting
+    with tally.time("open"):
+        counts, settled = zip(*cluster.run("open", tasks.survey_log, jobs), strict=True)
+    require(
+        len({each.update for each in settled}) == 1,
+        "some of the logs hold laser scans, others clouds of points",
+        "map one kind at a time: choose with `topics`",
+    )
+    options = settled[0]
+    setting = replace(setting, options=options, scans=sum(counts))
+    if options.update is not Update.CLOUD or options.clouds.file is not None:
+        return setting
+    with tally.time("ground"):
+        found = find_ground(cluster, jobs, setting)
+    remarks.notes += found.notes
+    keep = setting.keep._replace(ground=found.ground)
+    return replace(setting, keep=keep, options=found.options)
 
 
 def find_ground(cluster: Cluster, jobs: Sequence[Job], setting: Setting) -> BuildGround:

@@ -202,10 +202,14 @@ def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> 
         mine += list_doubts(topic, has_poses)
         if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
             share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
-            text = f"{share} lie in occupied cells: the poses do not fit the scans; {ASK_TUNE}"
-            text += ", `deskew=on`" * bool(topic.times.time_increment_s)
+            text = f"{share} lie in occupied cells: the poses do not fit the scans; "
+            if topic.poses.stated:  # at their own times
+                text += "try another trajectory by `poses=FILE`"
+            else:
+                deskew = ", `deskew=on`" * bool(topic.times.time_increment_s)
+                text += f"{ASK_TUNE}{deskew}, or another trajectory"
             is_mended = any(concern.remedy for concern in mine)
-            mine.append(Concern(f"{text}, or another trajectory", {} if is_mended else None))
+            mine.append(Concern(text, {} if is_mended else None))
         found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
     return found
 

@@ -14,7 +14,7 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
-from occmap.scans.tally import LeftOut, ScanCounts, Tally
+from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import parse_model, shorten_model
 from occmap.types import Int64, Update
@@ -237,7 +237,10 @@ def tell_scans(report: Report) -> list[Row]:
         if report.scans.wanted < report.scans.read:  # most leave out what is in another one
             used = f"{report.scans.used:,} used of {report.scans.wanted:,} asked for"
         used = f"{used}, in {count(report.builds, 'build')}"
-    dropped = write_counts(report.scans.dropped)
+    # What one build left out on purpose may well be in another one.
+    chosen = NOT_ASKED_FOR if report.builds > 1 else ()
+    reasons = report.scans.dropped.items()
+    dropped = write_counts({reason: scans for reason, scans in reasons if reason not in chosen})
     return [("scans", used), *([("dropped", dropped)] if dropped else [])]
 
 
@@ -266,7 +269,7 @@ def list_notes(
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
-    yield from list_outside(facts, options.writing)
+    yield from list_vain_edits(facts, options.writing)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
@@ -287,7 +290,7 @@ def list_notes(
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
-    yield from list_disagreement(facts)
+    yield from list_disagreement(facts, tally.looked_up)
     yield from list_misfits(paths, options, facts.agreement, tally)
 
 
@@ -315,18 +318,24 @@ def name_frames(tally: Tally) -> str:
     return f"the logs are mapped in different frames: {named}" if len(first) > 1 else ""
 
 
-def list_disagreement(facts: MapFacts) -> Iterator[str]:
-    """Say that the scans of a map contradict each other; without walls none of its hits agrees."""
+def list_disagreement(facts: MapFacts, looked_up: bool = True) -> Iterator[str]:
+    """Say that the scans of a map contradict each other; without walls none of its hits agrees.
+
+    Times matter only where poses were `looked_up` by them.
+    """
     if facts.agreement and facts.agreement < LEAST_AGREEMENT:
+        timed = "`occmap tune`, another `time_offset_s`, `deskew=on` or " if looked_up else ""
         yield (
             f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
-            "poses do not fit the scans; see `occmap check`, try `occmap tune`, another "
-            "`time_offset_s`, `deskew=on` or another trajectory"
+            f"poses do not fit the scans; see `occmap check`, try {timed}another trajectory by "
+            "`poses=FILE`"
         )
 
 
-def list_outside(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
-    """Say that shapes of the user's edits lie wholly outside of a map."""
+def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
+    """Say that the user's edits hold no shape, or that some lie wholly outside of a map."""
+    if writing.edits and not writing.shapes:
+        yield f"{writing.edits}: holds no shape, so it edits nothing"
     low_x, low_y, high_x, high_y = facts.extent
     outside = []
     for shape in writing.shapes:

@@ -136,6 +136,11 @@ class Tally:
     """The most topics of scans that any log has"""
 
     @property
+    def looked_up(self) -> bool:
+        """Whether some poses were looked up by time, and do not stand beside their scans."""
+        return any(self.frames.values())
+
+    @property
     def scans(self) -> ScanCounts:
         """What became of the scans so far."""
         return ScanCounts(self.scans_read, self.scans_used, dict(self.dropped))

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.errors import LogError, UsageError
+from occmap.errors import LogError, UsageError, require
 from occmap.evidence import render
 from occmap.evidence.manifest import describe_profile
 from occmap.grid.tiles import TileGrid
@@ -60,8 +60,10 @@ def combine(updates: Sequence[Update], models: Sequence[SensorModel]) -> list[Va
     Raises
     ------
     UsageError
-        A model does not load.
+        A model does not load, or an update is for clouds.
     """
+    found = "the cloud update has no beams, and maps are scored by beams"
+    require(Update.CLOUD not in updates, found, f"choose of {', '.join(BEAM_UPDATES)}")
     others = models or [parse_model(text) for text in DEFAULT_MODELS]
     variants = [
         Variant(update, model)

@@ -8,24 +8,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from occmap.cells import Evidence, Slices
-from occmap.choices import format_mount, to_rpy
+from occmap.cells import Evidence
+from occmap.choices import format_mount
 from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
-from occmap.evidence.manifest import write_value
-from occmap.grid import CellBox, tiles
-from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, Key
+from occmap.grid import CellBox
+from occmap.grid.tiles import MAX_CELLS, EvidenceKind
 from occmap.options import BuildOptions
 from occmap.scans.mounts import sample_rays
 from occmap.sensor.models import SensorModel
 from occmap.store.merging import refuse_different
-from occmap.types import IDENTITY, Bool, Float32, Float64, Int64, Kind, Pose, Rays, Update
+from occmap.store.moving import STAY, Transform, add_move, move_evidence
+from occmap.types import Bool, Float32, Float64, Kind, Pose, Rays, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for, and what is farther from a wall counts as this far"""
@@ -48,62 +47,23 @@ MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
 
 
-class Transform(NamedTuple):
-    """What moves points: a turn about the origin, and then a shift."""
-
-    x: float
-    """Shift along x (m)"""
-    y: float
-    """Shift along y (m)"""
-    yaw: float
-    """Turn, counter-clockwise (rad)"""
-
-    def move(self, points: Float64) -> Float64:
-        """Move points (N, 2), or a single one (2,)."""
-        return np.asarray(points @ self.matrix.T + self[:2])
-
-    def move_back(self, points: Float64) -> Float64:
-        """Find which points (N, 2) are moved to given ones."""
-        return np.asarray((points - self[:2]) @ self.matrix)
-
-    def after(self, first: Pose) -> "Transform":
-        """Make one of a planar move and, after it, this one."""
-        x, y = self.move(np.array([first.x, first.y])).tolist()
-        yaw = math.remainder(to_rpy(first)[2] + self.yaw, math.tau)
-        return Transform(round(x, 5), round(y, 5), round(yaw, 6))
-
-    def is_far(self, pivot: Float64) -> bool:
-        """Whether it moves the pivot (2,) as far as `fit` looks, so that the best may be beyond."""
-        shift = float(np.abs(self.move(pivot) - pivot).max())
-        return shift > REACH_M - STEP_M / 2 or abs(self.yaw) > REACH_RAD - STEP_RAD / 2
-
-    @property
-    def matrix(self) -> Float64:
-        """The turn (2, 2)."""
-        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
-        return np.array([[cos, -sin], [sin, cos]])
-
-
-STAY = Transform(0.0, 0.0, 0.0)
-
-
 class Walls(NamedTuple):
     """How far it is from each cell to the nearest wall."""
 
     away: Float32
-    """(H, W) m, up to a limit; along the border it is the limit"""
+    """(H, W) m, up to REACH_M; along the border it is as much"""
     place: Place
 
     @classmethod
-    def of(cls, occupied: Bool, place: Place, limit: float = REACH_M) -> "Walls":
-        """Measure it between the middles of cells, in a map (H, W) and within `limit` around it.
+    def of(cls, occupied: Bool, place: Place) -> "Walls":
+        """Measure it between the middles of cells, in a map (H, W) and within REACH_M around it.
 
         Squares of distances are smallest over columns first and over rows then, which is exact
         (Felzenszwalb and Huttenlocher 2012), here for whole rows of cells at once.
         """
         resolution, x, y = place
-        side = min(math.ceil(limit / resolution), MOST_STEPS)
-        limit = min(limit, side * resolution)
+        side = min(math.ceil(REACH_M / resolution), MOST_STEPS)
+        limit = min(REACH_M, side * resolution)
         mask = np.pad(occupied, side)
         squares = np.where(mask, 0, np.float32((side + 1) ** 2)).astype(np.float32)
         for _ in range(2):
@@ -178,7 +138,9 @@ def fit(points: Float64, walls: Walls) -> Match:
     x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
     right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
     found = Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6))
-    return Match(found, share, rival, found.is_far(walls.pivot))
+    shift = float(np.abs(found.move(walls.pivot) - walls.pivot).max())
+    is_far = shift > REACH_M - STEP_M / 2 or abs(yaw) > REACH_RAD - STEP_RAD / 2
+    return Match(found, share, rival, is_far)
 
 
 class _Search(NamedTuple):
@@ -278,15 +240,6 @@ def refuse_doubt(found: Match, whose: str, where: str) -> None:
         raise PoseError(doubt, where=where, fix=fix)
 
 
-def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
-    """Make the `transform` that a user may type for one and, in a turned map, another after it."""
-    turned = Transform(0.0, 0.0, -math.radians(align or 0.0))
-    x, y = turned.move(np.array(then[:2])).tolist()
-    moved = then._replace(x=x, y=y)  # what does the same before the map is turned
-    given = format_mount(Pose.planar(*moved.after(first or IDENTITY)))
-    return Pose.planar(*map(float, given.split(",")))
-
-
 def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     """Move evidence so that its walls lie on those of other evidence; a note of it says how.
 
@@ -321,81 +274,6 @@ def spread_points(weights: Float64, place: Place) -> Float64:
     shares = (np.arange(MOST_POINTS if len(sums) else 0) + 0.5) / MOST_POINTS
     which = np.searchsorted(sums, shares * sums[-1:])
     return np.asarray(place.list_middles(weights > 0)[which])
-
-
-def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
-    """Move evidence on its lattice: each cell takes all that is known of the one it comes from.
-
-    That is the cell in which its middle was before. So no cell between others stays empty, no wall
-    is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
-    """
-    manifest = evidence.manifest
-    builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
-    origins = list_origins(evidence.tiles, by, manifest.resolution)
-    places, cells = tiles.stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
-    slices = tuple(_move_slices(each, origins) for each in evidence.slices)
-    manifest = replace(manifest, builds=builds)
-    return replace(evidence, manifest=manifest, tiles=places, cells=cells, slices=slices)
-
-
-Origin: TypeAlias = tuple[list[Key], Int64, Int64]
-"""Where the cells of a tile were before they moved: in these tiles, each cell (4096,) in which of
-them, and at which place in that"""
-
-
-def list_origins(places: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
-    """Find all tiles that some, at (T, 2), may reach when they move, and where their cells were."""
-    side, beside = TILE * resolution, np.array(list(product((-1, 0, 1), repeat=2)))
-    centres = by.move(places[:, ::-1].astype(np.float64) * side + side / 2) / side
-    # No part of a tile reaches beyond the tiles beside that in which its centre lies.
-    reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
-    middles = Place(resolution, 0.0, 0.0).list_middles(np.ones((TILE, TILE), np.bool_))
-    origins: dict[Key, Origin] = {}
-    for row, col in np.unique(reached.reshape(-1, 2), axis=0).tolist():
-        before = by.move_back(middles + np.array([col, row]) * side)
-        cells = np.floor(before[:, ::-1] / resolution).astype(np.int64)
-        sources, which = np.unique(cells // TILE, axis=0, return_inverse=True)
-        inside = cells % TILE @ np.array([TILE, 1])
-        origins[row, col] = [(r, c) for r, c in sources.tolist()], which.ravel(), inside
-    return origins
-
-
-def _move_tiles(
-    places: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
-) -> dict[Key, NDArray[Any]]:
-    """Move what the cells (T, 2, 64, 64) of tiles at (T, 2) hold; empty tiles are gone."""
-    held = {(row, col): at for at, (row, col) in enumerate(places.tolist())}
-    numbers = np.concatenate([cells, np.zeros_like(cells[:1])]).reshape(len(cells) + 1, 2, -1)
-    made = {}
-    for key, (sources, which, inside) in origins.items():
-        if held.keys().isdisjoint(sources):
-            continue
-        at = np.array([held.get(each, -1) for each in sources])
-        tile = numbers[at[which], :, inside].T
-        if tile.any():
-            made[key] = tile.reshape(2, TILE, TILE)
-    return made
-
-
-def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
-    """Move what slices say, one after the other."""
-    parts = []
-    for number in np.unique(slices.numbers).tolist():
-        of_slice = tiles.take(slices, np.flatnonzero(slices.numbers == number))
-        known = np.unpackbits(tiles.unpack(of_slice), axis=-1)
-        places, moved = tiles.stack_tiles(_move_tiles(of_slice.tiles, known, origins))
-        bits, numbers = np.packbits(moved != 0, axis=-1), np.full(len(places), number)
-        parts.append(tiles.pack(places, numbers, bits))
-    return tiles.unite(parts)
-
-
-def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:
-    """Say of a build that its cells were moved, and with which `transform` it would lie there."""
-    options = build["options"]
-    given = options["posing"].get("transform")
-    pose = add_move(given and Pose(*given), by, align)
-    posing = {**options["posing"], "transform": write_value(pose)}
-    return {**build, "options": {**options, "posing": posing}, "moved": list(by)}
 
 
 def list_hits(seen: Iterable[Rays]) -> Float64:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap.cells import CellClass, Decision, OccupancyMap
+from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
 from occmap.grid import CellBox
@@ -20,7 +21,8 @@ from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring import MOST_SCANS, Sample, Trial, read_scans, score_map
-from occmap.scoring.fit import STAY, Match, Transform, Walls, fit, list_hits
+from occmap.scoring.fit import Match, Walls, fit, list_hits
+from occmap.store.moving import STAY, Transform
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 
@@ -49,24 +51,31 @@ class Against:
         It is held against nothing, or a value makes no sense.
     """
 
-    logs: tuple[Path, ...] = ()
-    """Recordings of the place"""
-    truth: Path | None = None
-    """The map that is true"""
-    within_m: float = WITHIN_M
-    """How far a wall may be off (m)"""
-    fit: bool = False
-    """Move the recordings onto the map, and the map onto the truth, as they fit best"""
+    logs: tuple[Path, ...] = option((), "A recording of the place.", flag="log", metavar="LOG")
+    truth: Path | None = option(
+        None, "The map that is true: a plan, a simulator's, or another tool's.", metavar="MAP"
+    )
+    within_m: float = option(
+        WITHIN_M,
+        "A wall is found, and not invented, if it is off by at most so much.",
+        unit="m",
+        flag="within",
+        bounds=(0, 1),
+    )
+    fit: bool = option(
+        False,
+        "First move the recordings onto the map, or the map onto the truth, by the shift of up to "
+        "2 m and the turn of up to 20 degrees by which they fit best.",
+    )
     picture: Path | None = None
     """Where to draw how the map and the truth differ"""
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         nothing = "there is nothing to score by"
         require(bool(self.truth or self.logs), nothing, "add `logs=LOG` or `truth=MAP`")
         is_drawn = self.picture is not None
         require(bool(self.truth) or not is_drawn, "the picture shows the truth", "add `truth=MAP`")
-        found = f"`within_m={self.within_m:g}` is not from 0 to 1 m"
-        require(0 <= self.within_m <= 1, found, "give metres such as 0.1")
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from occmap.cells import EVEN_ODDS, Decision, to_log_odds
 from occmap.choices import Form, check_bounds, option
 from occmap.errors import UsageError, require
-from occmap.plugins import list_plugins, load_plugin, suggest
+from occmap.plugins import list_plugins, load_plugin, load_plugins, suggest
 from occmap.types import Float64
 
 
@@ -301,12 +301,20 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
         if name in known:
             raise UsageError(f"the model {name} does not load", fix="`occmap models` says why")
         raise UsageError(f"no model is called {name!r}", fix=suggest(name, known, "occmap models"))
-    known = [field.name for field in fields(model_class)]
-    for parameter in parameters:
+    known = list_parameters(model_class)
+    for parameter in (each for each in parameters if each not in known):
+        loaded, _ = load_plugins("occmap.models")
+        owners = [other for other, kind in loaded.items() if parameter in list_parameters(kind)]
+        choose = "".join(f"choose `model={owner}`, which has it; " for owner in owners[:1])
         found = f"the model {name} has no parameter {parameter!r}"
-        require(parameter in known, found, f"it has {', '.join(known)}")
+        raise UsageError(found, fix=f"{choose}{name} has {', '.join(known)}")
     model: SensorModel = model_class(**parameters)
     return model
+
+
+def list_parameters(model: Any) -> list[str]:
+    """Name the parameters of a model or of its class."""
+    return [field.name for field in fields(model)]
 
 
 def describe_model(model: Any) -> str:
@@ -319,8 +327,9 @@ def describe_model(model: Any) -> str:
 def shorten_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without parameters that are at their defaults."""
     usual = type(model)()
-    names = [field.name for field in fields(model)]
-    changed = [name for name in names if getattr(model, name) != getattr(usual, name)]
+    changed = [
+        name for name in list_parameters(model) if getattr(model, name) != getattr(usual, name)
+    ]
     pairs = ",".join(f"{name}={getattr(model, name):g}" for name in changed)
     return f"{model.name}:{pairs}" if pairs else str(model.name)
 

@@ -35,24 +35,16 @@ class Blocks:
     """Gives what was observed in one of them; raises MapError where it is damaged"""
     ground: Ground | None
     """What clouds were traced over"""
-
-
-@dataclass(frozen=True, eq=False)
-class Store(Blocks):
-    """A store that is whole, as its attributes and its table say; blocks are checked when read."""
-
-    root: Any
-    """The group of Zarr"""
-    digest: str
-    """SHA-256 of all that was observed"""
-    name: str
-    """As `identify` gives it; "" where an occmap wrote the store that did not name evidence"""
+    name: str = ""
+    """As `identify` gives it; "" where it is not known"""
+    root: Any = None
+    """The group of Zarr, of a store"""
 
 
 Saved: TypeAlias = Evidence | Blocks
 
 
-def open_saved(path: Path) -> Evidence | Store:
+def open_saved(path: Path) -> Saved:
     """Read an evidence file, or open a store.
 
     Raises
@@ -67,8 +59,8 @@ def open_saved(path: Path) -> Evidence | Store:
     return read_evidence(path)
 
 
-def open_store(path: Path) -> Store:
-    """Open a store, and check what is read of all of it.
+def open_store(path: Path) -> Blocks:
+    """Open a store that is whole, as its head and its table say; blocks are checked when read.
 
     Raises
     ------
@@ -107,14 +99,13 @@ def open_store(path: Path) -> Store:
             raise MapError(found, where=path, fix="build it again")
         return content
 
-    reaches, digest = dict(zip(blocks, reach, strict=True)), head["digest"]
-    name = head.get("evidence", "")
-    return Store(manifest, str(path), reaches, read_block, ground, root, digest, name)
+    reaches, name = dict(zip(blocks, reach, strict=True)), head.get("evidence", "")
+    return Blocks(manifest, str(path), reaches, read_block, ground, name, root)
 
 
 def identify(saved: Saved) -> str:
     """Name what was observed, by `Manifest.identify`; a sum of stores is read for that."""
-    if isinstance(saved, Store) and saved.name:
+    if isinstance(saved, Blocks) and saved.name:
         return saved.name
     parts = [saved] if isinstance(saved, Evidence) else map(saved.read_block, saved.blocks)
     total = sum(sum_tiles(each.tiles.tolist(), each.cells) for each in parts)

@@ -15,18 +15,18 @@ import numpy as np
 
 from occmap import evidence, writers
 from occmap.cells import About, Box, CellClass, Decision, Evidence, Manifest, OccupancyMap
-from occmap.choices import option
+from occmap.choices import check_bounds, option
 from occmap.errors import UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
 from occmap.grid import CellBox, Lattice, rendering
-from occmap.grid.rendering import Framing, choose_box, count_agreeing, measure_bounds
+from occmap.grid.rendering import Framing, choose_box, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision
-from occmap.store import Blocks, Saved, Store, identify, read_all, read_part
+from occmap.store import Blocks, Saved, identify, read_all, read_part
 from occmap.store.layout import Block, list_blocks
 from occmap.types import Int64, UInt8
 from occmap.writers import WriteOptions
@@ -48,13 +48,20 @@ class RenderOptions:
     model: SensorModel | None = option(None, form=MODEL)
     """None: the one that the evidence was built with"""
     writing: WriteOptions = field(default_factory=WriteOptions)
-    max_cells: int = MAX_CELLS
+    max_cells: int = option(MAX_CELLS, bounds=(1, math.inf))
     """A map with more cells is refused"""
     framing: Framing = field(default_factory=Framing)
     min_passes: int | None = None
     """A cell keeps its hits only if they came on so many visits; None: it keeps all"""
-    overview: int | None = None
-    """Make each pixel a square of so many cells, from the pictures in a store; None: a cell"""
+    overview: int | None = option(
+        None,
+        "Make each pixel N x N cells, quickly, from the pictures in a .zarr: 4, 16, 64 ...",
+        metavar="N",
+        bounds=(1, math.inf),
+    )
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
 
 
 class Piece(NamedTuple):
@@ -64,8 +71,7 @@ class Piece(NamedTuple):
     """Its rows and columns in the map"""
     map: OccupancyMap
     found: Int64
-    """(4,) hits in occupied cells and all hits, of a whole map; cells that would be occupied if all
-    hits lasted, and those of them that are"""
+    """(4,) as `paint_lasting` counts it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +155,8 @@ class BlockMap:
             area = block.box if counts_beyond else own
             if not area.cells:
                 continue
-            grid, lasting = read_lasting(self.source, area, self.options.min_passes)
-            made = evidence.paint_box(lasting, self.model, own)
-            found = np.zeros(4, np.int64)
-            if is_whole:
-                found[:2] = count_agreeing(lasting, made.occupied, own)
-            if lasting is not grid:
-                before = evidence.paint_box(grid, self.model, area).occupied
-                found[2] = np.count_nonzero(before)
-                found[3] = np.count_nonzero(before[own.within(area)] & made.occupied)
+            grids = read_lasting(self.source, area, self.options.min_passes)
+            made, found = evidence.paint_lasting(*grids, self.model, own, area)
             yield Piece(own.within(box), self.options.writing.edit(made), found)
 
 
@@ -241,14 +240,26 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     for piece in made.list_pieces(made.box):
         cells += results.count_cells(piece.map, made.options.writing)
         found += piece.found
-    return MapFacts(made.resolution, made.extent, made.shape, cells, *sum_up(found))
+    return MapFacts(made.resolution, made.extent, made.shape, cells, *evidence.sum_up(found))
 
 
-def sum_up(found: Int64) -> tuple[float | None, list[str]]:
-    """Say how well a map agrees, and what does not last, by (4,) what all its pieces found."""
-    agreeing, hits, were, still = found.tolist()
-    lost = list(evidence.describe_lost(were, were - still))
-    return agreeing / hits if hits else None, lost
+def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
+    """Refuse, before evidence is read, outputs of what it does not hold.
+
+    Raises
+    ------
+    UsageError
+        One shows only where the robot went, or single cells where an overview is wanted.
+    """
+    for path in outputs:
+        writer = writers.find_writer(path)
+        if writer.needs_journey:
+            found = "evidence does not say where the robot went, only the logs do"
+            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
+        is_page = writer.needs_evidence and writer.shows_journey
+        if is_page and overview is not None:
+            found = "shows single cells, and `overview` has none"
+            raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
 def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
@@ -259,7 +270,7 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     Parameters
     ----------
     outputs
-        That they can be written was found before the evidence was read.
+        That they can be written, and of evidence, was found before it was read.
 
     Raises
     ------
@@ -267,14 +278,6 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     formats = [writers.find_writer(path) for path in outputs]
-    for path, writer in zip(outputs, formats, strict=True):
-        if writer.needs_journey:
-            found = "evidence does not say where the robot went, only the logs do"
-            raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
-        is_page = writer.needs_evidence and writer.shows_journey
-        if is_page and options.overview is not None:
-            found = "shows single cells, and `overview` has none"
-            raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
     saved, model = settle_model(saved, options)
     blocks = None if isinstance(saved, Evidence) else saved
     grid: Any
@@ -340,7 +343,7 @@ def paint_saved(
         made = open_map(saved, model, options)
         refuse_large(made.box, Lattice(made.resolution), options.max_cells)
         shown, found = made.paint(made.box)
-        agreement, lost = sum_up(found)
+        agreement, lost = evidence.sum_up(found)
         shown = replace(shown, agreement=agreement)
     about = describe_about(saved.manifest, identify(saved), options)
     facts = results.describe_map(shown, options.writing)._replace(lost=lost)
@@ -358,7 +361,7 @@ def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyM
         Nothing was observed or lies in the extent, the map would be too large, or the picture
         cannot be read.
     """
-    if not isinstance(store, Store):
+    if isinstance(store, Evidence) or store.root is None:
         raise UsageError("`overview` goes with a store", where=store.where, fix="leave it out")
     if options.model or options.min_passes:
         found = "the pictures in a store show what its own model decided of all that was observed"
@@ -403,7 +406,7 @@ def summarise(
         notes=(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
-            *results.list_outside(facts, options.writing),
+            *results.list_vain_edits(facts, options.writing),
             *facts.lost,
             *results.list_disagreement(facts),
         ),

@@ -165,8 +165,8 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
 
 def finish_store(
     path: Path, manifest: Manifest, records: Iterable[BlockRecord], ground: Ground | None = None
-) -> str:
-    """Write the table and, last, what makes the store whole, when all is painted; give its digest.
+) -> None:
+    """Write the table and, last, what makes the store whole, when all is painted.
 
     Parameters
     ----------
@@ -201,7 +201,6 @@ def finish_store(
         }
         head["complete"] = True
         root.attrs["occmap"] = {**head, "checksum": compute_checksum(head, {})}
-    return str(head["digest"])
 
 
 def add_coarse_levels(root: Any, boxes: Sequence[CellBox]) -> None:

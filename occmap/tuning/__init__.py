@@ -122,31 +122,17 @@ def tune(
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_mount(logs), lambda: tally.advance(kept))
     before = scorer.score(Correction())
-    timed, place, unsearched = plan_search(scorer)
-    time, mounted, best = search.find_both(scorer, Correction(), timed, place)
-    unseen = Finding(verdict=Verdict.UNSEEN, correction=best)
-    deskew = search.find_deskew(scorer, best) if timed else unseen
-    if deskew.verdict is Verdict.FOUND:
-        time, mounted, best = search.find_both(scorer, deskew.correction, timed, place)
-    if place and mounted.verdict is Verdict.UNSEEN:
-        unsearched.append("the mount is not searched: it would make up for times that change")
-    # Both once more, since one may have hidden part of the other.
-    again = search.TOGETHER if timed and mounted.verdict is Verdict.FOUND else []
-    together = search.find_correction(scorer, best, again)
-    best = together.correction
+    findings, unsearched = search_all(scorer)
+    best = findings["together"].correction
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
-    better = replace(options, posing=best.apply(options.posing, scorer.mount))
     tuning = Tuning(
         **vars(remarks),
         scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
         resolution=options.resolution,
         **improve(before, after),
         correction=best,
-        deskew=deskew,
-        time=time,
-        mount=mounted,
-        together=together,
+        **findings,
         tried=[
             TriedCorrection(**vars(correction), share=trial.score.share)
             for correction, trial in scorer.tried.items()
@@ -155,10 +141,34 @@ def tune(
         command=(),
         agreement=after.agreement,
     )
+    better = replace(options, posing=best.apply(options.posing, scorer.mount))
     is_told = tuning.is_sure and best.is_any
     command = compose_build(remarks.logs, better, {}) if is_told else ()
     doubts = list_doubts(tuning, options.posing.time_offset_s)
     return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
+
+
+def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
+    """Search for the time offset and the mount, for poses of single beams, and for all together.
+
+    Returns
+    -------
+    findings, notes
+        What came of each search, as fields of a `Tuning`; and what was not searched, and why.
+    """
+    timed, place, unsearched = plan_search(scorer)
+    time, mount, best = search.find_both(scorer, Correction(), timed, place)
+    deskew = Finding(verdict=Verdict.UNSEEN, correction=best)
+    if timed:
+        deskew = search.find_deskew(scorer, best)
+    if deskew.verdict is Verdict.FOUND:
+        time, mount, best = search.find_both(scorer, deskew.correction, timed, place)
+    if place and mount.verdict is Verdict.UNSEEN:
+        unsearched.append("the mount is not searched: it would make up for times that change")
+    # Both once more, since one may have hidden part of the other.
+    again = search.TOGETHER if timed and mount.verdict is Verdict.FOUND else []
+    together = search.find_correction(scorer, best, again)
+    return {"time": time, "mount": mount, "deskew": deskew, "together": together}, unsearched
 
 
 def improve(before: Trial, after: Trial) -> dict[str, Any]:

@@ -238,9 +238,7 @@ def find_writer(path: Path) -> Writer:
     return cast(Writer, kind())
 
 
-def check_outputs(
-    outputs: Sequence[Path], inputs: Sequence[Path] = (), options: WriteOptions | None = None
-) -> None:
+def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path], options: WriteOptions) -> None:
     """Find out before the work starts what could not be written after it.
 
     Raises
@@ -250,10 +248,9 @@ def check_outputs(
         that is an input or the file of edits, or one that `options` cannot make.
     """
     writers = [(path, find_writer(path)) for path in outputs]
-    if options is not None:
-        inputs = [*inputs, *([options.edits] if options.edits else [])]
-        for path, writer in writers:
-            writer.check(path, options)
+    inputs = [*inputs, *([options.edits] if options.edits else [])]
+    for path, writer in writers:
+        writer.check(path, options)
     targets = [(target, writer) for path, writer in writers for target in writer.targets(path)]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):
@@ -285,7 +282,7 @@ def check_picture(
     if path.suffix.lower() not in suffixes:
         names = " or ".join(suffixes)
         raise UsageError("is not a picture", where=path, fix=f"give it a name that ends in {names}")
-    check_outputs([path], inputs)
+    check_outputs([path], inputs, WriteOptions())
 
 
 def refuse_input(target: Path, inputs: Sequence[Path]) -> None:

@@ -144,6 +144,15 @@ def test_where_poses_stand_beside_scans_no_clock_is_blamed() -> None:
         assert "occmap tune" not in occmap(*command).out
 
 
+@pytest.mark.parametrize("command", ["build -o m.pgm", "check"])
+def test_where_poses_stand_beside_scans_no_time_mends_them(command: str) -> None:
+    told = occmap(*command.split(), SAMPLE_LOGS / "drive.csv", "--sensor-pose", "0.3,0.3,0.4")
+    assert "the poses do not fit the scans; " in told.err + told.out
+    assert "another trajectory by --poses FILE" in told.err + told.out
+    for vain in ("tune", "--time-offset", "--deskew"):
+        assert vain not in told.err + told.out
+
+
 def test_json_is_one_object_and_nothing_else() -> None:
     result = occmap("build", DRIVE, "--json", "-o", "m.pgm")
     assert result.json["scans"] == {"read": 414, "used": 414, "dropped": {}}

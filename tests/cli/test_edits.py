@@ -151,6 +151,15 @@ def test_a_shape_outside_of_the_map_is_named(shape: str, is_outside: bool) -> No
             assert "x 100 to 101 m, y 2 to 3 m" in notes[0]
 
 
+@pytest.mark.parametrize("text", ["", "# nothing\n", '{"features": []}'])
+def test_a_file_without_a_shape_is_told(text: str) -> None:
+    Path("edits.csv").write_text(text)
+    assert occmap("build", DRIVE, "-o", "m.npz", "-q").code == 0
+    for line in (("build", DRIVE), ("render", "m.npz")):
+        made = occmap(*line, "-o", "m.pgm", "--edits", "edits.csv")
+        assert (made.code, "edits.csv: holds no shape" in made.err) == (0, True)
+
+
 def test_diff_tells_changes_where_edits_lie_from_others() -> None:
     Path("more.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,9,9\n")
     Path("elsewhere.csv").write_text("free,box,0,0,1,1\nforbidden,box,10.9,-1.5,11.5,-0.9\n")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.runner import ask, occmap
+from tests.cli.runner import ask, occmap, read_error
 from tests.samples import PLAIN_WORDS, write_csv
 
 BUILD = " ".join(["build", *PLAIN_WORDS])
@@ -125,6 +125,13 @@ def test_halves_that_are_merged_are_no_loss() -> None:
     assert occmap("build long.csv --start 2 -o 2.npz").code == 0
     merged = occmap("merge 1.npz 2.npz -o 12.npz").out.splitlines()
     assert "scans    4 used of 4 asked for, in 2 builds" in merged
+    assert not any(line.startswith("dropped") for line in merged)
+
+
+def test_what_evidence_does_not_hold_is_refused_before_it_is_read() -> None:
+    Path("damaged.npz").write_bytes(b"")
+    told = occmap("merge", "damaged.npz", "a.npz", "-o", "way.tum")
+    assert "way.tum: evidence does not say where the robot went" in read_error(told, 2)
 
 
 def test_evidence_is_a_map_to_diff() -> None:

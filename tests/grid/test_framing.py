@@ -62,9 +62,13 @@ def test_a_margin_goes_all_round(margin: float, cells: int) -> None:
     assert shown.origin == pytest.approx((0.05 - 0.05 * cells, -0.05 - 0.05 * cells))
 
 
-def test_what_a_map_shows_does_not_change_how_well_its_hits_agree() -> None:
-    part = show(Framing(extent=(0.1, -0.05, 0.15, 0.0)))
-    assert part.agreement == show(Framing()).agreement == 1
+def test_how_well_hits_agree_is_told_of_the_cells_that_are_shown() -> None:
+    part, whole, none = (
+        show(Framing(extent=extent))
+        for extent in ((0.1, -0.05, 0.15, 0.0), None, (0.05, -0.05, 0.1, 0.0))
+    )
+    assert (part.agreement, whole.agreement) == (1, 1)
+    assert none.agreement is None
 
 
 def test_an_extent_beside_the_map_is_refused() -> None:

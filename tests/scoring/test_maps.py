@@ -15,8 +15,9 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scoring.compare import combine, compare
-from occmap.scoring.fit import STAY, Transform, Walls, fit
+from occmap.scoring.fit import Walls, fit
 from occmap.scoring.maps import LogScore, score_by_logs, score_by_truth
+from occmap.store.moving import STAY, Transform
 from occmap.tuning import tune
 from occmap.types import Pose
 from occmap.writers import WriteOptions
@@ -96,16 +97,16 @@ def test_resolutions_may_differ(times: int) -> None:
 
 def test_distances_are_those_to_the_nearest_wall() -> None:
     occupied = np.random.default_rng(1).random((23, 31)) < 0.01
-    walls = Walls.of(occupied, HERE, 1.0)
+    walls = Walls.of(occupied, HERE)
     middles = (np.argwhere(occupied)[:, ::-1] + 0.5) * 0.1
-    for point in np.random.default_rng(2).uniform(-0.9, 4.0, (500, 2)):
+    for point in np.random.default_rng(2).uniform(-1.9, 5.0, (500, 2)):
         middle = (np.floor(point / 0.1) + 0.5) * 0.1
-        nearest = min(1.0, np.linalg.norm(middles - middle, axis=1).min())
+        nearest = min(2.0, np.linalg.norm(middles - middle, axis=1).min())
         assert walls.measure(point[None])[0] == pytest.approx(nearest, abs=1e-5)
 
 
 def test_distances_in_a_map_of_millimetres_end_nearer_by() -> None:
-    walls = Walls.of(np.ones((1, 1), np.bool_), Place(0.001, 0.0, 0.0), 2.0)
+    walls = Walls.of(np.ones((1, 1), np.bool_), Place(0.001, 0.0, 0.0))
     assert walls.measure(np.array([[1.0, 0.0]]))[0] == pytest.approx(0.2)
 
 
@@ -114,7 +115,7 @@ def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
     plan = load_map(SAMPLE_LOGS / "floor_plan.yaml", WriteOptions())
     assert plan.place is not None
     occupied = plan.classes == CellClass.OCCUPIED
-    walls, points = Walls.of(occupied, plan.place, 2.0), plan.place.list_middles(occupied)
+    walls, points = Walls.of(occupied, plan.place), plan.place.list_middles(occupied)
     true = Transform(*moved)
     found = fit(true.move_back(points), walls).transform
     assert found.yaw == pytest.approx(true.yaw, abs=0.004)

@@ -17,8 +17,9 @@ from occmap.grid.tiles import TILE, mark_observed, stack_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring.fit import Transform, Walls, find_transform, fit, lay_on, move_evidence
+from occmap.scoring.fit import Walls, find_transform, fit, lay_on
 from occmap.store.merging import merge
+from occmap.store.moving import Transform, move_evidence
 from occmap.types import Pose
 from tests.evidence.saving import DRIVE, halve, save
 from tests.grid.scans import assert_same_slices, make_grid
@@ -95,7 +96,7 @@ def test_a_first_transform_is_where_the_search_begins(tmp_path: Path) -> None:
 def test_a_corridor_lets_the_search_slide() -> None:
     occupied = np.zeros((60, 400), np.bool_)
     occupied[[5, 55], :] = True  # two walls 2.5 m apart, 20 m long
-    walls = Walls.of(occupied, Place(0.05, 0.0, 0.0), 2.0)
+    walls = Walls.of(occupied, Place(0.05, 0.0, 0.0))
     along = np.arange(5.0, 15.0, 0.02)
     points = np.concatenate(
         [np.column_stack([along, np.full_like(along, y)]) for y in (0.28, 2.78)]
