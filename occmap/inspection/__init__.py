@@ -301,7 +301,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         below, posed = None, replace(options, posing=poser.options)
         try:
-            below, ground, posed = find_ground([log], posed, None)
+            below, ground, posed = find_ground([survey.drive], posed, None)
             ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))

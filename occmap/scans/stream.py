@@ -200,6 +200,12 @@ class Drive:
         self._first_ns = 0
         self._odd: dict[str, None] = {}
 
+    def renew(self, options: BuildOptions) -> "Drive":
+        """Make a drive that has read no scan, by the poses that are known and other options."""
+        poser = Poser(self.poser.sources, options.posing)
+        poser.find_chains(self.poser.chains)
+        return Drive(self.log, poser, options)
+
     def settle(self) -> bool:
         """Say, once all scans were read, whether limits and leaps were known from the first on.
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +11,11 @@ import pytest
 
 from occmap.clouds.ground import GroundFinder
 from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.readers.ros_log import RosLog
 from occmap.scans.tracing import level_ground
-from occmap.types import Float64, Pose, PosedScans
+from occmap.types import Float64, Pose, PoseBatch, PosedScans, PoseSample
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
 from tests.clouds.simulation import (
@@ -119,3 +121,19 @@ def test_a_build_says_how_it_was_levelled_and_a_session_takes_it_over(tmp_path: 
     assert one.ground
     assert other.ground
     assert other.ground.measured.sum() > one.ground.measured.sum()
+
+
+def test_a_build_reads_the_poses_of_a_log_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poses, reads = RosLog.stacked_poses, []
+
+    def count_reads(log: RosLog) -> Iterator[PoseSample | PoseBatch]:
+        reads.append(log)
+        return poses(log)
+
+    monkeypatch.setattr(RosLog, "stacked_poses", count_reads)
+    leaning = write_leaning(tmp_path / "leaning.tum", turn(4, -6, 0))  # so its ground is found anew
+    reads.clear()
+    build([HALL], BuildOptions(posing=PosingOptions(poses=str(leaning))), [tmp_path / "map.pgm"])
+    assert len(reads) == 1
