@@ -8,7 +8,7 @@ from typing import Any
 
 from occmap.cells import Evidence, Manifest, OccupancyMap, sum_tiles
 from occmap.errors import MapError
-from occmap.evidence import list_misfit, render_lasting
+from occmap.evidence import list_contradictions, list_misfit, render_lasting
 from occmap.evidence.manifest import describe_about, describe_build, list_doubts, plan_manifest
 from occmap.grid.tiles import add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
@@ -66,6 +66,7 @@ def build(
         facts = results.describe_map(grid, options.writing)
         seen.remarks.notes += [
             *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),
+            *(list_contradictions(seen.tiles) if options.update is Update.CLOUD else ()),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
         report = make_report(options, tally, seen.remarks, facts, past)

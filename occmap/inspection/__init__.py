@@ -232,9 +232,7 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         nearest = f"no range is below {topic.ranges.smallest:.4g} m"
         yield Concern(f"{nearest}: ranges are metres; are these millimetres?", None)
     if topic.ranges.body is not None:
-        box = ",".join(f"{edge:g}" for edge in topic.ranges.body)
-        found = "the robot is in its own scans: some beams measure the same wherever it goes"
-        yield Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
+        yield poses.warn_of_body(topic.ranges.body)
     if not topic.ranges.measured and not topic.is_of_clouds:
         is_beyond = any(special.name == BEYOND for special in topic.ranges.specials)
         found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
@@ -308,6 +306,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         level = replace(poser, options=posed.posing)
         some, box = poses.look_at_clouds(log, level, posed, below)
         against = list(poses.list_floor_concerns(some, level, posed, below))
+        if below is not None and not problem:
+            against += poses.list_other_concerns(some, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits = survey.drive.limits.list_notes()

@@ -6,16 +6,19 @@ The floor that clouds see says whether a mount, or the poses' up, is wrong.
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
-from occmap.cells import Ground
+from occmap.cells import Box, Ground
 from occmap.choices import format_mount
 from occmap.clouds.mounting import find_seat, measure_tilts
+from occmap.errors import MapError
+from occmap.evidence import list_contradictions
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
-from occmap.inspection.survey import TopicSurvey
+from occmap.inspection.survey import NO_HIT_M, OWN_RANGE_M, TopicSurvey, find_body
 from occmap.options import BuildOptions
 from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
@@ -165,6 +168,63 @@ def list_floor_concerns(
         found = f"the floor is tilted by about {angle:.1f} deg against the poses"
         why = "their up is wrong, and floor far away would stand up"
         yield topic, Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
+
+
+BEARINGS, OWN_SPREAD_M = 180, 0.1
+"""Of a turn, in which clouds are looked through for the robot: the nearest of its points in each
+keeps its range less well than a beam does (m)"""
+
+
+def list_other_concerns(
+    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground, is_right: bool
+) -> Iterator[tuple[str, Concern]]:
+    """List what else some clouds show: the robot, and that they contradict each other.
+
+    Parameters
+    ----------
+    is_right
+        Nothing is wrong with mounts and floor, which would be a reason to do so.
+    """
+    from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
+
+    band, lattice = make_band(options.clouds, options.returns), Lattice(options.resolution)
+    for topic, clouds in sorted(some.items()):
+        looks = [(posed, see_near(posed, ground, options)) for posed in clouds]
+        body = find_body(looks, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M)
+        if body is not None:
+            yield topic, warn_of_body(body)
+        engine = CloudEngine(lattice, band, ground, options.max_cells)
+        with suppress(MapError):  # it gets too large, which is a problem by itself
+            for posed in clouds:
+                engine.add(posed)
+            found = list_contradictions(engine.finish()) if is_right else ()
+            yield from ((topic, Concern(text)) for text in found)
+
+
+def see_near(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
+    """(S, 180) how far obstacles are by their bearing in the sensor's frame, if they are near."""
+    ranges = np.full((len(posed.batch.stamp_ns), BEARINGS), NO_HIT_M)
+    if posed.origin is not None:  # nothing is known of how the sensor saw them
+        return ranges
+    clouds = zip(posed.batch.clouds or (), *posed.at_first_beam, ranges, strict=True)
+    for cloud, position, rotation, nearest in clouds:
+        points = cloud.points[:, :3].astype(np.float64)
+        distance = np.hypot(points[:, 0], points[:, 1])
+        is_near = (distance > options.returns.min_range) & (distance < OWN_RANGE_M)
+        points, distance = points[is_near], distance[is_near]
+        place = points @ rotation.T + position
+        stands = place[:, 2] - ground.find_heights(place) >= options.clouds.min_height
+        bearing = np.arctan2(points[:, 1], points[:, 0]) + math.pi
+        beam = (bearing * (BEARINGS / math.tau)).astype(np.int64) % BEARINGS
+        np.minimum.at(nearest, beam[stands], distance[stands])
+    return ranges
+
+
+def warn_of_body(body: Box) -> Concern:
+    """Say that the robot stands in a box around the sensor (m), and what leaves it out."""
+    box = ",".join(f"{edge:g}" for edge in body)
+    found = "the robot is in its own scans: some of it is at the same place wherever it goes"
+    return Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
 
 
 def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> Concern | None:

@@ -10,6 +10,7 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -140,7 +141,7 @@ class RangeCensus:
             ),
             repeated=repeated,
             crossed=crossed,
-            body=find_body(sample, options),
+            body=look_for_body(sample, options),
         )
 
 
@@ -242,32 +243,47 @@ OWN_MARGIN_M = 0.05
 """How far the box around the robot's parts reaches beyond them (m)"""
 
 
-def find_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
-    """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
+Look: TypeAlias = tuple[PosedScans, Float64]
+"""Scans, and (S, B) how far each beam is from what it hit (m)"""
 
-    It is in the sensor's frame (m); None where there is no such thing in scans of any one shape.
-    """
-    seen: defaultdict[tuple[float, float, int], list[Float64]] = defaultdict(list)
+
+def look_for_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
+    """Find a box around the robot in scans; see `find_body`."""
+    seen: defaultdict[tuple[float, float, int], list[Look]] = defaultdict(list)
     for part in parts:
         batch, (kind, reach, _) = part.batch, classify(part.batch, options)
-        ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
-        position, rotation = part.at_first_beam
-        place, heading = np.floor(position[:, :2] / PLACE_M), rotation[:, :2, 0]
         shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[shape].append(np.hstack([place, heading, ranges]))
-    points = [np.zeros((0, 2))]
-    for shape, scans in seen.items():
-        rows = np.concatenate(scans)
-        _, first = np.unique(rows[:, :2], axis=0, return_index=True)
-        heading, ranges = rows[first, 2:4], rows[first, 4:]
-        is_moving = len(first) >= MIN_PLACES and np.hypot(*heading.mean(axis=0)) < MOST_STRAIGHT
-        middle = np.median(ranges, axis=0)
-        stays = (np.abs(ranges - middle) <= OWN_SPREAD_M).mean(axis=0) >= OWN_SHARE
-        own = np.flatnonzero(stays & (middle < OWN_RANGE_M))
-        if is_moving and len(own) >= MIN_OWN_BEAMS:
-            points.append((middle * tabulate_bearings(*shape))[:, own].T)
-    every = np.concatenate(points)
-    if not len(every):
+        seen[shape].append((part, np.where(kind == Kind.HIT, reach, NO_HIT_M)))
+    boxes = filter(None, (find_body(looks, shape) for shape, looks in seen.items()))
+    return next(boxes, None)
+
+
+def find_body(
+    looks: Sequence[Look], shape: tuple[float, float, int], spread: float = OWN_SPREAD_M
+) -> Box | None:
+    """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
+
+    It is in the sensor's frame (m); None where there is no such thing.
+
+    Parameters
+    ----------
+    shape
+        Bearing of the first beam, the angle from one to the next (rad), and how many there are.
+    spread
+        Parts of the robot keep their range so well (m).
+    """
+    ranges = np.concatenate([ranges for _, ranges in looks])
+    position, rotation = map(
+        np.concatenate, zip(*(it.at_first_beam for it, _ in looks), strict=True)
+    )
+    _, first = np.unique(np.floor(position[:, :2] / PLACE_M), axis=0, return_index=True)
+    heading, ranges = rotation[first, :2, 0].mean(axis=0), ranges[first]
+    if len(first) < MIN_PLACES or math.hypot(*heading) > MOST_STRAIGHT:
+        return None
+    middle = np.median(ranges, axis=0)
+    stays = (np.abs(ranges - middle) <= spread).mean(axis=0) >= OWN_SHARE
+    every = (middle * tabulate_bearings(*shape)).T[stays & (middle < OWN_RANGE_M)]
+    if len(every) < MIN_OWN_BEAMS:
         return None
     low, high = every.min(axis=0) - OWN_MARGIN_M, every.max(axis=0) + OWN_MARGIN_M
     x_min, y_min, x_max, y_max = np.round([*low, *high], 2).tolist()
