@@ -24,7 +24,7 @@ from occmap.writers import WriteOptions
 DEFAULT_UPDATE = Update.SURFACE
 
 
-def choose_model(update: Update) -> SensorModel:
+def choose_model(update: Update) -> CountingModel:
     """Choose the model of an update where nobody names one, as measured on real logs.
 
     A scan counts once in the polygon update, and its joined borders thicken walls by themselves.

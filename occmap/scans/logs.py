@@ -21,7 +21,7 @@ from occmap.posing.frames import last_part
 from occmap.posing.sources import TF_TOPICS, gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, count, join_names
-from occmap.sensor.models import RadialModel
+from occmap.sensor.models import CountingModel, RadialModel
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
 
@@ -85,8 +85,13 @@ def suit_kinds(kinds: Mapping[Role, str], options: BuildOptions) -> BuildOptions
     require(is_open, f"{found} the {options.update} update does not take", "name no update")
     is_radial = isinstance(options.model, RadialModel)
     require(not is_radial, f"{found} a model of beams does not take", "try `model=counting`")
-    is_default = options.model == choose_model(options.update)
-    model = choose_model(Update.CLOUD) if is_default else options.model
+    model = options.model
+    if isinstance(
+        model, CountingModel
+    ):  # what the user changed of it is changed of that for clouds
+        usual = vars(choose_model(options.update))
+        chosen = {name: value for name, value in vars(model).items() if value != usual[name]}
+        model = replace(choose_model(Update.CLOUD), **chosen)
     return replace(options, update=Update.CLOUD, model=model)
 
 

@@ -417,10 +417,9 @@ def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOpt
     notes = []
     if share < COMMON_SHARE:
         turn = 0.0
-        notes.append(
-            f"the walls have no common direction ({share:.0%} of their length lies within 3 "
-            "degrees of one), so the map is not turned; give an angle with `align=DEG`"
-        )
+        common = f"{share:.0%} of the length of walls lies within 3 degrees of one direction"
+        found = common if any(map(len, chords)) else "no beams of laser scans show a straight wall"
+        notes.append(f"{found}, so the map is not turned; give an angle with `align=DEG`")
     return replace(options, posing=replace(options.posing, align=turn)), notes
 
 

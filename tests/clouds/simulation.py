@@ -189,7 +189,7 @@ def classify(
     hits, misses = count(observe(drives, find_ground(drives), options)).astype(np.float64)
     model = choose_model(Update.CLOUD)
     with np.errstate(divide="ignore", invalid="ignore"):
-        odds = model.log_odds(hits, misses)  # type: ignore[union-attr]  # it counts
+        odds = model.log_odds(hits, misses)
     seen, cut = hits + misses > 0, np.log(0.05 / 0.95)
     return seen & (odds > cut), seen & (odds < cut)
 
