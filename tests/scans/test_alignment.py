@@ -80,8 +80,7 @@ def test_a_room_that_lies_askew_is_turned(tmp_path: Path, degrees: float) -> Non
 def test_a_map_without_a_direction_stays_as_it_is(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 5, [4.0] * 90, step=math.tau / 90)
     made = build([log], ALIGNED)
-    (note,) = (note for note in made.report.notes if "common" in note)
-    assert "`align=DEG`" in note
+    assert any("`align=DEG`" in note for note in made.report.notes)
     assert made.report.map.align == 0
     assert np.array_equal(made.map.log_odds, build([log], PLAIN).map.log_odds)
 
