@@ -23,8 +23,7 @@ import occmap
 from occmap.choices import list_options, read_options
 from occmap.cli.console import spell
 from occmap.errors import OccmapError, OutputError, UsageError
-from occmap.options import BuildOptions, Selection
-from occmap.pipeline import build
+from occmap.options import BuildOptions
 from occmap.posing import Deskew, Stamps
 from occmap.readers import Echo
 from occmap.sensor import NoReturn, ReturnOptions
@@ -299,14 +298,6 @@ def test_the_docstring_lists_every_option_with_its_default_and_unit() -> None:
     assert shown["stamps"][1].startswith('"header" or "record"): ')
     assert shown["footprint"][1].startswith("x_min,y_min,x_max,y_max in metres, such as")
     assert all(unit.startswith("s): ") for name, (_, unit) in shown.items() if name[-2:] == "_s")
-
-
-def test_flat_options_make_the_map_of_the_grouped_ones() -> None:
-    flat = occmap.build_map(DRIVES[2], max_range=6, end_s=10)
-    options = BuildOptions(returns=ReturnOptions(max_range=6.0), selection=Selection(end_s=10.0))
-    grouped = build([DRIVES[2]], options)
-    assert np.array_equal(flat.log_odds, grouped.map.log_odds)
-    assert flat.report.beams == grouped.report.beams
 
 
 def test_the_model_suits_the_update_where_none_is_given(log: Path) -> None:

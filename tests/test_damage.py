@@ -9,7 +9,7 @@ import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
@@ -47,7 +47,7 @@ class Format:
     is_container: bool = True
     """A text that is cut between two lines looks whole, and no text counts its scans."""
     shared: FindZones = lambda _: []
-    """Where damage concerns all scans"""
+    """Where damage concerns many scans, which a note says"""
 
     def prepare(self, folder: Path) -> tuple[Path, Path]:
         """Copy the log: the path to open, and the file in it that is to be damaged."""
@@ -108,16 +108,28 @@ def find_shared_pages(data: bytes) -> list[Zone]:
     return [(at, at + 4096) for at in starts if at == topics or data[at] == 5]
 
 
+def list_mcap_records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Where each record of an MCAP file begins, its code, and where it ends."""
+    end = 8
+    while end < len(data) - 8:
+        at, (opcode, length) = end, struct.unpack_from("<BQ", data, end)
+        end += 9 + length
+        yield at, opcode, end
+
+
+def find_chunk_heads(data: bytes) -> list[Zone]:
+    """In an MCAP file: what says of a chunk how long it is and how it is compressed."""
+    return [(at, at + 9 + 40) for at, opcode, _ in list_mcap_records(data) if opcode == 6]
+
+
 def find_mcap_chunks(data: bytes) -> list[Zone]:
     """In an MCAP file with compressed chunks: the chunk that a scan lies in, with its indexes."""
     zones: list[Zone] = []
-    start = end = 8
-    while end < len(data) - 8:
-        opcode, length = struct.unpack_from("<BQ", data, end)
-        start = end if opcode == 6 else start
-        end += 9 + length
+    start = 8
+    for at, opcode, end in list_mcap_records(data):
+        start = at if opcode == 6 else start
         if opcode == 7:  # a message index follows its chunk; that of /scan counts its scans
-            channel, size = struct.unpack_from("<HI", data, end - length)
+            channel, size = struct.unpack_from("<HI", data, at + 9)
             zones += [(start, end)] * (size // 16 if channel == 3 else 0)
     return zones
 
@@ -176,7 +188,7 @@ FORMATS = {
     "bag": Format("drive.bag", find_ranges),
     "bag.bz2": Format("drive.bag", find_bag_chunks, pack=partial(pack_bag, compression="BZ2")),
     "bag.lz4": Format("drive.bag", find_bag_chunks, pack=partial(pack_bag, compression="LZ4")),
-    "mcap": Format("drive.mcap", find_ranges),
+    "mcap": Format("drive.mcap", find_ranges, shared=find_chunk_heads),
     "mcap.zstd": Format("drive.mcap", find_mcap_chunks, pack=pack_mcap),
     "ros2": Format("drive_ros2/drive_ros2.db3", find_pages, shared=find_shared_pages),
 }

@@ -271,10 +271,7 @@ def test_an_upside_down_or_tilted_laser_is_told(tmp_path: Path, roll: float, til
 
 
 def test_stamps_of_another_clock_suggest_the_record_times(tmp_path: Path) -> None:
-    def forget(_stamp: int) -> int:
-        return 0
-
-    path = write_bag(tmp_path / "zero.bag", Drive(), [(0.0, 0.0)], scan_stamp=forget)
+    path = write_bag(tmp_path / "zero.bag", Drive(), [(0.0, 0.0)], scan_stamp=lambda _: 0)
     found = look(path)
     times = topic(found).times
     assert (times.all_equal, times.all_zero, times.duplicates) == (True, True, SCANS - 1)

@@ -9,26 +9,28 @@ import pytest
 from tests.cli.runner import ask, occmap, read_error
 from tests.samples import SAMPLE_LOGS
 
-
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    return Path(shutil.copy(SAMPLE_LOGS / "drive.csv", tmp_path / "drive.csv"))
+LOG, FILE_BESIDE = "site/drive.csv", "site/occmap.toml"
 
 
-def write(log: Path, text: str, name: str = "occmap.toml") -> Path:
-    path = log.parent / name
-    path.write_text(text)
-    return path
+@pytest.fixture(autouse=True)
+def _log(here: Path) -> None:
+    """The log lies in a folder, and the test works beside that."""
+    (here / "site").mkdir()
+    shutil.copy(SAMPLE_LOGS / "drive.csv", here / "site")
 
 
-def map_of(log: Path, *words: object) -> Any:
-    return ask("build", log, "-o", log.parent / "m.pgm", *words)
+def write(text: str, name: str = FILE_BESIDE) -> None:
+    Path(name).write_text(text)
 
 
-TYPED = [
-    *("-r", 0.1, "--max-range", 5, "--ignore-sector", "2.5,-2.5", "--ignore-sector", "1,1.2"),
-    *("--footprint", "-0.4,-0.3,0.2,0.3", "--no-return", "clear", "--stride", 3),
-]
+def make_map(words: str = "") -> Any:
+    return ask(f"build {LOG} -o m.pgm {words}")
+
+
+TYPED = (
+    "-r 0.1 --max-range 5 --ignore-sector 2.5,-2.5 --ignore-sector 1,1.2 "
+    "--footprint -0.4,-0.3,0.2,0.3 --no-return clear --stride 3"
+)
 FILE = """
 resolution = 0.1
 max-range = 5
@@ -39,54 +41,52 @@ stride = 3
 """
 
 
-def test_a_file_says_what_might_be_typed(log: Path) -> None:
-    typed = map_of(log, *TYPED)
-    cells = (log.parent / "m.pgm").read_bytes()
-    path = write(log, FILE)
-    read = map_of(log)
+def test_a_file_says_what_might_be_typed() -> None:
+    typed, cells = make_map(TYPED), Path("m.pgm").read_bytes()
+    write(FILE)
+    read = make_map()
     assert read["map"] == typed["map"]
-    assert (log.parent / "m.pgm").read_bytes() == cells
-    assert read["notes"][0].startswith(
-        f"{path}: resolution = 0.1, max-range = 5, ignore-sector = [[2.5, "
-    )
+    assert Path("m.pgm").read_bytes() == cells
+    assert read["notes"][0].startswith(f"{FILE_BESIDE}: resolution = 0.1, max-range = 5, ignore-se")
 
 
-def test_what_is_kept_of_a_build_holds_the_options_of_the_file(log: Path) -> None:
-    write(log, FILE)
-    assert occmap("build", log, "-o", log.parent / "m.npz").code == 0
-    told = ask("render", log.parent / "m.npz", "-o", log.parent / "m.pgm")
+def test_what_is_kept_of_a_build_holds_the_options_of_the_file() -> None:
+    write(FILE)
+    assert occmap(f"build {LOG} -o m.npz").code == 0
+    told = ask("render m.npz -o m.pgm")
     assert told["map"]["resolution"] == 0.1
     assert told["scans"]["dropped"]["left out by --stride"] > 0
-    command = ask("check", log)["command"]
+    command = ask(f"check {LOG}")["command"]
     assert command[command.index("--max-range") + 1] == "5"
 
 
+@pytest.mark.parametrize(
+    ("words", "resolution"), [("", 0.1), ("--config other.toml", 0.2), ("-r 0.4", 0.4)]
+)
 def test_a_named_file_goes_before_the_one_beside_the_logs_and_a_typed_value_before_both(
-    log: Path,
+    words: str, resolution: float
 ) -> None:
-    write(log, "resolution = 0.1")
-    other = write(log, "resolution = 0.2", "other.toml")
-    for words, resolution in (((), 0.1), (("--config", other), 0.2), (("-r", 0.4), 0.4)):
-        assert map_of(log, *words)["map"]["resolution"] == resolution
+    write("resolution = 0.1")
+    write("resolution = 0.2", "other.toml")
+    assert make_map(words)["map"]["resolution"] == resolution
 
 
-def test_flags_and_options_of_one_command(log: Path) -> None:
+def test_flags_and_options_of_one_command() -> None:
     build = "[build]\nlight-occupied = true\nstrict = false\n"
-    write(log, f'stride = 3\n{build}[check]\nfail-if = "warnings > 0"\n')
-    image, typed = log.parent / "m.png", log.parent / "typed.png"
-    assert occmap("build", log, "-o", image).code == 0
-    (log.parent / "occmap.toml").unlink()
-    assert occmap("build", log, "-o", typed, "--light-occupied", "--stride", 3).code == 0
-    assert image.read_bytes() == typed.read_bytes()
-    write(log, '[check]\nfail-if = ["topics == 1", "scans_read > 5"]\n')
-    assert occmap("check", log).code == 3
-    assert occmap("build", log, "-o", image).code == 0
+    write(f'stride = 3\n{build}[check]\nfail-if = "warnings > 0"\n')
+    assert occmap(f"build {LOG} -o m.png").code == 0
+    Path(FILE_BESIDE).unlink()
+    assert occmap(f"build {LOG} -o typed.png --light-occupied --stride 3").code == 0
+    assert Path("m.png").read_bytes() == Path("typed.png").read_bytes()
+    write('[check]\nfail-if = ["topics == 1", "scans_read > 5"]\n')
+    assert occmap(f"check {LOG}").code == 3
+    assert occmap(f"build {LOG} -o m.png").code == 0
 
 
-def test_options_of_other_commands_are_passed_over(log: Path) -> None:
-    path = write(log, "hit-offset = 0.25\n")
-    told = occmap("check", log)
-    assert told == (0, told.out, f"note: {path}: no option of this command\n")
+def test_options_of_other_commands_are_passed_over() -> None:
+    write("hit-offset = 0.25\n")
+    told = occmap(f"check {LOG}")
+    assert told == (0, told.out, f"note: {FILE_BESIDE}: no option of this command\n")
 
 
 @pytest.mark.parametrize(
@@ -121,62 +121,58 @@ def test_options_of_other_commands_are_passed_over(log: Path) -> None:
         ("stride = [", "is not TOML ("),
     ],
 )
-def test_a_wrong_file_is_one_line(log: Path, text: str, found: str) -> None:
-    path = write(log, text)
-    error = read_error(occmap("build", log, "-o", log.parent / "m.pgm"), 2)
-    assert error.startswith(f"{path}: ")
+def test_a_wrong_file_is_one_line(text: str, found: str) -> None:
+    write(text)
+    error = read_error(occmap(f"build {LOG} -o m.pgm"), 2)
+    assert error.startswith(f"{FILE_BESIDE}: ")
     assert found in error
 
 
 @pytest.mark.parametrize(
-    ("command", "text", "found"),
-    [("build", "resolution = 0", "resolution of 0.0 m"), ("check", "output = 'z.pgm'", "z.pgm: ")],
+    ("line", "name", "value", "found"),
+    [
+        (f"build {LOG} -o m.pgm", "resolution", "0", "resolution of 0.0 m"),
+        (f"check {LOG}", "output", "'z.pgm'", "z.pgm: "),
+    ],
 )
 def test_a_value_that_is_refused_later_comes_after_the_file(
-    log: Path, command: str, text: str, found: str
+    line: str, name: str, value: str, found: str
 ) -> None:
-    path = write(log, text)
-    told = occmap(command, log, *(["-o", log.parent / "m.pgm"] if command == "build" else []))
+    write(f"{name} = {value}")
+    told = occmap(line)
     note, error = told.err.splitlines()
-    assert note.startswith(f"note: {path}: {text.split(maxsplit=1)[0]} = ")
+    assert note.startswith(f"note: {FILE_BESIDE}: {name} = ")
     assert error.startswith("error: ")
     assert found in error
     assert told.code == 2
 
 
-def test_only_what_takes_effect_is_told(log: Path) -> None:
-    path = write(log, "resolution = 0.1\nstride = 2")
-    words = ["build", log, "-o", log.parent / "m.pgm", "-r", 0.2]
-    assert f"note: {path}: stride = 2\n" in occmap(*words).err
-    assert f"note: {path}: all of it is typed, too\n" in occmap(*words, "--stride", 3).err
+def test_only_what_takes_effect_is_told() -> None:
+    write("resolution = 0.1\nstride = 2")
+    assert make_map("-r 0.2")["notes"] == [f"{FILE_BESIDE}: stride = 2"]
+    assert make_map("-r 0.2 --stride 3")["notes"] == [f"{FILE_BESIDE}: all of it is typed, too"]
 
 
-def test_what_is_typed_wrong_is_not_laid_on_the_file(log: Path) -> None:
-    write(log, "resolution = 0.1\nstride = 2")
-    error = read_error(occmap("build", log, "-o", log.parent / "m.pgm", "-r", "x"), 2)
+def test_what_is_typed_wrong_is_not_laid_on_the_file() -> None:
+    write("resolution = 0.1\nstride = 2")
+    error = read_error(occmap(f"build {LOG} -o m.pgm -r x"), 2)
     assert error.startswith("--resolution is 'x'; give a number")
-    told = occmap("build", log, "-o", log.parent / "m.pgm", "-r", "0")
+    told = occmap(f"build {LOG} -o m.pgm -r 0")
     assert (told.code, "error: a resolution of 0.0 m" in told.err) == (2, True)
 
 
-def test_a_file_that_is_not_there_and_two_that_are(log: Path, tmp_path: Path) -> None:
-    words = ["build", log, "-o", log.parent / "m.pgm"]
-    error = read_error(occmap(*words, "--config", tmp_path / "none.toml"), 2)
-    found = "cannot be read (No such file or directory); check the path of --config"
-    assert error == f"{tmp_path / 'none.toml'}: {found}"
-    write(log, "stride = 2")
-    (tmp_path / "other").mkdir()
-    other = Path(shutil.copy(log, tmp_path / "other" / "b.csv"))
-    write(other, "stride = 3")
-    error = read_error(occmap("check", log, other), 2)
+def test_a_file_that_is_not_there_and_two_that_are() -> None:
+    error = read_error(occmap(f"build {LOG} -o m.pgm --config none.toml"), 2)
+    assert error.startswith("none.toml: cannot be read (No such file or directory); check the path")
+    write("stride = 2")
+    shutil.copytree("site", "other")
+    write("stride = 3", "other/occmap.toml")
+    error = read_error(occmap(f"check {LOG} other/drive.csv"), 2)
     assert "the logs have several files of options" in error
     assert error.endswith("name one with --config")
 
 
-def test_files_are_looked_for_beside_the_file_that_names_them(
-    log: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (log.parent / "shapes.csv").write_text("occupied,box,0,0,1,1\n")
-    path = write(log, 'edits = "shapes.csv"')
-    monkeypatch.chdir(Path(__file__).parent)
-    assert map_of(log)["notes"][0] == f'{path}: edits = "{log.parent / "shapes.csv"}"'
+def test_files_are_looked_for_beside_the_file_that_names_them() -> None:
+    write("occupied,box,0,0,1,1\n", "site/shapes.csv")
+    write('edits = "shapes.csv"')
+    assert make_map()["notes"][0] == f'{FILE_BESIDE}: edits = "site/shapes.csv"'

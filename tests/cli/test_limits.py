@@ -24,24 +24,13 @@ by_command = pytest.mark.parametrize(
 )
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(autouse=True, scope="module")
+def _logs(workplace: Path) -> None:
     """Ten scans of a wall and of nothing, and two pieces of evidence of them."""
-    folder = tmp_path_factory.mktemp("limits")
-    log = write_csv(folder / "log.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, float("inf")], 0.3)
+    write_csv(workplace / "log.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, float("inf")], 0.3)
     # In the second, one miss takes a cell from a prior of 0.6 to even odds: undecided.
-    model = "simple:p_miss=0.5,prior=0.6,spread=0"
-    half = ["--model", model, "--end", 1, "-o", folder / "half.npz"]
-    for words in (["-o", folder / "log.npz"], half):
-        assert occmap("build", *PLAIN_WORDS, log, *words).code == 0
-    return folder
-
-
-@pytest.fixture(autouse=True)
-def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(logs)
-    (logs / "m.png").unlink(missing_ok=True)
-    return logs
+    for line in ("log.npz", "half.npz --end 1 --model simple:p_miss=0.5,prior=0.6,spread=0"):
+        assert occmap("build", *PLAIN_WORDS, *f"log.csv -o {line}".split()).code == 0
 
 
 def run(command: str, *more: str) -> Result:
@@ -124,12 +113,10 @@ def test_what_is_measured(command: str, name: str, value: float) -> None:
 
 
 @pytest.mark.parametrize("command", ["build", "check"])
-def test_dropped_are_scans_that_are_lost_and_not_those_that_nobody_asked_for(
-    command: str, folder: Path
-) -> None:
+def test_dropped_are_scans_that_are_lost_and_not_those_that_nobody_asked_for(command: str) -> None:
     astray = (float("nan"), 0.0, 0.0)
     path = [(0.025, 0.025, 0.0), astray, *[(0.025, 0.025, 0.0)] * 7, astray]
-    log = write_csv(folder / "astray.csv", path, [1.0])
+    log = write_csv(Path("astray.csv"), path, [1.0])
     words = [*(["-o", "m.png"] if command == "build" else []), "--end", "8", "--stride", "2"]
     for start, share in (("0", 0), ("1", 0.25)):  # seconds 0, 2, 4, 6; then 1, 3, 5, 7
         limit = f"dropped_scans != {share}"
@@ -137,6 +124,7 @@ def test_dropped_are_scans_that_are_lost_and_not_those_that_nobody_asked_for(
 
 
 def test_files_and_result_come_before_the_limits() -> None:
+    Path("m.png").unlink(missing_ok=True)
     result = run("build", "--fail-if", "unknown < 1%", "--fail-if", "scans_used < 100")
     assert result.code == 3
     assert Path("m.png").exists()

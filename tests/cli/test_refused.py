@@ -178,28 +178,24 @@ REFUSED = [
 ]
 
 
-@pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(autouse=True, scope="module")
+def _files(workplace: Path) -> None:
     """Three logs, evidence of two of them and of another model, a map, and half of another."""
-    folder = tmp_path_factory.mktemp("refused")
-    write_csv(folder / "log.csv", [(0.0, 0.0, 0.0)], [0.3])
-    write_csv(folder / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
-    (folder / "drive.csv").symlink_to(SAMPLE_LOGS / "drive.csv")
-    for words in (
-        (*PLAIN_WORDS, folder / "log.csv", "-o", folder / "a.npz", "-o", folder / "a.pgm"),
-        (*PLAIN_WORDS, folder / "b.csv", "-o", folder / "b.npz"),
-        ("beam", folder / "log.csv", "--model", "quadratic", "-o", folder / "q.npz"),
-        (folder / "log.csv", "-o", folder / "lonely.png"),
+    write_csv(workplace / "log.csv", [(0.0, 0.0, 0.0)], [0.3])
+    write_csv(workplace / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
+    (workplace / "drive.csv").symlink_to(SAMPLE_LOGS / "drive.csv")
+    plain = " ".join(PLAIN_WORDS)
+    for line in (
+        f"{plain} log.csv -o a.npz -o a.pgm",
+        f"{plain} b.csv -o b.npz",
+        "beam log.csv --model quadratic -o q.npz",
+        "log.csv -o lonely.png",
     ):
-        assert occmap("build", *words).code == 0
-    return folder
+        assert occmap(f"build {line}").code == 0
 
 
 @pytest.mark.parametrize(("line", "code", "found"), REFUSED)
-def test_it_is_one_line_and_leaves_every_file_as_it_was(
-    files: Path, monkeypatch: pytest.MonkeyPatch, line: str, code: int, found: str
-) -> None:
-    monkeypatch.chdir(files)
-    before = {path: path.read_bytes() for path in files.iterdir()}
+def test_it_is_one_line_and_leaves_every_file_as_it_was(line: str, code: int, found: str) -> None:
+    before = {path: path.read_bytes() for path in Path().iterdir()}
     assert found in read_error(occmap(line), code)
-    assert {path: path.read_bytes() for path in files.iterdir()} == before
+    assert {path: path.read_bytes() for path in Path().iterdir()} == before

@@ -40,26 +40,16 @@ def walk(schema: Any) -> Iterator[dict[str, Any]]:
             yield from walk(part)
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Work in a folder with logs that have something to tell, and evidence of one."""
-    folder = tmp_path_factory.mktemp("schema")
-    whole = write_csv(folder / "a.csv", [(0.0, 0.0, 0.0)] * 3000, [0.3, 0.5, float("nan")], 0.3)
-    (folder / "cut.csv.gz").write_bytes(gzip.compress(whole.read_bytes())[:-1000])
-    write_csv(folder / "b.csv", [(1.0, 0.0, 0.0)] * 9, [0.4, float("inf")], 0.3)
-    write_bag(folder / "room.bag", Drive(3.14159))
-    (folder / "notes.txt").write_text("hello\n")
-    for name in ("a", "b"):
-        assert occmap("build", folder / f"{name}.csv", "-o", folder / f"{name}.npz").code == 0
-    words = ["build", folder / "a.csv", "-o", folder / "q.npz", "--model", "quadratic"]
-    assert occmap(*words).code == 0
-    return folder
-
-
-@pytest.fixture(autouse=True)
-def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(logs)
-    return logs
+@pytest.fixture(autouse=True, scope="module")
+def _logs(workplace: Path) -> None:
+    """Logs that have something to tell, and evidence of two of them."""
+    whole = write_csv(workplace / "a.csv", [(0, 0, 0)] * 3000, [0.3, 0.5, float("nan")], 0.3)
+    (workplace / "cut.csv.gz").write_bytes(gzip.compress(whole.read_bytes())[:-1000])
+    write_csv(workplace / "b.csv", [(1.0, 0.0, 0.0)] * 9, [0.4, float("inf")], 0.3)
+    write_bag(workplace / "room.bag", Drive(3.14159))
+    (workplace / "notes.txt").write_text("hello\n")
+    for line in ("a.csv -o a.npz", "b.csv -o b.npz", "a.csv -o q.npz --model quadratic"):
+        assert occmap(f"build {line}").code == 0
 
 
 def test_every_command_that_has_json_has_a_schema() -> None:
