@@ -13,8 +13,7 @@ from occmap.readers import Role, open_log
 from occmap.scans.stream import BATCH_BEAMS, stack
 from occmap.sensor import RangeLimits, ReturnOptions
 from occmap.types import Float32, Float64, PosedScans, ScanBatch
-from tests.bench.plans import YARD, YARD_WAY, Box, corridor, office, office_way
-from tests.bench.raycast import cast_scans
+from tests.bench.plans import YARD, YARD_WAY, Box, cast_scans, corridor, office, office_way
 
 NOISE_SIGMA = 0.01
 LOOK_AHEAD = 0.8
