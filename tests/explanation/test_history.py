@@ -74,6 +74,7 @@ def test_every_build_that_used_a_log_is_found_with_its_own_options() -> None:
     uses = find(evidence, "b.csv", "a.csv")
     assert name_uses(uses) == [("b.csv", 0), ("b.csv", 1), ("b.csv", 2), ("a.csv", 1)]
     assert [use.options.selection.start_s for use in uses[:3]] == [-float("inf")] * 2 + [-1.0]
+    assert list_missing(evidence, uses) == []
 
 
 def test_a_log_that_counted_twice_is_found_twice_and_given_twice_once() -> None:
