@@ -9,7 +9,7 @@ import numpy as np
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from tests.bench.limits import Row, compare, divide
-from tests.bench.measuring import Times, time_in_turn
+from tests.bench.measuring import time_in_turn
 from tests.bench.processes import OCCMAP, run
 from tests.bench.workloads import START_NS
 from tests.clouds.simulation import Room, list_rays
@@ -53,21 +53,14 @@ def measure_clouds(folder: Path, clouds: int = 300) -> list[Row]:
     copies = {"copy": partial(shutil.copyfile, log, folder / "copy.mcap")}
     times = time_in_turn({**runs, **copies})
     what = "clouds, MCAP to map"
+    best = min(times.seconds["1"])  # which a busy machine spoils least
+    speed = f"{points / best / 1e6:.1f} million points a second, {times.median('1'):.2f} s"
     return [
-        tell_speed(times, points),
+        Row(f"{what}, one thread (ns a point)", NS_LIMIT, 1e9 * best / points, speed),
         compare(times, ("1", "copy"), f"{what} / copying the file", COPY_LIMIT),
         compare(times, ("2", "1"), f"{what}: two threads / one", THREADS_LIMIT),
         compare_memory(folder, log, clouds),
     ]
-
-
-def tell_speed(times: Times, points: int) -> Row:
-    """What a point costs, of the shortest time, which a busy machine spoils least."""
-    best = min(times.seconds["1"])
-    detail = f"{points / best / 1e6:.1f} million points a second, {times.median('1'):.2f} s"
-    return Row(
-        "clouds, MCAP to map, one thread (ns a point)", NS_LIMIT, 1e9 * best / points, detail
-    )
 
 
 def compare_memory(folder: Path, log: Path, clouds: int) -> Row:

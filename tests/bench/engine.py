@@ -103,9 +103,8 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
     evidence = trace(workload, Update.BEAM, COUNTS)
     expected = (spread(evidence, 0, box), spread(evidence, 1, box))
     for name, yardstick in yardsticks.items():
-        for what, mine, its in zip(
-            ("hits", "misses"), expected, yardstick(workload, box), strict=True
-        ):
+        counts = zip(("hits", "misses"), expected, yardstick(workload, box), strict=True)
+        for what, mine, its in counts:
             differing = int(np.count_nonzero(mine != its))
             if differing:
                 raise DisagreementError(f"{workload.name}: {what} of {differing} cells, {name}")

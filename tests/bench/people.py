@@ -22,10 +22,11 @@ from occmap.evidence import keep_lasting, paint_box
 from occmap.grid import CellBox
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.types import Bool, Float64
+from occmap.types import Float64
 from tests.bench.tables import draw
 from tests.samples import import_generator
 
+office, drive, formats = map(import_generator, ("office", "drive", "formats"))
 BEAMS, REACH_M, STEP_S, VISIT_S = 271, 8.0, 0.2, 3600.0
 BEARINGS = np.radians(np.arange(BEAMS) - 135.0)
 BOXES = [(-2.9, -2.2), (0.9, 1.8), (-3.2, 8.0), (3.0, 8.2), (4.6, -2.4), (7.2, 1.8), (11.2, -2.2)]
@@ -72,7 +73,6 @@ def walk(way: Float64, steps: int, rng: np.random.Generator) -> Float64:
 
 def record(scene: Scene, folder: Path, seed: int = 7) -> list[Path]:
     """Write the drive without people, and with them, from the same poses."""
-    office, drive, formats = map(import_generator, ("office", "drive", "formats"))
     faces, rng = office.office_faces(), np.random.default_rng(seed)
     glass = np.array([face for box in office.GLASS for face in office.box_faces(box)])
     places = np.array(list(drive._places_along(office.WAY)))
@@ -106,14 +106,6 @@ def record(scene: Scene, folder: Path, seed: int = 7) -> list[Path]:
     return logs
 
 
-def find_near(cells: Bool) -> Bool:
-    """These cells and those around them."""
-    padded, (rows, cols) = np.pad(cells, 1), cells.shape
-    shifts = [(i, j) for i in range(3) for j in range(3)]
-    near: Bool = np.any([padded[i : i + rows, j : j + cols] for i, j in shifts], axis=0)
-    return near
-
-
 def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict[str, Fate]:
     """Map a scene by some rules, which differ in what they make of the same evidence."""
     logs, fates = record(scene, folder), {}
@@ -124,7 +116,7 @@ def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict
         box = CellBox.of(alone.map).join(CellBox.of(people.map))
         stands = paint_box(alone.observed, options.model, box).occupied
         (met, _), (hit, _) = (of.observed.gather(box, np.int64) for of in (alone, people))
-        ghosts = (hit > 0) & ~find_near(stands | (met > 0))
+        ghosts = (hit > 0) & office._erode(~stands & (met == 0))  # not beside what stands
         lasting = keep_lasting(people.observed, people.evidence.slices, options.min_passes)
         occupied = paint_box(lasting, options.model, box).occupied
         fates[name] = Fate(float(occupied[stands].mean()), 1 - float(occupied[ghosts].mean()))

@@ -10,7 +10,7 @@ neighbours of the defaults do.
 import argparse
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import chain
@@ -182,15 +182,19 @@ Fares = Mapping[str, Mapping[str, Fare]]
 """By log, by rule"""
 
 
+def list_rules(fares: Fares) -> Iterator[tuple[str, list[Fare]]]:
+    """Each rule, and how it fared on the logs."""
+    for name in next(iter(fares.values())):
+        yield name, [of[name] for of in fares.values()]
+
+
 def draw_shares(fares: Fares) -> str:
     """Every rule on every log, exact share and log-likelihood; what it costs beside plain beams."""
-    names = list(next(iter(fares.values())))
-    spent = {name: sum(of[name].seconds for of in fares.values()) for name in names}
+    spent = {name: sum(fare.seconds for fare in each) for name, each in list_rules(fares)}
     rows = []
-    for name in names:
-        scores = [of[name].score for of in fares.values()]
-        shares = [each.share for each in scores]
-        likely = [each.log_likelihood for each in scores]
+    for name, each in list_rules(fares):
+        shares = [fare.score.share for fare in each]
+        likely = [fare.score.log_likelihood for fare in each]
         cost = spent[name] / spent["beam, cut at even odds"]
         texts = [
             f"{p:.3f}" if name in CLASSES_ONLY else f"{p:.3f} / {q:.2f}"
@@ -203,8 +207,8 @@ def draw_shares(fares: Fares) -> str:
 def draw_walked(fares: Fares) -> str:
     """Every rule on every log by the plain walk."""
     rows = []
-    for name in next(iter(fares.values())):
-        shares = [of[name].walked_share for of in fares.values()]
+    for name, each in list_rules(fares):
+        shares = [fare.walked_share for fare in each]
         rows.append((name, *(f"{share:.3f}" for share in [*shares, mean(shares)])))
     return draw(("steps of one cell, share", *fares, "mean"), rows)
 
@@ -252,6 +256,11 @@ def score_neighbours(
     return fares
 
 
+def set_resolution(settings: Mapping[str, BuildOptions], metres: float) -> dict[str, BuildOptions]:
+    """The same settings with cells of so many metres."""
+    return {name: replace(each, resolution=metres) for name, each in settings.items()}
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench.quality", description=__doc__)
@@ -264,9 +273,7 @@ def main(words: Sequence[str] | None = None) -> None:
     }
     if not logs:
         sys.exit(f"no real logs in {REAL_LOGS}; set OCCMAP_REAL_LOGS to where they are")
-    steps = {
-        name: replace(each, resolution=given.resolution) for name, each in list_steps().items()
-    }
+    steps = set_resolution(list_steps(), given.resolution)
     fares: dict[str, dict[str, Fare]] = {}
     peers: list[str] = []
     for name, recording in logs.items():
@@ -276,10 +283,7 @@ def main(words: Sequence[str] | None = None) -> None:
         fares[name] = found | score_builds(scans, steps)
     sys.stdout.write("\n".join([draw_shares(fares), draw_walked(fares), draw_leads(fares, peers)]))
     if not given.logs:
-        groups = [
-            {name: replace(each, resolution=given.resolution) for name, each in group.items()}
-            for group in list_neighbours()
-        ]
+        groups = [set_resolution(group, given.resolution) for group in list_neighbours()]
         around = {name: score_neighbours(each, groups) for name, each in logs.items()}
         sys.stdout.write(f"\n{draw_neighbours(around, groups)}")
 

@@ -17,8 +17,8 @@ from tests.bench.engine import DisagreementError, check_equal
 from tests.bench.limits import Row
 from tests.bench.logs import FORMATS
 from tests.bench.measuring import Times, take_in_turn
+from tests.bench.plans import cast_scans
 from tests.bench.processes import ProcessError, run
-from tests.bench.raycast import cast_scans
 from tests.bench.tables import draw
 from tests.bench.workloads import Sensor, Workload, make_corridor, make_office, make_yard
 from tests.bench.yardstick import Counts, compile_cpp, find_box, trace_in_numba

@@ -14,8 +14,7 @@ from occmap.scans.stream import BATCH_BEAMS, stack
 from occmap.sensor import ReturnOptions
 from occmap.sensor.bands import RangeLimits
 from occmap.types import Float32, Float64, PosedScans, ScanBatch
-from tests.bench.plans import YARD, YARD_WAY, Box, corridor, office, office_way
-from tests.bench.raycast import cast_scans
+from tests.bench.plans import YARD, YARD_WAY, Box, cast_scans, corridor, office, office_way
 
 NOISE_SIGMA = 0.01
 LOOK_AHEAD = 0.8

@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -43,35 +42,9 @@ PASS_S = 60.0
 RADIUS = 0.15
 
 
-class Person(NamedTuple):
-    """Walks along the corridor's axis, or stands."""
-
-    on_pass: int
-    x: float
-    y: float
-    speed: float
-
-    def at(self, seconds: float) -> tuple[float, float]:
-        return self.x + self.speed * seconds, self.y
-
-
-def write_passes(path: Path, passes: int, person: Person) -> Path:
-    steps = np.arange(int(LENGTH / STEP_M))
-    stamps, places, ranges = [], [], []
-    for index in range(passes):
-        for x, seconds in zip(steps * STEP_M, steps * STEP_S, strict=True):
-            at = person.at(seconds) if index == person.on_pass else (1e6, 1e6)
-            stamps.append(index * PASS_S + seconds)
-            places.append((x, 0.0, 0.0))
-            ranges.append(office.cast_rays((x, 0.0), BEARINGS, WALLS, (*at, RADIUS)))
-    first, step = math.radians(FIRST), math.radians(STEP)
-    shape = {"angle_min": first, "angle_increment": step, "range_max": 1e6}
-    return write_scans(path, stamps, ranges, places, **shape)
-
-
 PASSES = 3
-PERSON = Person(on_pass=1, x=1.0, y=0.1, speed=0.375)
-"""At the robot's own pace, a metre ahead of it."""
+PERSON_X, PERSON_Y, PERSON_SPEED, PERSON_PASS = 1.0, 0.1, 0.375, 1
+"""Walks along the corridor on one pass, at the robot's own pace, a metre ahead of it."""
 FIRST_HIT_X = WALLS_Y[1] / math.tan(BEARINGS[-1])
 """Where the widest beam meets a wall on the first scan."""
 WALL_CELLS = 2 * (round(LENGTH / 0.05) - math.floor(FIRST_HIT_X / 0.05))
@@ -81,9 +54,24 @@ ALL_MEASURED = replace(PLAIN, returns=ReturnOptions(range_max=100.0))
 """Few beams see the far end of the walls: no band is looked for there"""
 
 
+def write_passes(path: Path) -> Path:
+    steps = np.arange(int(LENGTH / STEP_M))
+    stamps, places, ranges = [], [], []
+    for index in range(PASSES):
+        for x, seconds in zip(steps * STEP_M, steps * STEP_S, strict=True):
+            person = PERSON_X + PERSON_SPEED * seconds if index == PERSON_PASS else 1e6
+            stamps.append(index * PASS_S + seconds)
+            places.append((x, 0.0, 0.0))
+            circle = (person, PERSON_Y, RADIUS)
+            ranges.append(office.cast_rays((x, 0.0), BEARINGS, WALLS, circle))
+    first, step = math.radians(FIRST), math.radians(STEP)
+    shape = {"angle_min": first, "angle_increment": step, "range_max": 1e6}
+    return write_scans(path, stamps, ranges, places, **shape)
+
+
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_passes(tmp_path_factory.mktemp("passes") / "log.csv", PASSES, PERSON)
+    return write_passes(tmp_path_factory.mktemp("passes") / "log.csv")
 
 
 def count_occupied(log: Path, options: BuildOptions) -> tuple[int, int]:

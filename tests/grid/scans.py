@@ -151,7 +151,7 @@ def draw_random(draw: st.DrawFn) -> np.random.Generator:
 
 @st.composite
 def kinds(draw: st.DrawFn, shape: tuple[int, int]) -> UInt8:
-    """(S, B) of Kind: of one sort only, or mixed, often in runs."""
+    """(S, B) of Kind: of one sort only, or mixed."""
     shares = draw(st.sampled_from([*MIXED, (0, 0, 1), (0, 1, 0), (1, 0, 0), *MIXED, *MIXED]))
     return draw_random(draw).choice(np.array(Kind, np.uint8), shape, p=shares)
 

@@ -10,8 +10,7 @@ import pytest
 from occmap.grid import Lattice
 from occmap.grid.tiles import GridSpec
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
-from tests.bench.plans import Box
-from tests.bench.raycast import cast_scans
+from tests.bench.plans import Box, cast_scans
 from tests.grid import reference
 from tests.grid.scans import Evidence, aim, make_rays, observe
 

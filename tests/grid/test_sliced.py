@@ -52,12 +52,8 @@ class Seen(NamedTuple):
 Expected = dict[Cell, Seen]
 
 
-def expect_nothing() -> Expected:
-    return defaultdict(lambda: Seen(set(), set()))
-
-
 def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expected:
-    cells = expect_nothing()
+    cells: Expected = defaultdict(lambda: Seen(set(), set()))
     for s, stamp in enumerate(rays.stamp_ns.tolist()):
         engine = GridEngine(spec)
         engine.add(take(rays, [s]))
@@ -71,7 +67,7 @@ def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expe
 
 
 def spread(slices: Slices) -> Expected:
-    cells = expect_nothing()
+    cells: Expected = defaultdict(lambda: Seen(set(), set()))
     tiles, numbers = (slices.tiles * TILE).tolist(), slices.numbers.tolist()
     for k, layer, row, col in np.argwhere(np.unpackbits(unpack(slices), axis=-1)).tolist():
         seen = cells[tiles[k][0] + row, tiles[k][1] + col]

@@ -1,42 +1,39 @@
-"""The sparse tiles: what fits where, when they widen, and the map that they make."""
+"""The sparse tiles: what fits where, the map that they make, and which slices of time saw them."""
 
 import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
 
+from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.grid import CellBox, Lattice
+from occmap.grid import CellBox, Lattice, tiles
 from occmap.grid.rendering import Reach, find_bounds, paint
-from occmap.grid.tiles import (
-    INT32_LIMIT,
-    LOG_ODDS_UNIT,
-    TILE,
-    EvidenceKind,
-    add_stack,
-    refuse_large,
-)
+from occmap.grid.tiles import TILE, EvidenceKind
 from occmap.sensor.models import CountingModel
-from occmap.types import Float64
-from tests.grid.scans import MIDDLE, add_cell, make_grid, make_rays, read_cells, take
-
-
-def difference(first: Float64, second: Float64) -> Float64:
-    return first - second
-
-
-def scale(log_odds: Float64, _observations: Float64) -> Float64:
-    return log_odds * LOG_ODDS_UNIT
+from tests.grid.scans import (
+    FEW,
+    MIDDLE,
+    add_cell,
+    assert_same_slices,
+    make_grid,
+    make_rays,
+    read_cells,
+    take,
+)
 
 
 def test_a_tile_widens_before_a_sum_can_overflow() -> None:
-    grid = make_grid({(0, 0): (INT32_LIMIT, 0)})
+    grid = make_grid({(0, 0): (tiles.INT32_LIMIT, 0)})
     assert grid.tiles[0, 0].dtype == np.int32
     add_cell(grid, 0, 0, 1, 5)
     assert grid.tiles[0, 0].dtype == np.int64
     add_cell(grid, 0, 1, 0, 7)
-    assert read_cells(grid) == ({(0, 0): INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
+    assert read_cells(grid) == ({(0, 0): tiles.INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
 
 
 def test_a_sum_that_was_widened_is_never_narrowed() -> None:
@@ -44,7 +41,7 @@ def test_a_sum_that_was_widened_is_never_narrowed() -> None:
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, :, 0, 0] = 3_000_000_000, 4
     grid = make_grid()
-    add_stack(grid, np.zeros((1, 2), np.int64), cells)
+    tiles.add_stack(grid, np.zeros((1, 2), np.int64), cells)
     add_cell(grid, 0, 0, 1, 0)
     assert read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
 
@@ -61,22 +58,22 @@ def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, 0, 0, 0] = 3_000_000_000
     mine, other = make_grid({(0, 0): (5, 0)}), make_grid()
-    add_stack(other, np.zeros((1, 2), np.int64), cells)
+    tiles.add_stack(other, np.zeros((1, 2), np.int64), cells)
     mine.merge(other)
     assert read_cells(mine).first == {(0, 0): 3_000_000_005}
 
 
 def test_a_robot_that_stands_still_for_ten_hours() -> None:
     """40 scans a second of 1081 beams, all through one cell at p = 0.1: exact, not overflowed."""
-    scans, log_odds = 10 * 3600 * 40, round(-2.1972245773362196 / LOG_ODDS_UNIT)
+    scans, log_odds = 10 * 3600 * 40, round(-2.1972245773362196 / tiles.LOG_ODDS_UNIT)
     grid = make_grid(kind=EvidenceKind.LOG_ODDS)
     per_minute = 60 * 40 * 1081
     for _ in range(scans // 2400):
         add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
     tile = grid.tiles[0, 0]
     assert tile[:, 4, 4].tolist() == [log_odds * scans * 1081, scans * 1081]
-    log_odds_of_map, _ = paint(grid, scale, 0.0, find_bounds(grid))
-    assert log_odds_of_map[0, 0] == pytest.approx(-2.1972245773 * scans * 1081, rel=1e-5)
+    of_map, _ = paint(grid, lambda sums, _: sums * tiles.LOG_ODDS_UNIT, 0.0, find_bounds(grid))
+    assert of_map[0, 0] == pytest.approx(-2.1972245773 * scans * 1081, rel=1e-5)
 
 
 def test_bounds_are_those_of_the_observed_cells() -> None:
@@ -88,7 +85,7 @@ def test_a_map_has_every_cell_where_it_was_observed() -> None:
     grid = make_grid({(-1, 62): (5, 1), (1, 65): (0, 3)})
     box = find_bounds(grid)
     assert box == CellBox(-1, 62, 2, 66)
-    log_odds, observed = paint(grid, difference, -0.7, box)
+    log_odds, observed = paint(grid, np.subtract, -0.7, box)
     expected = np.full((3, 4), -0.7, np.float32)
     expected[0, 0], expected[2, 3] = 4, -3
     np.testing.assert_array_equal(log_odds, expected)
@@ -97,7 +94,7 @@ def test_a_map_has_every_cell_where_it_was_observed() -> None:
 
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
     grid = make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
-    _, observed = paint(grid, difference, 0.0, find_bounds(grid))
+    _, observed = paint(grid, np.subtract, 0.0, find_bounds(grid))
     assert observed.tolist() == [[True, False, True]]
 
 
@@ -105,10 +102,10 @@ def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
     grid = make_grid({(-3, -5): (1, 0), (6, 14): (1, 0)}, 0.25)
     box = find_bounds(grid)
     assert (box.rows, box.cols) == (10, 20)
-    refuse_large(box, grid.lattice, 200)
+    tiles.refuse_large(box, grid.lattice, 200)
     found = re.escape("from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells")
     with pytest.raises(MapError, match=f"{found}.*max_cells=199.*start_s.*resolution.*max_range"):
-        refuse_large(box, grid.lattice, 199)
+        tiles.refuse_large(box, grid.lattice, 199)
 
 
 @pytest.mark.parametrize(
@@ -143,3 +140,103 @@ def test_the_ends_of_hits_say_how_large_a_map_is_at_least() -> None:
     reach.stretch(take(rays, [0]))
     with pytest.raises(MapError, match=r"from \(2, 0\) to \(303, 301\) m: 301 x 301 cells"):
         reach.stretch(take(rays, [1]))
+
+
+CELLS = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 63), st.integers(0, 63)), max_size=9)
+KEYS = st.tuples(st.integers(-1, 1), st.integers(-1, 1), st.integers(-2, 2))
+"""Row and column of a tile, and a slice"""
+Tables = dict[tuple[int, int, int], NDArray[np.bool_]]
+"""By row and column of a tile and slice: (2, 64, 64) hit and seen cells"""
+
+
+def draw(cells: list[tuple[int, int, int]], full: bool) -> NDArray[np.bool_]:
+    """All cells or none of them, but for these."""
+    table = np.full((2, TILE, TILE), full)
+    for cell in cells:
+        table[cell] = not full
+    return table
+
+
+TABLES = st.dictionaries(KEYS, st.builds(draw, CELLS, st.booleans()), max_size=5)
+
+
+def pack_tables(tables: Tables) -> Slices:
+    keys = np.array(list(tables), np.int64).reshape(-1, 3)
+    bits = np.packbits(
+        np.array(list(tables.values()), np.bool_).reshape(-1, 2, TILE, TILE), axis=-1
+    )
+    return tiles.pack(keys[:, :2], keys[:, 2], bits)
+
+
+def read_tables(slices: Slices) -> Tables:
+    bits = np.unpackbits(tiles.unpack(slices), axis=-1).view(np.bool_)
+    keys = np.column_stack([slices.tiles, slices.numbers]).tolist()
+    return {(row, col, number): bits[k] for k, (row, col, number) in enumerate(keys)}
+
+
+def assert_equal(found: Tables, expected: Tables) -> None:
+    assert found.keys() == expected.keys()
+    for key, table in expected.items():
+        assert np.array_equal(found[key], table), key
+
+
+@FEW
+@given(tables=TABLES)
+def test_what_is_packed_comes_out_again(tables: Tables) -> None:
+    slices = pack_tables(tables)
+    assert_equal(read_tables(slices), tables)
+    every_other = np.arange(len(tables))[::-2]
+    some = dict(list(tables.items())[::-2])
+    assert_equal(read_tables(tiles.take(slices, every_other)), some)
+    assert list(read_tables(tiles.take(slices, every_other))) == list(some)
+
+
+def test_rows_like_the_one_before_cost_nothing() -> None:
+    """One byte of the first row differs from nothing, and one of row 9 from those before it."""
+    table = np.zeros((2, TILE, TILE), np.bool_)
+    table[1, :9, 8:16] = True
+    slices = pack_tables({(0, 0, 7): table})
+    assert slices.parts.tolist() == [0b0100_0000] * 2
+    assert slices.changes.tolist() == [0xFF] * 2
+    assert np.flatnonzero(np.unpackbits(slices.rows)).tolist() == [TILE, TILE + 9]
+
+
+@pytest.mark.parametrize("block", [1, 2, 4096])
+@FEW
+@given(one=TABLES, other=TABLES, third=TABLES)
+def test_a_union_has_what_any_part_has_in_order(
+    block: int, one: Tables, other: Tables, third: Tables
+) -> None:
+    expected: Tables = {}
+    for tables in (one, other, third):
+        for key, table in tables.items():
+            expected[key] = expected.get(key, np.zeros_like(table)) | table
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tiles, "BLOCK", block)
+        united = tiles.unite(map(pack_tables, (one, other, third)))
+        again = tiles.unite([pack_tables(third), tiles.unite(map(pack_tables, (other, one)))])
+    assert_equal(read_tables(united), expected)
+    assert list(read_tables(united)) == sorted(expected)
+    assert_same_slices(united, again)
+
+
+@FEW
+@given(tables=TABLES)
+def test_tiles_are_split(tables: Tables) -> None:
+    found: Tables = {}
+    for tile, slices in tiles.split_tiles(tiles.unite([pack_tables(tables)])):
+        assert set(map(tuple, slices.tiles.tolist())) == {tile}
+        found |= read_tables(slices)
+    assert_equal(found, tables)
+
+
+def test_what_is_not_observed_any_more_is_forgotten() -> None:
+    cells = [(-64, 0), (-1, 5), (128, 130)]
+    tables: Tables = {}
+    for number, (row, col) in enumerate(cells):
+        table = tables.setdefault((row // TILE, col // TILE, number), draw([], full=False))
+        table[:, row % TILE, col % TILE] = True
+    grid = make_grid({(-1, 5): (0, 1)})
+    rest = tiles.restrict(pack_tables(tables), grid)
+    assert_equal(read_tables(rest), {(-1, 0, 1): tables[-1, 0, 1]})
+    assert len(tiles.restrict(Slices.join([]), grid).tiles) == 0

@@ -13,7 +13,7 @@ from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
 from occmap.evidence import paint_box, render, to_grid
 from occmap.grid import CellBox
-from occmap.grid.tiles import TILE, mark_observed, stack_tiles
+from occmap.grid.tiles import mark_observed, stack_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
@@ -22,7 +22,7 @@ from occmap.store.merging import merge
 from occmap.store.moving import Transform, move_evidence
 from occmap.types import Pose
 from tests.evidence.saving import DRIVE, halve, save
-from tests.grid.scans import assert_same_slices, make_grid
+from tests.grid.scans import assert_same_slices, make_grid, read_cells
 from tests.samples import REAL_LOGS
 
 MOVED = (1.2, -0.7, 0.2)
@@ -180,11 +180,8 @@ def make_evidence(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
 
 
 def list_cells(evidence: Evidence) -> dict[tuple[int, int], tuple[int, int]]:
-    found = {}
-    for (row, col), tile in zip(evidence.tiles.tolist(), evidence.cells, strict=True):
-        for up, right in np.argwhere(tile.any(axis=0)).tolist():
-            found[row * TILE + up, col * TILE + right] = tuple(tile[:, up, right].tolist())
-    return found
+    hits, misses = read_cells(to_grid(evidence))
+    return {cell: (hits[cell], misses[cell]) for cell in hits.keys() | misses.keys()}
 
 
 CELLS = {(0, 0): (3, 0), (0, 63): (1, 5), (70, -1): (0, 9), (-130, 200): (2**40, 1)}

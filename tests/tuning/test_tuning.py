@@ -20,7 +20,7 @@ from occmap.scoring.compare import Variant, compare
 from occmap.tuning import tune
 from occmap.tuning.search import TIME, YAW, Correction, KeptLog, Verdict, X, find_mount, keep_logs
 from occmap.types import Float64, Pose, ScanBatch
-from tests.bench.raycast import cast_scans
+from tests.bench.plans import cast_scans
 from tests.csv_logs import write_poses, write_scans
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
 from tests.tuning.simulated import read_drive, write_drive, write_parts
