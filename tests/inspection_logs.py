@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from occmap.types import Float32, Float64
-from tests.readers.ros import ROS1, SCAN, SECOND, Written, header, write_bag1
+from tests.readers.ros import ROS1, SECOND, Written, scan, transforms, write_bag1
 
 BEAMS = 90
 HALF_WIDTH, HALF_HEIGHT = 5.0, 3.0
@@ -45,17 +45,21 @@ class Drive:
         return self.spoil(measured).astype(np.float32)
 
 
-def write_csv(path: Path, drive: Drive, limit: str = "30") -> Path:
-    """Write the drive as CSV, the laser's own pose beside each scan."""
-    lines = [
-        "# angle_min: 0",
-        f"# angle_increment: {2 * math.pi / BEAMS}",
-        "# range_min: 0.2",
-        f"# range_max: {limit}",
-        "stamp,x,y,yaw," + ",".join(f"r{i}" for i in range(BEAMS)),
-    ]
-    for index in range(SCANS):
-        x, y, yaw = drive.pose(index)
+def write_csv(
+    path: Path,
+    drive: Drive,
+    limit: str = "30",
+    poses: Sequence[tuple[float, float, float]] = (),
+    first: int = 0,
+) -> Path:
+    """Write the drive, or its scans from one on, as CSV; the laser's own pose stands beside each.
+
+    Poses may be given, in another frame.
+    """
+    names = ",".join(f"r{i}" for i in range(BEAMS))
+    geometry = f"# angle_min: 0\n# angle_increment: {2 * math.pi / BEAMS}\n"
+    lines = [f"{geometry}# range_min: 0.2\n# range_max: {limit}\nstamp,x,y,yaw,{names}"]
+    for index, (x, y, yaw) in enumerate(poses or map(drive.pose, range(SCANS)), first):
         beams = ",".join(map(str, drive.ranges(index)))
         lines.append(f"{100 + index},{x},{y},{yaw + drive.mount},{beams}")
     path.write_text("\n".join(lines) + "\n")
@@ -77,25 +81,18 @@ def write_bag(
     The scans are on the topics in turn, and in the frames, which all sit at the mount; a correction
     says where `odom` is in `map` at each scan. Other frames, with their yaw, are on the robot, too.
     """
+    mounts = [(frame, *turn) for turn in mount for frame in frames]
+    mounts += [(frame, 0.0, yaw) for frame, yaw in others.items()]
     log = [
-        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), *turn))
-        for turn in mount
-        for frame in frames
-    ]
-    log += [
-        Written("/tf_static", 0, _transform(0, "base_link", frame, (0, 0, 0), 0.0, yaw))
-        for frame, yaw in others.items()
+        Written("/tf_static", 0, _transform(0, "base_link", frame, (0.0, 0.0, yaw), roll))
+        for frame, roll, yaw in mounts
     ]
     for index in range(SCANS):
         stamp = (100 + index) * SECOND
-        x, y, yaw = drive.pose(index)
-        log.append(
-            Written("/tf", stamp, _transform(stamp, "odom", "base_link", (x, y, 0), 0.0, yaw))
-        )
+        moved = _transform(stamp, "odom", "base_link", drive.pose(index))
+        log.append(Written("/tf", stamp, moved))
         if correct is not None:
-            right, up, turn = correct(index)
-            moved = _transform(stamp, "map", "odom", (right, up, 0), 0.0, turn)
-            log.append(Written("/tf", stamp, moved))
+            log.append(Written("/tf", stamp, _transform(stamp, "map", "odom", correct(index))))
         topic = topics[index % len(topics)]
         frame = frames[index % len(frames)]
         log.append(Written(topic, stamp, _scan(scan_stamp(stamp), frame, drive.ranges(index))))
@@ -103,32 +100,25 @@ def write_bag(
 
 
 def _scan(stamp_ns: int, frame: str, ranges: Float32) -> object:
-    return ROS1.types[SCAN](
-        header=header(ROS1, stamp_ns, frame),
+    return replace(
+        scan(ROS1, stamp_ns, frame, ranges),
         angle_min=0.0,
         angle_max=2 * math.pi * (BEAMS - 1) / BEAMS,
         angle_increment=2 * math.pi / BEAMS,
         time_increment=0.0,
-        scan_time=0.0,
         range_min=0.2,
-        range_max=30.0,
-        ranges=ranges,
-        intensities=np.zeros(0, np.float32),
     )
 
 
 def _transform(
-    stamp_ns: int, parent: str, child: str, at: tuple[float, ...], roll: float, yaw: float
+    stamp_ns: int, parent: str, child: str, at: tuple[float, float, float], roll: float = 0.0
 ) -> object:
-    types = ROS1.types
+    x, y, yaw = at
+    message = transforms(ROS1, stamp_ns, [(parent, child, x)])
+    placed = message.transforms[0].transform
+    placed.translation.y, placed.translation.z = y, 0.0
     (sr, sy), (cr, cy) = (
         [function(angle / 2) for angle in (roll, yaw)] for function in (math.sin, math.cos)
     )
-    rotation = types["geometry_msgs/msg/Quaternion"](sr * cy, sr * sy, cr * sy, cr * cy)
-    transform = types["geometry_msgs/msg/Transform"](
-        types["geometry_msgs/msg/Vector3"](*map(float, at)), rotation
-    )
-    stamped = types["geometry_msgs/msg/TransformStamped"](
-        header(ROS1, stamp_ns, parent), child, transform
-    )
-    return types["tf2_msgs/msg/TFMessage"]([stamped])
+    placed.rotation = type(placed.rotation)(sr * cy, sr * sy, cr * sy, cr * cy)
+    return message

@@ -3,8 +3,6 @@
 import json
 import os
 import re
-import subprocess
-import sys
 import tomllib
 from importlib import import_module
 from importlib.util import find_spec
@@ -21,12 +19,15 @@ from occmap.pipeline import build
 from occmap.readers import Probe, Role, open_log
 from occmap.report.limits import BUILD, CHECK, COMPARE, DIFF, SAVED, SCORE, TUNE, Measures
 from occmap.types import Pose
+from tests.cli.runner import spawn
 from tests.documents import PAGES, Session, list_blocks, list_steps, matches, read_page
 from tests.samples import ROOT
 
 FROM_RECORDINGS = {"walls.png"}
 """Pictures of logs that do not belong to the project; all others are made by their page."""
 COMMANDS = ("build", "check", "compare", "diff", "explain", "merge", "render", "score", "tune")
+LONGEST = 9_000
+"""Bytes of the README, which a newcomer reads in three minutes"""
 TEXTS = (*PAGES, "CONTRIBUTING.md", "CHANGELOG.md")
 
 
@@ -106,23 +107,17 @@ def test_modules_and_files_that_a_page_names_exist(page: str) -> None:
             assert hasattr(import_module(f"occmap.{module}"), name), f"{module}.{name}"
 
 
-def show_help(command: str) -> str:
-    return f"occmap {command} --help{'-all' if command == 'build' else ''}"
-
-
 def test_every_option_that_a_page_names_exists(tmp_path: Path) -> None:
     session = Session(tmp_path)
-    listed = {
-        option
-        for command in COMMANDS
-        for option in re.findall(r"--[a-z][a-z-]+", session.run(show_help(command)))
-    }
+    lines = [f"occmap {command} --help" for command in COMMANDS]
+    helps = "".join(map(session.run, [*lines, "occmap build --help-all"]))
+    listed = set(re.findall(r"--[a-z][a-z-]+", helps))
     text = "".join(map(read_page, PAGES))
     commands = re.findall(r"occmap (?:build|check|compare|diff|explain|merge|render) .*", text)
-    quoted = re.findall(r"`(--[a-z][a-z-]+)", text)
-    named = {option for line in commands for option in re.findall(r"--[a-z][a-z-]+", line)}
-    assert len(named | set(quoted)) > 30
-    assert named | set(quoted) <= listed
+    named = {*re.findall(r"--[a-z][a-z-]+", "\n".join(commands))}
+    named |= {*re.findall(r"`(--[a-z][a-z-]+)", text)}
+    assert len(named) > 30
+    assert named <= listed
 
 
 def test_the_csv_of_the_page_on_formats_is_one(tmp_path: Path) -> None:
@@ -139,9 +134,8 @@ def test_the_csv_of_the_page_on_formats_is_one(tmp_path: Path) -> None:
 
 
 def find_plugin(name: str) -> str:
-    (code,) = (
-        block.code for block in list_blocks("docs/plugins.md", "python") if name in block.code
-    )
+    blocks = list_blocks("docs/plugins.md", "python")
+    (code,) = (block.code for block in blocks if name in block.code)
     return code
 
 
@@ -168,29 +162,22 @@ def test_the_plugins_of_the_page_work_once_they_are_packaged(tmp_path: Path) -> 
     (section,) = list_blocks("docs/plugins.md", "toml")
     groups = tomllib.loads(section.code)["project"]["entry-points"]
     assert set(groups) == {"occmap.readers", "occmap.models", "occmap.writers"}
-    package = tmp_path / "my_package"
-    installed = tmp_path / "my_package-1.0.dist-info"
-    for folder in (package, installed):
-        folder.mkdir()
+    package, installed = tmp_path / "my_package", tmp_path / "my_package-1.0.dist-info"
+    package.mkdir()
+    installed.mkdir()
     (package / "my_module.py").write_text(code)
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
-    (installed / "entry_points.txt").write_text(
-        "".join(
-            f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in entries.items())
-            for group, entries in groups.items()
-        )
+    points = "".join(
+        f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in entries.items())
+        for group, entries in groups.items()
     )
+    (installed / "entry_points.txt").write_text(points)
     rows = [f"{1.5 + i} {0.1 * i} 3 0 1 2 3 2 1" for i in range(5)]
     (tmp_path / "drive.lines").write_text("\n".join(["#lines", *rows, ""]))
 
-    def run(*words: str) -> dict[str, Any]:
-        done = subprocess.run(
-            [sys.executable, "-m", "occmap", *words, "--json"],
-            capture_output=True, text=True, check=True, cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": str(tmp_path)},
-        )  # fmt: skip
-        result: dict[str, Any] = json.loads(done.stdout)
-        return result
+    def run(*words: str) -> Any:
+        path = os.environ | {"PYTHONPATH": str(tmp_path)}
+        return json.loads(spawn(*words, "--json", cwd=tmp_path, env=path).stdout)
 
     (found,) = run("check", "drive.lines")["logs"]
     assert [(topic["topic"], topic["scans"]) for topic in found["scans"]] == [("scan", 5)]
@@ -235,3 +222,30 @@ def test_every_limit_is_in_the_table_with_its_unit_and_commands() -> None:
         for command, measures in tables.items()
         for measure in measures
     }
+
+
+def find_section(title: str) -> str:
+    return read_page("README.md").partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
+def test_the_readme_is_read_in_three_minutes() -> None:
+    assert (ROOT / "README.md").stat().st_size <= LONGEST
+
+
+def test_the_picture_on_top_of_the_readme_is_what_a_bare_build_makes(tmp_path: Path) -> None:
+    build([ROOT / "sample_logs" / "drive.mcap"], BuildOptions(), [tmp_path / "map.png"])
+    shown, made = (Image.open(each / "map.png") for each in (ROOT / "sample_logs", tmp_path))
+    assert np.array_equal(np.asarray(shown), np.asarray(made))
+
+
+def test_the_readme_shows_ten_options_of_the_usual_help(tmp_path: Path) -> None:
+    rows = re.findall(r"^\| `(--?[a-z-]+)", find_section("Options"), re.MULTILINE)
+    assert len(rows) == 10
+    listed = Session(tmp_path).run("occmap build --help")
+    for option in rows:
+        assert re.search(rf"(?<![\w-]){option}\b", listed), option
+
+
+@pytest.mark.parametrize("page", [*PAGES[1:], "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_the_readme_leads_to_every_page(page: str) -> None:
+    assert f"]({page})" in find_section("Read on")

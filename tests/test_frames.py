@@ -1,7 +1,6 @@
 """Logs in frames of their own, put into one map by --transform; evidence that stays whole."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from occmap.scoring.compare import combine, compare
 from occmap.store.merging import merge
 from occmap.types import BEAM_UPDATES, Pose, Update
 from occmap.writers.npz import read_evidence
-from tests.inspection_logs import Drive, write_bag
+from tests.inspection_logs import Drive, write_bag, write_csv
 from tests.posing.scenes import attach, batch_at, bolted, drive, yaw_of
 from tests.posing.scenes import build as make_poser
 from tests.samples import PLAIN, Planar
@@ -24,17 +23,6 @@ from tests.samples import PLAIN, Planar
 DRIVE = [Drive().pose(index) for index in range(20)]
 SHIFT = (16.0, -8.5, math.pi / 2)
 """A frame so far away that binary fractions of a metre are moved exactly, a quarter turn round."""
-
-
-def write_log(path: Path, poses: Sequence[Planar], first: int = 0) -> Path:
-    """Write scans of the room with poses beside them, which may be in another frame."""
-    beams = Drive().bearings
-    head = f"# angle_min: 0\n# angle_increment: {beams[1]}\n# range_max: 30\nstamp,x,y,yaw,"
-    lines = [head + ",".join(f"r{beam}" for beam in range(len(beams)))]
-    for index, (x, y, yaw) in enumerate(poses, first):
-        lines.append(",".join(map(str, (100 + index, x, y, yaw, *Drive().ranges(index)))))
-    path.write_text("\n".join(lines) + "\n")
-    return path
 
 
 def move_back(pose: Planar) -> Planar:
@@ -63,9 +51,10 @@ def test_logs_in_frames_of_different_names_are_noted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_two_sessions_in_different_frames_make_one_map(tmp_path: Path, update: Update) -> None:
-    whole = write_log(tmp_path / "whole.csv", DRIVE)
-    first = write_log(tmp_path / "first.csv", DRIVE[:8])
-    second = write_log(tmp_path / "second.csv", [move_back(pose) for pose in DRIVE[8:]], first=8)
+    whole = write_csv(tmp_path / "whole.csv", Drive(), poses=DRIVE)
+    first = write_csv(tmp_path / "first.csv", Drive(), poses=DRIVE[:8])
+    poses = [move_back(pose) for pose in DRIVE[8:]]
+    second = write_csv(tmp_path / "second.csv", Drive(), poses=poses, first=8)
     options = replace(PLAIN, update=update)
     moved = replace(options, posing=PosingOptions(transform=Pose.planar(*SHIFT)))
 
@@ -108,7 +97,7 @@ def test_each_beam_of_a_deskewed_scan_is_moved() -> None:
 
 
 def test_an_extent_leaves_the_evidence_whole(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log.csv", DRIVE)
+    log = write_csv(tmp_path / "log.csv", Drive(), poses=DRIVE)
     whole = build([log], PLAIN, [tmp_path / "whole.npz"])
     framed = replace(PLAIN, framing=Framing(extent=(0.0, 0.0, 2.0, 1.0)))
     made = build([log], framed, [tmp_path / "framed.npz", tmp_path / "framed.pgm"])

@@ -1,8 +1,6 @@
 """Logs of very many frames, topics or notes: memory and time grow with their number only."""
 
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from itertools import pairwise
@@ -11,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from occmap.readers import Note, NoteList
+from tests.cli.runner import spawn
 from tests.readers.ros import ROS2, SECOND, Written, drive, scan, transforms, write_mcap
 
 MEMORY = 1 << 31
@@ -51,16 +50,13 @@ def many_topics() -> list[Written]:
 )
 def test_a_log_of_very_many(tmp_path: Path, log: Callable[[], list[Written]], used: str) -> None:
     path = write_mcap(tmp_path / "log.mcap", log())
-    words = ["build", str(path), "-o", str(tmp_path / "map.pgm"), "--resolution", "0.5"]
-    run = run_bounded([*words, "--jobs", "1"])
-    assert run.returncode == 0, run.stderr[-400:]
-    assert f"{used} used" in run.stdout
+    words = ["build", path, "-o", tmp_path / "map.pgm", "--resolution", "0.5", "--jobs", "1"]
+    assert f"{used} used" in run_bounded(*words)
 
 
 def test_check_of_a_log_of_very_many_topics(tmp_path: Path) -> None:
-    run = run_bounded(["check", str(write_mcap(tmp_path / "log.mcap", many_topics()))])
-    assert run.returncode == 0, run.stderr[-400:]
-    assert "agreement are estimated for 100 of 1,001 topics with scans" in run.stderr + run.stdout
+    done = run_bounded("check", write_mcap(tmp_path / "log.mcap", many_topics()))
+    assert "agreement are estimated for 100 of 1,001 topics with scans" in done
 
 
 def limit() -> None:
@@ -69,15 +65,11 @@ def limit() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
 
 
-def run_bounded(words: list[str]) -> subprocess.CompletedProcess[str]:
-    """Run a command that may take neither much memory nor much time."""
-    return subprocess.run(
-        [sys.executable, "-m", "occmap", *words],
-        check=False,
-        capture_output=True,
-        text=True,
-        preexec_fn=limit,
-    )
+def run_bounded(*words: object) -> str:
+    """Return what a command says that may take neither much memory nor much time."""
+    done = spawn(*words, preexec_fn=limit)
+    assert done.returncode == 0, done.stderr[-400:]
+    return str(done.stdout + done.stderr)
 
 
 def test_a_note_that_is_there_is_found_at_once() -> None:

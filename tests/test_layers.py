@@ -17,13 +17,15 @@ import pytest
 
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from tests.samples import ROOT, SAMPLE_LOGS
 
-PACKAGE = Path(__file__).parent.parent / "occmap"
+PACKAGE = ROOT / "occmap"
+DRIVE = SAMPLE_LOGS / "drive.csv"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
 SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values"}
-SHARED |= {"report"}
+SHARED |= {"report", "workers"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},
@@ -41,6 +43,7 @@ OWNERS = {
 }
 """Who alone may import a package."""
 
+RARE = {"numba", "rosbags", "mcap", "PIL", "tqdm"}
 HEAVY = {
     *("numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "zarr", "distributed"),
     "importlib.metadata",
@@ -185,43 +188,46 @@ def list_loaded(code: str) -> set[str]:
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        "from occmap.cli import run; assert run(['--help']) == 0",
-        "from occmap.cli import run; assert run([]) == 0",
-        "import occmap",
-        "import occmap; assert 'build_map' in dir(occmap)",
-    ],
-)
-def test_help_waits_for_nothing_heavy(code: str) -> None:
-    assert list_loaded(code).isdisjoint(HEAVY)
+def list_loaded_by(*words: object) -> set[str]:
+    """Name the modules that a process has loaded after a command."""
+    return list_loaded(f"from occmap.cli import run; assert run({[*map(str, words)]}) == 0")
 
 
-def test_only_a_build_loads_numba_and_only_a_terminal_tqdm() -> None:
-    loaded = list_loaded("from occmap.cli import run; assert run(['build', '--help']) == 0")
-    assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})
-    loaded = list_loaded("from occmap.cli import run; assert run(['models']) == 0")
-    assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})
+@pytest.mark.parametrize("words", [["--help"], []])
+def test_help_waits_for_nothing_heavy(words: list[str]) -> None:
+    assert list_loaded_by(*words).isdisjoint(HEAVY)
+
+
+def test_an_import_waits_for_nothing_heavy() -> None:
+    assert list_loaded("import occmap; assert 'build_map' in dir(occmap)").isdisjoint(HEAVY)
+
+
+@pytest.mark.parametrize("words", [["build", "--help"], ["models"]])
+def test_only_a_build_loads_numba_and_only_a_terminal_tqdm(words: list[str]) -> None:
+    assert list_loaded_by(*words).isdisjoint(RARE)
+
+
+def test_a_csv_is_read_without_the_ros_libraries() -> None:
+    loaded = list_loaded(f"import occmap; assert occmap.read_log({str(DRIVE)!r}).streams")
+    assert loaded.isdisjoint({"rosbags", "mcap", "PIL"})
+
+
+def test_saved_evidence_needs_no_engine_and_to_be_rendered_little_of_numpy(tmp_path: Path) -> None:
+    saved, target = tmp_path / "m.npz", tmp_path / "m.pgm"
+    build([DRIVE], BuildOptions(), [saved])
+    assert list_loaded_by("merge", saved, saved, "-o", target).isdisjoint(RARE)
+    # Masked arrays take a tenth of a render.
+    assert list_loaded_by("render", saved, "-o", target).isdisjoint({*RARE, "numpy.ma"})
 
 
 @pytest.mark.parametrize("update", ["beam", "polygon"])
 def test_a_build_loads_what_it_needs_and_no_more(update: str, tmp_path: Path) -> None:
-    log = PACKAGE.parent / "sample_logs" / "drive.log"
-    line = ["build", update, str(log), "-o", str(tmp_path / "m.pgm")]
-    loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
+    log = SAMPLE_LOGS / "drive.log"
+    loaded = list_loaded_by("build", update, log, "-o", tmp_path / "m.pgm")
     assert loaded.isdisjoint({"rosbags", "mcap", "PIL", "tqdm", "ruamel", "jsonschema"})
     others = {"difference", "explanation", "inspection", "scoring"}
     assert {f"occmap.{name}" for name in others} <= set(map(name_module, MODULES)) - loaded
     assert {name for name in loaded if name.startswith("occmap.cli.")} <= BUILD_COMMAND
-
-
-def test_evidence_is_rendered_with_little_of_numpy_and_without_numba(tmp_path: Path) -> None:
-    evidence = str(tmp_path / "m.npz")
-    build([PACKAGE.parent / "sample_logs" / "drive.csv"], BuildOptions(), [Path(evidence)])
-    line = ["render", evidence, "-o", str(tmp_path / "m.pgm")]
-    loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
-    assert loaded.isdisjoint({"numba", "numpy.ma"})  # masked arrays take a tenth of a render
 
 
 def list_needed(path: Path) -> set[str]:
@@ -241,18 +247,3 @@ def test_every_module_can_be_the_first_that_is_imported() -> None:
     needed = {name_module(path): list_needed(path) for path in MODULES}
     assert len(needed["occmap.pipeline"]) > 10
     TopologicalSorter(needed).prepare()  # raises CycleError with the circle
-
-
-def test_a_csv_is_read_without_the_ros_libraries() -> None:
-    log = PACKAGE.parent / "sample_logs" / "drive.csv"
-    loaded = list_loaded(f"import occmap; assert occmap.read_log({str(log)!r}).streams")
-    assert loaded.isdisjoint({"rosbags", "mcap", "PIL"})
-
-
-def test_saved_evidence_needs_no_engine(tmp_path: Path) -> None:
-    log, saved = PACKAGE.parent / "sample_logs" / "drive.csv", tmp_path / "m.npz"
-    build([log], BuildOptions(), [saved])
-    for words in (["render", saved], ["merge", saved, saved]):
-        line = [*map(str, words), "-o", str(tmp_path / "m.pgm")]
-        loaded = list_loaded(f"from occmap.cli import run; assert run({line}) == 0")
-        assert loaded.isdisjoint({"numba", "rosbags", "mcap", "PIL", "tqdm"})

@@ -51,27 +51,18 @@ def test_the_container_is_made_of_files_that_are_there() -> None:
 def test_links_of_the_page_lead_to_the_tag(tmp_path: Path) -> None:
     page = tmp_path / "README.md"
     page.write_text("![map](a/b.png) [docs](docs/x.md#y) [site](https://x.org) [here](#here)\n")
-    command = [
-        sys.executable,
-        str(HIDDEN / "links.py"),
-        str(page),
-        "https://github.com/me/occmap",
-        "v1",
-    ]
-    subprocess.run(command, check=True, timeout=60)
     home = "https://github.com/me/occmap"
-    assert page.read_text() == (
-        f"![map]({home}/raw/v1/a/b.png) [docs]({home}/blob/v1/docs/x.md#y) [site](https://x.org) "
-        "[here](#here)\n"
-    )
+    command = [sys.executable, str(HIDDEN / "links.py"), str(page), home, "v1"]
+    subprocess.run(command, check=True, timeout=60)
+    image, docs = f"![map]({home}/raw/v1/a/b.png)", f"[docs]({home}/blob/v1/docs/x.md#y)"
+    assert page.read_text() == f"{image} {docs} [site](https://x.org) [here](#here)\n"
 
 
 def test_the_release_is_published_by_trust_alone() -> None:
     jobs = load(HIDDEN / "workflows" / "release.yml")["jobs"]
     assert jobs["publish"]["permissions"] == {"id-token": "write"}
-    assert "password" not in (HIDDEN / "workflows" / "release.yml").read_text().replace(
-        "there is no password", ""
-    )
+    text = (HIDDEN / "workflows" / "release.yml").read_text()
+    assert "password" not in text.replace("there is no password", "")
 
 
 def act(at: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
@@ -84,17 +75,11 @@ def act(at: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
         variable: {**defaults, **values}[re.findall(r"inputs\.([\w-]+)", expression)[0]]
         for variable, expression in step["env"].items()
     }
-    home = Path(sys.executable).parent
-    path = f"{home}{os.pathsep}{os.environ['PATH']}"
+    given["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     return subprocess.run(
-        ["bash", ACTION / "run.sh"],
-        cwd=at,
-        env={**os.environ, **given, "PATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-    )
+        ["bash", ACTION / "run.sh"], cwd=at, env={**os.environ, **given},
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
@@ -103,25 +88,14 @@ def test_the_action_maps_a_log_and_compares_it(tmp_path: Path) -> None:
     done = act(tmp_path, log=log, options="--resolution 0.1", fail_if="agreement < 60%\n\n")
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
     folder = tmp_path / "occmap-map"
-    assert {path.name for path in folder.iterdir()} == {
-        "check.json",
-        "build.json",
-        "map.pgm",
-        "map.yaml",
-        "map.png",
-        "map.npz",
-    }
+    files = {"check.json", "build.json", "map.pgm", "map.yaml", "map.png", "map.npz"}
+    assert {path.name for path in folder.iterdir()} == files
     assert json.loads((folder / "build.json").read_text())["map"]["resolution"] == 0.1
-    again = act(tmp_path, log=log, reference="occmap-map/map.yaml", folder="fine")
+    given = {"log": log, "reference": "occmap-map/map.yaml"}
+    again = act(tmp_path, **given, folder="fine")
     assert again.returncode == 1
     assert "build both with one --resolution" in again.stderr
-    same = act(
-        tmp_path,
-        log=log,
-        options="--resolution 0.1",
-        reference="occmap-map/map.yaml",
-        folder="same",
-    )
+    same = act(tmp_path, **given, folder="same", options="--resolution 0.1")
     assert same.returncode == 0
     assert json.loads((tmp_path / "same" / "diff.json").read_text())["changed"] == 0
 

@@ -42,10 +42,8 @@ def test_a_log_builds_with_no_further_flag(name: str, used: int, dropped: dict[s
 
 def test_a_laser_without_transform_names_its_frame_and_the_flag() -> None:
     log = REAL_LOGS / "ros1" / "mylaserdata2.bag"
-    with pytest.raises(
-        PoseError,
-        match=r"frame 'laser' .*; give its mount on base_link: `sensor_pose=\(0,0,3.14159\)`",
-    ):
+    found = r"frame 'laser' .*; give its mount on base_link: `sensor_pose=\(0,0,3.14159\)`"
+    with pytest.raises(PoseError, match=found):
         build([log], BuildOptions())
     mounted = PosingOptions(sensor_pose=Pose.planar(0, 0, 3.14159))
     assert build([log], BuildOptions(posing=mounted)).report.scans.used > 200

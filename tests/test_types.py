@@ -1,6 +1,7 @@
 """Scans and pose samples check what they are made of, whoever makes them."""
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -23,32 +24,22 @@ SAMPLE: dict[str, Any] = {
 NO_NUMBERS = [None, "1.5", True, [1.0], 10**400, np.ones(2), 1j]
 NO_TIMES = [None, "7", 1.5, 2**63, -(2**63) - 1, math.nan]
 NO_TEXTS = [None, 7, b"laser", "\ud800"]
-NO_RANGES = [
-    None,
-    7.0,
-    "12",
-    ["1", "2"],
-    [None],
-    [[1, 2], [3, 4]],
-    [[1], [2, 3]],
-    [10**400],
-    [True],
-]
+NO_RANGES = [None, 7.0, "12", ["1", "2"], [None], [[1, 2]], [[1], [2, 3]], [10**400], [True]]
 NO_POSES = [(1.0, 2.0, 0.5), [0.0] * 7, Pose("1", 0, 0, 0, 0, 0, 1)]  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        *[("stamp_ns", value) for value in NO_TIMES],
-        *[("record_ns", value) for value in NO_TIMES[1:]],
-        *[(name, value) for name in ("frame", "topic") for value in NO_TEXTS],
-        *[(name, v) for name in ("angle_min", "angle_increment", "range_min") for v in NO_NUMBERS],
-        *[(name, value) for name in ("range_max", "time_increment") for value in NO_NUMBERS],
-        *[("ranges", value) for value in NO_RANGES],
-        *[("pose", value) for value in NO_POSES],
-    ],
-)
+def each_of(fields: str, values: Sequence[Any]) -> list[tuple[str, Any]]:
+    return [(field, value) for field in fields.split() for value in values]
+
+
+ALIKE = [*each_of("stamp_ns record_ns", NO_TIMES[1:]), ("stamp_ns", None)]
+ALIKE += each_of("topic", NO_TEXTS) + each_of("pose", NO_POSES)
+NUMBERS = "angle_min angle_increment range_min range_max time_increment"
+OF_SCANS = each_of("frame", NO_TEXTS) + each_of(NUMBERS, NO_NUMBERS) + each_of("ranges", NO_RANGES)
+OF_SAMPLES = [*each_of("parent child", NO_TEXTS), ("pose", None)]
+
+
+@pytest.mark.parametrize(("field", "value"), ALIKE + OF_SCANS)
 def test_a_scan_refuses_what_is_not_of_its_type(field: str, value: Any) -> None:
     with pytest.raises(DamageError) as caught:
         Scan(**{**SCAN, field: value})
@@ -56,15 +47,7 @@ def test_a_scan_refuses_what_is_not_of_its_type(field: str, value: Any) -> None:
     assert isinstance(caught.value, LogError)
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        *[("stamp_ns", value) for value in NO_TIMES],
-        *[("record_ns", value) for value in NO_TIMES[1:]],
-        *[(name, value) for name in ("parent", "child", "topic") for value in NO_TEXTS],
-        *[("pose", value) for value in [None, *NO_POSES]],
-    ],
-)
+@pytest.mark.parametrize(("field", "value"), ALIKE + OF_SAMPLES)
 def test_a_pose_sample_refuses_what_is_not_of_its_type(field: str, value: Any) -> None:
     with pytest.raises(DamageError):
         PoseSample(**{**SAMPLE, field: value})

@@ -1,15 +1,25 @@
 """Every item is worked on once, by no more threads than asked for."""
 
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from threading import Event, Lock, current_thread
 
 import pytest
 
-from occmap.workers import Workers
+from occmap.readers import open_log
+from occmap.workers import Workers, help_readers
+from tests.samples import SAMPLE_LOGS
 
 PATIENCE_S = 30
 """No test waits so long unless it fails."""
+
+
+def give_all(work: Callable[[int], None], jobs: int, items: int) -> None:
+    with Workers(work, jobs) as workers:
+        for item in range(items):
+            workers.give(item)
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
@@ -23,10 +33,7 @@ def test_every_item_is_worked_on_once(jobs: int) -> None:
             seen[item] += 1
             threads.add(current_thread())
 
-    with Workers(work, jobs) as workers:
-        for item in range(200):
-            workers.give(item)
-
+    give_all(work, jobs, 200)
     assert seen == Counter(range(200))
     assert len(threads) <= jobs
 
@@ -62,13 +69,8 @@ def test_an_error_of_any_thread_is_raised(jobs: int) -> None:
         if item == 3:
             raise ValueError("no threes")
 
-    def give_all() -> None:
-        with Workers(work, jobs) as workers:
-            for item in range(5):
-                workers.give(item)
-
     with pytest.raises(ValueError, match="no threes"):
-        give_all()
+        give_all(work, jobs, 5)
 
 
 @pytest.mark.parametrize("failing", [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
@@ -82,13 +84,8 @@ def test_the_error_of_the_earliest_item_is_raised(failing: list[int]) -> None:
             later_failed.set()
             raise ValueError(item)
 
-    def give_all() -> None:
-        with Workers(work, jobs=2) as workers:
-            for item in range(4):
-                workers.give(item)
-
     with pytest.raises(ValueError, match=str(failing[0])):
-        give_all()
+        give_all(work, 2, 4)
 
 
 def test_after_an_error_of_the_giver_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,3 +116,19 @@ def test_after_an_error_of_the_giver_nothing_more_is_begun(monkeypatch: pytest.M
     with pytest.raises(KeyboardInterrupt):
         give_and_fail()
     assert done == [0]
+
+
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "hall.mcap"])
+@pytest.mark.parametrize("cut", [None, 0.6])
+def test_what_is_unpacked_ahead_is_the_same(name: str, cut: float | None, tmp_path: Path) -> None:
+    log = tmp_path / name
+    data = (SAMPLE_LOGS / name).read_bytes()
+    log.write_bytes(data if cut is None else data[: int(cut * len(data))])
+    read = []
+    for jobs in (1, 2):
+        opened = open_log(log)
+        with help_readers(jobs):
+            poses = list(opened.poses())
+        read.append((poses, opened.notes))
+    assert len(read[0][0]) > 20
+    assert read[0] == read[1]

@@ -71,7 +71,7 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
     rows += [("problem", text) for text in inspection.problems]
     yield from write_rows(rows, LABEL)
     if inspection.command:
-        yield from ("", write_command(inspection.command))
+        yield from (*[""] * bool(rows), write_command(inspection.command))
 
 
 def list_log(log: LogFindings) -> Iterator[Row]:

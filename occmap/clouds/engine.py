@@ -12,12 +12,13 @@ from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
-from occmap.clouds.kernels.heights import Cloud, find_reach, list_clouds
+from occmap.clouds.kernels.heights import SOME, Cloud, find_reach, list_clouds
 from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas
-from occmap.grid import CellBox, Lattice
+from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, view_tiles
+from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large, view_tiles
+from occmap.sensor import ReturnOptions
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 HIGHEST_M = 1e6
@@ -93,6 +94,36 @@ def find_farthest(cloud: Cloud) -> float:
     return find_reach(cloud.points) + math.dist(cloud.poses[0, :, 3], cloud.origin)
 
 
+def make_band(options: CloudOptions, returns: ReturnOptions) -> Band:
+    """Say which heights, and which distances from the sensor, count."""
+    heights = options.min_height, options.max_height
+    low, high = (round(1000 * min(each, HIGHEST_M)) for each in heights)
+    level = SLACK_M / options.range_margin if options.range_margin else math.inf
+    margin = options.range_margin * 1000
+    nearest = max(returns.min_range, SHORTEST_M)
+    return Band(low, high, margin, level, nearest, returns.max_range)
+
+
+class Extent:
+    """The box around all points that observe their cells; it grows by the clouds that it sees."""
+
+    def __init__(self, lattice: Lattice, ground: Ground, band: Band) -> None:
+        self._lattice, self._band = lattice, band
+        self._ground = index_blocks(ground.blocks), ground.height_mm.ravel()
+        self._edges = np.array([np.inf, np.inf, -np.inf, -np.inf])
+        self._place = np.empty((3, SOME))
+
+    def add(self, cloud: Cloud) -> None:
+        """Take in a cloud."""
+        tracing.widen(self._edges, cloud, self._band, *self._ground, self._place)
+
+    @property
+    def box(self) -> CellBox | None:
+        """The cells; None: no point observes any."""
+        low, high = self._edges[:2], self._edges[2:]
+        return self._lattice.enclose(np.stack([low, high])) if low[0] <= high[0] else None
+
+
 def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
     """Make a canvas with room for so many tiles."""
     places, size = np.zeros((tiles, 2), np.int64), tiles * TILE * TILE
@@ -106,8 +137,8 @@ class CloudEngine(Engine):
 
     Parameters
     ----------
-    limits
-        Points between these distances from the sensor count (m).
+    max_cells
+        A map of more is refused as soon as some points of clouds show it.
     slice_ns
         As of `Engine`.
     """
@@ -115,9 +146,9 @@ class CloudEngine(Engine):
     def __init__(
         self,
         lattice: Lattice,
-        options: CloudOptions,
+        band: Band,
         ground: Ground,
-        limits: tuple[float, float],
+        max_cells: int = MAX_CELLS,
         slice_ns: int | None = None,
     ) -> None:
         super().__init__(TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT), slice_ns)
@@ -126,19 +157,17 @@ class CloudEngine(Engine):
         # A table of its own for each thread, of tiles around all ground.
         columns = np.stack([blocks.places.min(axis=0), blocks.places.max(axis=0) + 1])
         metres = columns[:, ::-1] * (BLOCK * COLUMN_MM / 1000)
-        box = lattice.enclose(metres).align(TILE).shrink(TILE)
+        self._box = lattice.enclose(metres).align(TILE)
         height = np.ascontiguousarray(ground.height_mm).reshape(-1)
-        self._make_sheet = partial(Sheet, lattice, blocks, height, box)
-        heights = options.min_height, options.max_height
-        low, high = (round(1000 * min(each, HIGHEST_M)) for each in heights)
-        nearest, farthest = max(limits[0], SHORTEST_M), limits[1]
-        margin = options.range_margin
-        level = SLACK_M / margin if margin else math.inf
-        self._band = Band(low, high, margin * 1000, level, nearest, farthest)
+        self._make_sheet = partial(Sheet, lattice, blocks, height, self._box.shrink(TILE))
+        self._band, self._max_cells = band, max_cells
+        self._extent = Extent(lattice, ground, band)
 
     def add(self, posed: PosedScans) -> None:
-        """Observe the cells of some clouds."""
+        """Observe the cells of some clouds; raises MapError where the map gets too large."""
         clouds = list(list_clouds(posed))
+        if self._box.cells > self._max_cells:
+            self._refuse_large(clouds)
         numbers = self._number(posed.batch.stamp_ns).tolist()
         with self._lock:
             sheet = self._idle.pop() if self._idle else self._make_sheet()
@@ -149,6 +178,18 @@ class CloudEngine(Engine):
             sheet.observe([clouds[i] for i in some], self._band)
         with self._lock:
             self._idle.append(sheet)
+
+    def _refuse_large(self, clouds: Sequence[Cloud]) -> None:
+        """Refuse a map that is surely too large before tiles are laid out for it."""
+        lattice = self.grid.lattice
+        for cloud in clouds:
+            refuse_long(min(find_farthest(cloud), self._band.farthest), lattice.resolution)
+            with self._lock:
+                self._extent.add(cloud)
+                box = self._extent.box
+            # What lies at the edge may be hidden beneath a thing.
+            if box and (surely := box.grow(-TILE)).rows > 0:
+                refuse_large(surely, lattice, self._max_cells)
 
     def _empty(self, sheet: Sheet) -> None:
         places, cells = sheet.empty()

@@ -26,8 +26,9 @@ from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
 from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
+from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_logs
+from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_drives
 from occmap.store.layout import Block, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
@@ -145,7 +146,7 @@ def survey_ground(job: Job) -> "Counted":
 
     finder = GroundFinder(job.setting.scans)
     options = replace(job.setting.options, jobs=1)
-    count_ground(open_log(Path(job.where), options.reading), options, finder)
+    count_ground(open_drive(open_log(Path(job.where), options.reading), options), finder)
     return finder.count()
 
 
@@ -156,14 +157,16 @@ def trace_log(job: Job) -> Traced:
     Raises
     ------
     OccmapError
-        As `trace_logs`, or the scratch folder cannot be written.
+        As `open_drive`, or the scratch folder cannot be written.
     """
     setting, options = job.setting, replace(job.setting.options, jobs=1)
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
     tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs))
     runs = RunWriter(job)
-    _, ((_, notes),) = trace_logs([log], options, runs.begin, tally)
+    with tally.time("poses"):
+        drive = open_drive(log, options)
+    _, (notes,) = trace_drives([drive], runs.begin, tally)
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)

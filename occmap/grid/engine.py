@@ -108,9 +108,9 @@ class DenseWindow(Window):
         every_bit = -1
         return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
-    def make_field(self, corner: Int64) -> Field:
+    def make_field(self, beams: Beams, corner: Int64) -> Field:
         """What kernels that fill polygons write to, by its lower-left corner (2,)."""
-        return Field(corner, self.cells, self.changes.numbers)
+        return Field(corner, self.cells, self.changes.numbers, self.find_clipped(beams))
 
     def read(self) -> dict[Key, Tile]:
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col)
@@ -153,7 +153,7 @@ class PolygonWindow(DenseWindow):
         return BORDER_BITS, COUNTED, 1
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        limits, field = (self.spec.jump, self.spec.border_gap), self.make_field(corner)
+        limits, field = (self.spec.jump, self.spec.border_gap), self.make_field(beams, corner)
         trace_polygons(beams, limits, field, self.observations)
 
 
@@ -161,7 +161,7 @@ class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_radial_polygons(beams, self.spec.tables, self.make_field(corner))
+        trace_radial_polygons(beams, self.spec.tables, self.make_field(beams, corner))
 
 
 class SparseBeamWindow(Window):

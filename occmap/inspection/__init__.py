@@ -13,21 +13,22 @@ from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
-from occmap.errors import LogError, MapError, OccmapError
+from occmap.errors import LogError, MapError, OccmapError, UsageError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import Survey, TopicSurvey
+from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.logs import look_ahead
+from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
+from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
 
 SHARE_OF_NOTE = 0.05
@@ -54,15 +55,18 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
             refuse_long(max(log.longest for log in logs), lattice.resolution)
         except MapError as error:
             too_large = str(error)
-    elif any(it.poses.posed and not it.is_of_clouds for log in logs for it in log.scans):
+    elif posed := [topic for log in logs for topic in log.scans if topic.poses.posed]:
+        of_clouds = any(topic.is_of_clouds for topic in posed)
         unseen = "no beam of any scan observes a cell: see the ranges"
+        unseen = f"{UNSEEN_CLOUDS}: {MEND_CLOUDS}" if of_clouds else unseen
     problems = [log.problem for log in logs if log.problem]
+    mixed = find_mixed(logs, options)
     # That no scan has a pose is why nothing is seen.
     problems += list_pose_problems(logs, options.posing.stamps) or list(
-        filter(None, [too_large or unseen])
+        filter(None, [mixed, too_large or unseen])
     )
 
-    command, differing = ((), ()) if too_large else recommend(logs, options)
+    command, differing = ((), ()) if too_large or mixed else recommend(logs, options)
     if unseen and FLAGS["no_return"] not in command:
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
@@ -75,6 +79,20 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
         command=command,
         buildable=not problems,
     )
+
+
+def find_mixed(logs: Sequence[LogFindings], options: BuildOptions) -> str:
+    """Say why one build does not take the logs: some hold scans, others clouds; "" if it does."""
+    kinds = {
+        Role.CLOUD if topic.is_of_clouds else Role.SCAN: f"{topic.topic} of {log.path}"
+        for log in logs
+        for topic in log.scans
+    }
+    try:
+        suit_kinds(kinds, options)
+    except UsageError as error:
+        return str(error)
+    return ""
 
 
 def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]:
@@ -213,8 +231,15 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     if topic.ranges.smallest > FAR_M:
         nearest = f"no range is below {topic.ranges.smallest:.4g} m"
         yield Concern(f"{nearest}: ranges are metres; are these millimetres?", None)
+    if topic.ranges.body is not None:
+        box = ",".join(f"{edge:g}" for edge in topic.ranges.body)
+        found = "the robot is in its own scans: some beams measure the same wherever it goes"
+        yield Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
     if not topic.ranges.measured and not topic.is_of_clouds:
-        yield Concern("no range value is a measurement")
+        is_beyond = any(special.name == BEYOND for special in topic.ranges.specials)
+        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
+        no_range = Concern("no range value is a measurement")
+        yield Concern(found, None) if is_beyond else no_range
 
 
 def list_clock_faults(topic: ScanFindings) -> list[str]:
@@ -223,7 +248,7 @@ def list_clock_faults(topic: ScanFindings) -> list[str]:
     faults = {
         "all stamps are equal": times.all_equal,
         f"stamps jump back {count(times.jumps_back, 'time')}": times.jumps_back,
-        f"stamps drift by {times.drift_s:.3g} s against the record times": (
+        f"stamps drift by {times.drift_s:.3g} s against the record times; see `stamps=record`": (
             abs(times.drift_s) > DRIFT_S
         ),
     }
@@ -272,16 +297,17 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {found}"
-    ground = list[str]()
+    ground, box = list[str](), survey.extent.box
     if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         below, posed = None, replace(options, posing=poser.options)
         try:
-            below, ground, posed = find_ground([log], posed, None)
+            below, ground, posed = find_ground([survey.drive], posed, None)
             ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
         level = replace(poser, options=posed.posing)
-        against = list(poses.list_floor_concerns(log, level, posed, below))
+        some, box = poses.look_at_clouds(log, level, posed, below)
+        against = list(poses.list_floor_concerns(some, level, posed, below))
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits = survey.drive.limits.list_notes()
@@ -291,7 +317,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
         coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes()),
-        box=survey.extent.box,
+        box=box,
         longest=survey.extent.longest,
         problem=problem,
     )
@@ -318,14 +344,15 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
 
 def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
-    ranked = topic.shapes.most_common()
+    is_of_clouds = topic.stream.role is Role.CLOUD
+    ranked = [] if is_of_clouds else topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     return ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
         frames=tuple(topic.frames),
-        is_of_clouds=topic.stream.role is Role.CLOUD,
+        is_of_clouds=is_of_clouds,
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),

@@ -85,6 +85,9 @@ class RangeFindings:
     crossed: Share | None
     """Share of the beams without return whose way leads through a surface that others hit, or
     beyond all that was hit; null where too few are known"""
+    body: Box | None
+    """Box around what is measured at the same range wherever the sensor goes, which is the robot
+    (m, in the sensor's frame); null where there is no such thing"""
 
 
 @dataclass(frozen=True)
@@ -298,6 +301,11 @@ class Inspection(Printed):
     def topics(self) -> list[ScanFindings]:
         """All topics of scans."""
         return [topic for log in self.logs for topic in log.scans]
+
+    @property
+    def has_beams(self) -> bool:
+        """Whether it is on scans, and not on clouds."""
+        return not any(topic.is_of_clouds for topic in self.topics)
 
     @property
     def dropped_share(self) -> float:

@@ -5,7 +5,7 @@ The floor that clouds see says whether a mount, or the poses' up, is wrong.
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from occmap.cells import Ground
 from occmap.choices import format_mount
 from occmap.clouds.mounting import find_seat, measure_tilts
+from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
 from occmap.inspection.survey import TopicSurvey
 from occmap.options import BuildOptions
@@ -106,24 +107,43 @@ MOST_TILT_DEG = 10.0
 """More is no small error, and linear no more."""
 
 
-def list_floor_concerns(
+def look_at_clouds(
     log: Log, poser: Poser, options: BuildOptions, ground: Ground | None
-) -> Iterator[tuple[str, Concern]]:
-    """List what the floor says against mounts and poses, with the topics of the clouds.
+) -> tuple[dict[str, list[PosedScans]], CellBox | None]:
+    """Read clouds once more; return some by their topics, and the cells that points observe.
 
     Parameters
     ----------
     ground
-        None where none was found.
+        None where none was found; then no cell is.
     """
-    from occmap.clouds.ground import draw  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds import engine  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.ground import draw  # noqa: PLC0415  likewise
+    from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
 
     share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
-    seen: defaultdict[str, list[PosedScans]] = defaultdict(list)
+    some: defaultdict[str, list[PosedScans]] = defaultdict(list)
+    band, lattice = engine.make_band(options.clouds, options.returns), Lattice(options.resolution)
+    extent = None if ground is None else engine.Extent(lattice, ground, band)
     drive = Drive(log, poser, options)  # which knows by now what leaps away
-    for posed in drive.read(Tally(), lambda ns, _: draw(ns) < share):
-        seen[posed.batch.topic].append(posed)
-    for topic, clouds in sorted(seen.items()):
+    for posed in drive.read(Tally()):
+        drawn = [draw(stamp_ns) < share for stamp_ns in posed.batch.stamp_ns.tolist()]
+        if any(drawn):
+            some[posed.batch.topic].append(posed.take(np.flatnonzero(drawn)))
+        for cloud in list_clouds(posed):
+            if extent is not None:
+                extent.add(cloud)
+    return some, None if extent is None else extent.box
+
+
+def list_floor_concerns(
+    some: Mapping[str, Sequence[PosedScans]],
+    poser: Poser,
+    options: BuildOptions,
+    ground: Ground | None,
+) -> Iterator[tuple[str, Concern]]:
+    """List what the floor in some clouds says against mounts and poses, with their topics."""
+    for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         if concern := find_misplaced(mount, clouds):
             yield topic, concern

@@ -7,14 +7,14 @@ whether beams without return lead through walls.
 
 import math
 from array import array
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from occmap import sensor
+from occmap.cells import Box
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
 from occmap.posing import Stamps
@@ -23,7 +23,15 @@ from occmap.readers import Stream
 from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
-from occmap.sensor import NoReturn, ReturnOptions, interpret
+from occmap.sensor import (
+    NoReturn,
+    ReturnOptions,
+    bands,
+    classify,
+    interpret,
+    read_limits,
+    tabulate_bearings,
+)
 from occmap.sensor.models import Spreading
 from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
@@ -31,10 +39,11 @@ from occmap.values import as_float32
 REPEATED_SHARE = 0.01
 NEIGHBOURHOOD_M = 0.1
 """A value is suspicious if one finite range in a hundred has it, and ten times as many as have any
-other value within this distance (`sensor.DOMINANCE`). Ranges to a wall spread by their noise, even
+other value within this distance (`bands.DOMINANCE`). Ranges to a wall spread by their noise, even
 if nothing moves."""
 
-NO_RETURNS = ("+inf", "= range_max", "> range_max")
+BEYOND = "> range_max"
+NO_RETURNS = ("+inf", "= range_max", BEYOND)
 """The kinds that `no_return` decides about; all others are skipped."""
 
 MOSTLY_OPEN = 0.05
@@ -70,7 +79,7 @@ def tell_kinds(it: Float32, low: Float32, high: Float32) -> Iterator[tuple[str, 
     nothing = "the driver's way to say that nothing came back"
     yield "+inf", "did not come back (REP 117)", it == np.inf
     yield "= range_max", nothing, (it == high) & (it < np.inf)
-    yield "> range_max", nothing, (it > high) & (it < np.inf)
+    yield BEYOND, nothing, (it > high) & (it < np.inf)
     yield "-inf", "too close to measure (REP 117)", it == -np.inf
     yield "nan", "not measured (REP 117)", np.isnan(it)
     yield "zero", "no return or too close: drivers differ", it == 0
@@ -111,11 +120,14 @@ class RangeCensus:
         """
         repeated = tuple(list_repeated(sample, self.limit))
         crossed = measure_crossing(sample, options)
-        low, high = sensor.SICK_CODES
+        low, high = bands.SICK_CODES
         is_code = any(low <= item.value <= high for item in repeated)
-        is_open = crossed is not None and crossed < MOSTLY_OPEN
-        suggested = "clear" if is_open and not is_code and math.isfinite(self.limit) else "ignore"
         measured = self.total - self.counts.total()
+        is_open = crossed is not None and crossed < MOSTLY_OPEN
+        # Where all ranges lie beyond the limit, one of the two is in another unit.
+        beyond = 0 if measured else sum(n for (name, _), n in self.counts.items() if name == BEYOND)
+        is_limit = math.isfinite(self.limit) and not beyond
+        suggested = "clear" if is_open and not is_code and is_limit else "ignore"
         return RangeFindings(
             total=self.total,
             measured=measured,
@@ -128,6 +140,7 @@ class RangeCensus:
             ),
             repeated=repeated,
             crossed=crossed,
+            body=find_body(sample, options),
         )
 
 
@@ -141,10 +154,10 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
     """
     ranges = np.concatenate([np.zeros(0, np.float32), *(it.batch.ranges.ravel() for it in parts)])
     values, counts = np.unique(ranges[np.isfinite(ranges) & (ranges > 0)], return_counts=True)
-    if len(values) < sensor.MIN_VALUES:
+    if len(values) < bands.MIN_VALUES:
         return
     total = int(counts.sum())
-    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, sensor.MIN_READINGS))
+    frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, bands.MIN_READINGS))
     ranked = frequent[np.argsort(-counts[frequent], kind="stable")]
     low = np.searchsorted(values, values[ranked] - np.float32(NEIGHBOURHOOD_M))
     high = np.searchsorted(values, values[ranked] + np.float32(NEIGHBOURHOOD_M), side="right")
@@ -152,7 +165,7 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
     found = [
         k
         for k, a, b in places
-        if counts[k] >= sensor.DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
+        if counts[k] >= bands.DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
     ]
     for value, number in zip(values[found].tolist(), counts[found].tolist(), strict=True):
         yield Repeated(value, number / total, value >= limit)
@@ -212,6 +225,53 @@ def look_around(steps: Bool) -> Bool:
     ends = np.pad(steps, ((0, 0), (STEPS_AROUND, STEPS_AROUND)))
     around: Bool = sliding_window_view(ends, 2 * STEPS_AROUND + 1, axis=1).max(axis=2)
     return around
+
+
+NO_HIT_M = 1e6
+"""What stands for the range of a beam without a hit here (m)"""
+OWN_RANGE_M, OWN_SPREAD_M = 1.0, 0.03
+"""The robot stands nearer in its own scans than this, and its parts keep their range so well (m)"""
+OWN_SHARE = 0.8
+"""In so many scans, for people stand before it at times"""
+PLACE_M, MIN_PLACES = 0.5, 8
+MOST_STRAIGHT = 0.9
+"""Of the scans at one place, so large, only the first counts: a parked robot sees a wall as it sees
+itself. At fewer places, or where the mean of all headings is longer, nothing is told"""
+MIN_OWN_BEAMS = 3
+OWN_MARGIN_M = 0.05
+"""How far the box around the robot's parts reaches beyond them (m)"""
+
+
+def find_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
+    """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
+
+    It is in the sensor's frame (m); None where there is no such thing in scans of any one shape.
+    """
+    seen: defaultdict[tuple[float, float, int], list[Float64]] = defaultdict(list)
+    for part in parts:
+        batch, (kind, reach, _) = part.batch, classify(part.batch, options)
+        ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
+        position, rotation = part.at_first_beam
+        place, heading = np.floor(position[:, :2] / PLACE_M), rotation[:, :2, 0]
+        shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
+        seen[shape].append(np.hstack([place, heading, ranges]))
+    points = [np.zeros((0, 2))]
+    for shape, scans in seen.items():
+        rows = np.concatenate(scans)
+        _, first = np.unique(rows[:, :2], axis=0, return_index=True)
+        heading, ranges = rows[first, 2:4], rows[first, 4:]
+        is_moving = len(first) >= MIN_PLACES and np.hypot(*heading.mean(axis=0)) < MOST_STRAIGHT
+        middle = np.median(ranges, axis=0)
+        stays = (np.abs(ranges - middle) <= OWN_SPREAD_M).mean(axis=0) >= OWN_SHARE
+        own = np.flatnonzero(stays & (middle < OWN_RANGE_M))
+        if is_moving and len(own) >= MIN_OWN_BEAMS:
+            points.append((middle * tabulate_bearings(*shape))[:, own].T)
+    every = np.concatenate(points)
+    if not len(every):
+        return None
+    low, high = every.min(axis=0) - OWN_MARGIN_M, every.max(axis=0) + OWN_MARGIN_M
+    x_min, y_min, x_max, y_max = np.round([*low, *high], 2).tolist()
+    return x_min, y_min, x_max, y_max
 
 
 MAX_SHAPES = 1000
@@ -342,7 +402,7 @@ class TopicSurvey:
             self.shapes[Shape(0, 0.0, math.tau, 0.0, math.inf, scans=0)] += 1
             return
         angles = first.angle_min, first.angle_increment
-        shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
+        shape = Shape(len(first.ranges), *angles, *read_limits(first), scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
             self.shapes[shape] += some.scans
 
@@ -367,12 +427,13 @@ class Survey(Selector):
             survey.posed += len(posed.batch.stamp_ns)
             if survey.is_sampled:
                 survey.sample.take(posed)
-            rays, _ = interpret(posed, self.drive.options.returns)
-            self.extent.add(rays)
+            if not posed.batch.clouds:
+                self.extent.add(interpret(posed, self.drive.options.returns)[0])
 
     def look(self, batch: ScanBatch) -> None:
-        """Count the ranges of a batch."""
-        self.topics[batch.topic].census.add(batch)
+        """Count the ranges of a batch; those of clouds only stand for moments."""
+        if not batch.clouds:
+            self.topics[batch.topic].census.add(batch)
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Count scans, and take note of what their topic has."""

@@ -16,6 +16,8 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +27,7 @@ from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
 from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, RawMessage
 from occmap.report import count
+from occmap.workers import HAS_HELP
 
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
@@ -189,16 +192,28 @@ class RecordSource(ABC):
         self, file: FileBytes, wanted: Container[int]
     ) -> Iterator[tuple[int, Bytes, Iterable[Record]]]:
         """Give what may hold messages of some channels, by its position: its bytes and records."""
-        for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
-            kind, _, position, _, end = record
-            if kind != CHUNK:
-                yield position, file, [record]
-                continue
-            held = self._summary.chunks.get(position)
-            if held and not any(key in wanted for key in held):
-                continue
-            block = memoryview(self._open_chunk(position, file[position:end]))
-            yield position, block, self._walk_chunk(position, block)
+        ahead: list[tuple[int, Callable[[], Buffer]]] = []
+        # With help, a chunk is unpacked while the one before it is walked.
+        with ThreadPoolExecutor(1, "occmap") if HAS_HELP.get() else nullcontext() as helper:
+            for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
+                kind, _, position, _, end = record
+                if kind == OTHER:
+                    continue
+                held = self._summary.chunks.get(position)
+                if kind == CHUNK and (not held or any(key in wanted for key in held)):
+                    call = partial(self._open_chunk, position, file[position:end])
+                    ahead.append((position, helper.submit(call).result if helper else call))
+                while len(ahead) > (1 if helper and kind == CHUNK else 0):
+                    yield self._unpack(*ahead.pop(0))
+                if kind != CHUNK:
+                    yield position, file, [record]
+            yield from (self._unpack(*each) for each in ahead)
+
+    def _unpack(
+        self, position: int, unpack: Callable[[], Buffer]
+    ) -> tuple[int, Bytes, Iterable[Record]]:
+        block = memoryview(unpack())
+        return position, block, self._walk_chunk(position, block)
 
     def _walk_chunk(self, position: int, block: Bytes) -> Iterator[Record]:
         """Give the records of a chunk; note where it is damaged."""

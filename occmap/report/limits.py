@@ -164,10 +164,19 @@ SCANS: Measures = (
 DAMAGE = Measure("damage", COUNT, lambda it: len(it.damage))
 """Of any report on logs"""
 
+
+def take_beams(name: str, result: Any) -> float:
+    """Take a share of the beams of a report; raises UsageError where it is on clouds."""
+    found = f"`limits` has {name}, a share of beams, and clouds of points have none"
+    require(result.has_beams, found, "leave out that limit")
+    return float(getattr(result, f"{name.removesuffix('s')}_share"))
+
+
+HITS = Measure("hits", SHARE, partial(take_beams, "hits"))
 SAVED: Measures = (
     *SCANS,
-    Measure("hits", SHARE, attrgetter("hit_share")),
-    Measure("no_return", SHARE, attrgetter("no_return_share")),
+    HITS,
+    Measure("no_return", SHARE, partial(take_beams, "no_return")),
     *list_measures(SHARE, "occupied", "free", "unknown", "undecided", of="map."),
     Measure("agreement", SHARE, lambda it: it.map.agreement or 0.0),  # 0 where no hits are kept
     Measure("cells", COUNT, attrgetter("map.cells")),
@@ -182,7 +191,7 @@ CHECK: Measures = (
     Measure("scans_read", COUNT, lambda it: sum(each.scans for each in it.topics)),
     Measure("topics", COUNT, lambda it: len(it.topics)),
     Measure("dropped_scans", SHARE, lambda it: it.dropped_share),
-    Measure("hits", SHARE, lambda it: it.hit_share),
+    HITS,
     Measure("largest_gap", "s", lambda it: max([0.0, *(t.times.largest_gap_s for t in it.topics)])),
     Measure("drift", "s", lambda it: max([0.0, *(abs(t.times.drift_s) for t in it.topics)])),
     Measure("jumps_back", COUNT, lambda it: sum(each.times.jumps_back for each in it.topics)),

@@ -157,6 +157,11 @@ class Report(Noted):
     Poses that stand beside their scans were corrected together with them"""
 
     @property
+    def has_beams(self) -> bool:
+        """Whether it is on scans, and not on clouds."""
+        return self.map.update is not Update.CLOUD
+
+    @property
     def hit_share(self) -> float:
         """The share of beams that hit something; 0 of nothing."""
         return self.beams.hit / max(sum(self.beams), 1)

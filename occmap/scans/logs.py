@@ -5,7 +5,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Collection, Iterator, MutableSequence, Sequence
+from collections.abc import Collection, Iterator, Mapping, MutableSequence, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import chain
@@ -21,6 +21,7 @@ from occmap.posing.frames import last_part
 from occmap.posing.sources import TF_TOPICS, gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, count, join_names
+from occmap.sensor.models import RadialModel
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
 
@@ -62,16 +63,28 @@ def settle_update(logs: Sequence[Log], options: BuildOptions) -> BuildOptions:
         topics = choose_topics(log, options.selection.topics)
         roles = {s.topic: s.role for s in log.streams if s.topic in topics}
         kinds |= {role: f"{topic} of {log.path}" for topic, role in roles.items()}
+    return suit_kinds(kinds, options)
+
+
+def suit_kinds(kinds: Mapping[Role, str], options: BuildOptions) -> BuildOptions:
+    """Choose the update, with its model, for scans or clouds, of which it is known who holds them.
+
+    Raises
+    ------
+    UsageError
+        As `settle_update`, or the model is none for clouds.
+    """
     if Role.CLOUD not in kinds:
         found = "the logs hold no clouds of points"
         require(options.update is not Update.CLOUD, found, "leave out `update=cloud`")
         return options
     found = f"{kinds.get(Role.SCAN)} holds laser scans, {kinds[Role.CLOUD]} clouds of points"
     require(Role.SCAN not in kinds, found, "map one kind at a time: choose with `topics`")
-    if options.update is Update.CLOUD:
-        return options
-    found = f"{kinds[Role.CLOUD]} holds clouds of points, which the {options.update} update"
-    require(options.update is DEFAULT_UPDATE, f"{found} does not take", "name no update")
+    found = f"{kinds[Role.CLOUD]} holds clouds of points, which"
+    is_open = options.update in {DEFAULT_UPDATE, Update.CLOUD}
+    require(is_open, f"{found} the {options.update} update does not take", "name no update")
+    is_radial = isinstance(options.model, RadialModel)
+    require(not is_radial, f"{found} a model of beams does not take", "try `model=counting`")
     is_default = options.model == choose_model(options.update)
     model = choose_model(Update.CLOUD) if is_default else options.model
     return replace(options, update=Update.CLOUD, model=model)

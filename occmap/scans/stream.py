@@ -14,7 +14,8 @@ from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, read_recorded
 from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
-from occmap.sensor import RangeLimits, drop_own_points, read_limits
+from occmap.sensor import drop_own_points, read_limits
+from occmap.sensor.bands import RangeLimits
 from occmap.sensor.models import RadialModel
 from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun, Update
 
@@ -198,6 +199,12 @@ class Drive:
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._first_ns = 0
         self._odd: dict[str, None] = {}
+
+    def renew(self, options: BuildOptions) -> "Drive":
+        """Make a drive that has read no scan, by the poses that are known and other options."""
+        poser = Poser(self.poser.sources, options.posing)
+        poser.find_chains(self.poser.chains)
+        return Drive(self.log, poser, options)
 
     def settle(self) -> bool:
         """Say, once all scans were read, whether limits and leaps were known from the first on.

@@ -231,6 +231,13 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     raise LogError("holds no scan that can be read", where=where, fix=fix)
 
 
+UNSEEN_CLOUDS = "no point of any cloud observed a cell"
+MEND_CLOUDS = (
+    "points count between `min_range` and `max_range`, over ground that was found, and up to "
+    "`max_height` above it"
+)
+
+
 def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]) -> None:
     """Refuse to make a map in which no tile, or block of tiles, was seen.
 
@@ -241,7 +248,8 @@ def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]
     """
     if seen:
         return
-    clear = ", or try `no_return=clear`" if tally.beams.no_return else ""
     found = f"no beam of any scan observed a cell: {write_counts(tally.beams.by_name)}"
-    fix = f"see the ranges in `occmap check`{clear}"
+    fix = "see the ranges in `occmap check`"
+    if tally.points:
+        found, fix = f"{UNSEEN_CLOUDS}: {write_counts(tally.points)}", MEND_CLOUDS
     raise MapError(found, where=", ".join(map(str, logs)), fix=fix)

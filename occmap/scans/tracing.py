@@ -1,7 +1,7 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from occmap.grid.rendering import Reach
 from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
-from occmap.readers import Log, open_log
+from occmap.readers import open_log
 from occmap.report import Note
 from occmap.scans import make_grid, plan_grid
 from occmap.scans.logs import count_scans, settle_update
@@ -26,7 +26,7 @@ from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
 from occmap.sensor import ReturnCounts, interpret
 from occmap.types import Float64, PosedScans, Rays, Update
-from occmap.workers import Workers
+from occmap.workers import Workers, help_readers
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.clouds.engine import CloudEngine
@@ -53,10 +53,10 @@ class TakesRays(Protocol):
 Taker = TypeVar("Taker", bound=TakesRays)
 
 
-def trace_logs(
-    logs: Sequence[Log], options: BuildOptions, begin: Callable[[], Taker], tally: Tally
-) -> tuple[Taker, list[tuple[Log, list[str]]]]:
-    """Read logs and trace their scans; return what took them, and each log with the notes on it.
+def trace_drives(
+    drives: Sequence[Drive], begin: Callable[[], Taker], tally: Tally
+) -> tuple[Taker, list[list[str]]]:
+    """Read drives and trace their scans; return what took them, and the notes on each.
 
     Only a log read to its end shows for sure which ranges mean "no return", and which scans leap
     away. Where the first scans let something else seem right, all these logs are read once more.
@@ -67,11 +67,9 @@ def trace_logs(
         Called each time that the logs are read; returns what takes their rays. Where they are read
         once more, what took them first is of no use.
     """
-    with tally.time("poses"):
-        drives = [open_drive(log, options) for log in logs]
     for _ in range(2):
         counts, taker = tally.start_over(), begin()
-        right = [trace(drive, options, taker.add, counts) for drive in drives]
+        right = [trace(drive, taker.add, counts) for drive in drives]
         if all(right):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
@@ -79,13 +77,13 @@ def trace_logs(
         for drive in drives:
             counts.recorder.trajectories += drive.poser.list_trajectories(str(drive.log.path))
     tally.add(counts)
-    return taker, [(drive.log, drive.list_notes()) for drive in drives]
+    return taker, [drive.list_notes() for drive in drives]
 
 
-def trace(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> bool:
+def trace(drive: Drive, add_rays: AddRays, tally: Tally) -> bool:
     """Trace the scans of a log; say whether they were read as all of it says they should be."""
     try:
-        trace_stream(drive, options, add_rays, tally)
+        trace_stream(drive, add_rays, tally)
     except MapError:
         # Without scans that leap away the map may be small enough.
         if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
@@ -114,20 +112,25 @@ class BuildGround(NamedTuple):
     """With the angles by which its floor is laid flat"""
 
 
-def find_ground(logs: Sequence[Log], options: BuildOptions, known: Ground | None) -> BuildGround:
+def find_ground(
+    drives: Collection[Drive], options: BuildOptions, known: Ground | None
+) -> BuildGround:
     """Find the ground below all drives, in a pass of its own.
 
     Parameters
     ----------
+    drives
+        Whose poses are taken.
     known
         Ground of evidence that the build is added to; it stays as it is.
     """
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
     def count(options: BuildOptions) -> GroundFinder:
-        finder = GroundFinder(sum(count_scans(log, options.selection.topics) for log in logs))
-        for log in logs:
-            count_ground(log, options, finder)
+        scans = (count_scans(drive.log, options.selection.topics) for drive in drives)
+        finder = GroundFinder(sum(scans))
+        for drive in drives:
+            count_ground(drive.renew(options), finder)
         return finder
 
     return level_ground(count, options, known)
@@ -184,19 +187,19 @@ def measure_spread(points: Float64) -> float:
     return float(-(share * np.log(share)).sum())
 
 
-def count_ground(log: Log, options: BuildOptions, finder: "GroundFinder") -> None:
-    """Let a finder of the ground see the clouds of a log."""
-    drive = open_drive(log, options)
+def count_ground(drive: Drive, finder: "GroundFinder") -> None:
+    """Let a finder of the ground see the clouds of a drive."""
     for _ in drive.rounds():  # the second time without clouds that leap away
         seen = finder.start_over()
-        with name_log(log.path), Workers(seen.add, options.jobs) as workers:
+        with name_log(drive.log.path), Workers(seen.add, drive.options.jobs) as workers:
             for posed in drive.read(Tally(), seen.wants):
                 workers.give(posed)
     finder.join(seen.count())
 
 
-def trace_stream(drive: Drive, options: BuildOptions, add_rays: AddRays, tally: Tally) -> None:
+def trace_stream(drive: Drive, add_rays: AddRays, tally: Tally) -> None:
     """Trace the scans of a log as a stream."""
+    options = drive.options
     reach = Reach(Lattice(options.resolution), options.max_cells)
 
     def work(seen: Rays | PosedScans) -> None:
@@ -260,11 +263,11 @@ def choose_engine(
     """Make an engine for what the update is for: rays, or clouds over ground that is known."""
     slice_ns = round(options.pass_gap_s * 1e9) if keep.slices else None
     if options.update is Update.CLOUD and keep.ground is not None:
-        from occmap.clouds.engine import CloudEngine  # noqa: PLC0415  late: it brings numba
+        from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
 
-        limits = options.returns.min_range, options.returns.max_range
-        over = Lattice(options.resolution), options.clouds, keep.ground
-        return CloudEngine(*over, limits, slice_ns)
+        band = make_band(options.clouds, options.returns)
+        over = Lattice(options.resolution), band, keep.ground
+        return CloudEngine(*over, options.max_cells, slice_ns)
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  likewise
 
     return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
@@ -306,24 +309,25 @@ def observe(
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
-    ground = keep.ground
+    ground, known = keep.ground, dict[Path, Drive]()
     if options.update is Update.CLOUD and options.clouds.file is None:
-        with tally.time("ground"):
-            ground, found, options = find_ground(logs, options, ground)
+        with tally.time("poses"), help_readers(options.jobs):
+            known = {log.path: open_drive(log, options) for log in logs}
+        with tally.time("ground"), help_readers(options.jobs):
+            ground, found, options = find_ground(known.values(), options, ground)
         remarks.notes += found
     tiles = make_grid(options)
     slices: list[Slices] = []
+    begin = partial(choose_engine, options, keep._replace(ground=ground))
     for log, scans in zip(logs, counts, strict=True):
         of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs)))
-        engine, notes = observe_log(log, options, keep._replace(ground=ground), of_log)
+        with of_log.time("poses"), help_readers(options.jobs):
+            drive = known[log.path].renew(options) if known else open_drive(log, options)
+        engine, (notes,) = trace_drives([drive], begin, of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)
         with tally.time("fold"):
-            seen = engine.finish()
-            notes += list_misfit(tiles, seen.tiles, options.model, "the logs before it")
-            tiles.merge(seen)
-            with name_log(log.path):
-                tiles.refuse_outgrown(options.max_cells)
+            notes += add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
         remarks.note(log.path, log.notes, notes)
     with tally.time("fold"):
@@ -331,10 +335,16 @@ def observe(
         return Observed(tiles, kept, tally, remarks, ground, options)
 
 
-def observe_log(
-    log: Log, options: BuildOptions, keep: Keep, tally: Tally
-) -> tuple["GridEngine | CloudEngine", list[str]]:
-    """Trace a log in an engine of its own; return the engine, and notes on the log."""
-    begin = partial(choose_engine, options, keep)
-    engine, ((_, notes),) = trace_logs([log], options, begin, tally)
-    return engine, notes
+def add_seen(tiles: TileGrid, seen: TileGrid, drive: Drive) -> list[str]:
+    """Add what a log showed to what the logs before it did; say what does not fit.
+
+    Raises
+    ------
+    MapError
+        The map is too large.
+    """
+    misfit = list(list_misfit(tiles, seen.tiles, drive.options.model, "the logs before it"))
+    tiles.merge(seen)
+    with name_log(drive.log.path):
+        tiles.refuse_outgrown(drive.options.max_cells)
+    return misfit

@@ -16,8 +16,9 @@ from occmap.cells import OccupancyMap
 from occmap.options import BuildOptions
 from occmap.report import Count, Finite, Share
 from occmap.scans.logs import count_scans, open_scans
+from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally, refuse_unused
-from occmap.scans.tracing import Progress, Remarks, Taker, trace_logs
+from occmap.scans.tracing import Progress, Remarks, Taker, trace_drives
 from occmap.types import Float64, Kind, Rays, ScanBatch
 from occmap.workers import Workers
 
@@ -198,7 +199,7 @@ def read_scans(
     Parameters
     ----------
     begin
-        As for `trace_logs`.
+        As for `trace_drives`.
 
     Returns
     -------
@@ -215,8 +216,10 @@ def read_scans(
     total = sum(count_scans(log, options.selection.topics) for log in logs)
     tally.tell = lambda scans: progress(scans, total)
     remarks = Remarks([str(log.path) for log in logs])
-    taker, told = trace_logs(logs, replace(options, jobs=1), begin, tally)
-    for log, notes in told:
+    with tally.time("poses"):
+        drives = [open_drive(log, replace(options, jobs=1)) for log in logs]
+    taker, told = trace_drives(drives, begin, tally)
+    for log, notes in zip(logs, told, strict=True):
         remarks.note(log.path, log.notes, notes)
     refuse_unused(paths, tally)
     return taker, tally, remarks

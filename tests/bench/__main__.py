@@ -21,7 +21,7 @@ import platform
 import subprocess
 import sys
 import tempfile
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,14 +31,12 @@ from tests.bench import limits, process_limits, tables
 from tests.bench.clouds import measure_clouds
 from tests.bench.engine import Figure, check_equal, measure_engine
 from tests.bench.logs import FORMATS, write_mcap
-from tests.bench.measuring import Times
 from tests.bench.stages import Stages, measure_stages
 from tests.bench.workloads import Sensor, Workload, make_office, make_yard, read_workload
 from tests.bench.yardstick import AVX2, FLAGS, Trace, compile_cpp, trace_in_numba
+from tests.samples import REAL_LOGS
 
-ROOT = Path(__file__).parents[2]
-REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", ROOT.parent / "shared" / "logs"))
-FREIBURG = REAL_LOGS / "carmen" / "freiburg-079-corrected.log.gz"
+FREIBURG = REAL_LOGS / "carmen" / f"{limits.FREIBURG}.log.gz"
 SHARE = 20
 """Every n-th scan is compared cell by cell."""
 WIDE = Sensor.spanning(1081, 270, 30.0)
@@ -49,13 +47,12 @@ class Settings:
     """How much to measure."""
 
     scans: int
-    rounds: int
     corridor: float
     """m"""
 
 
-FULL = Settings(scans=2000, rounds=5, corridor=10_000)
-QUICK = Settings(scans=500, rounds=5, corridor=1_000)
+FULL = Settings(scans=2000, corridor=10_000)
+QUICK = Settings(scans=500, corridor=1_000)
 
 
 @dataclass
@@ -85,21 +82,45 @@ class Bench:
 
     def run(self) -> Results:
         """Measure everything."""
-        few = make_office("office, 1081 beams", WIDE, self._settings.scans)
-        self._measure_engines(few)
+        self.run_engine()
+        folder, few = self._folder, make_office(limits.OFFICE, WIDE, self._settings.scans)
         self.results.rows += self._measure_avx2()
-        self._measure_stages(few)
+        self.results.stages = measure_stages(few, folder)
+        show(tables.draw_stages(few.scans, self.results.stages))
         self._measure_texts(few)
         self._measure_many(few)
-        self._measure_processes()
-        self.results.rows += measure_clouds(self._folder, self._settings.rounds)
+        self.results.rows += [
+            *process_limits.compare_mrpt(FREIBURG, folder),
+            *process_limits.measure_corridor(self._settings.corridor, folder),
+            *process_limits.measure_field(folder),
+            process_limits.compare_help(),
+            process_limits.measure_smallest(folder),
+            process_limits.measure_writing(make_large_place(), folder),
+            *measure_clouds(folder),
+        ]
         show(tables.draw_rows(self.results.rows))
         return self.results
 
     def run_engine(self) -> Results:
-        """Measure the engine alone."""
-        self._measure_engines(make_office("office, 1081 beams", WIDE, self._settings.scans))
+        """Trace every workload."""
+        scans = self._settings.scans
+        self._measure_engine(make_office(limits.OFFICE, WIDE, scans))
+        few_beams = Sensor.spanning(360, 360, 30.0)
+        self._measure_engine(make_office("office, 360 beams", few_beams, scans))
+        self._measure_engine(make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans))
+        self._measure_engine(make_large_place())
+        if FREIBURG.exists():
+            self._measure_engine(read_workload(FREIBURG, 0.05))
+        else:
+            show(f"\n{FREIBURG.name} is absent from {REAL_LOGS}: not measured\n")
         return self.results
+
+    def _measure_engine(self, workload: Workload) -> None:
+        check_equal(workload.thin(SHARE), self._yardsticks)
+        figures, times = measure_engine(workload, self._yardsticks)
+        self.results.engine[workload.name] = figures
+        self.results.rows += limits.compare_engine(times, workload)
+        show(tables.draw_engine(workload, figures))
 
     def _measure_avx2(self) -> list[limits.Row]:
         """Measure the engine once more as for a processor that knows nothing beyond AVX2."""
@@ -110,77 +131,31 @@ class Bench:
         words += ["--quick"] if self._settings == QUICK else []
         show("\nwith AVX2 alone:\n")
         subprocess.run(words, check=True, env=os.environ | {"NUMBA_CPU_NAME": AVX2})
-        names = [each.name for each in fields(limits.Row)]
         rows = json.loads(found.read_text(encoding="utf-8"))["rows"]
-        made = [limits.Row(**{name: row[name] for name in names}) for row in rows]
-        return [replace(row, what=f"{row.what} (AVX2)") for row in made]
-
-    def _measure_engines(self, office: Workload) -> None:
-        """Trace every workload."""
-        times = self._measure_engine(office)
-        self.results.rows += limits.compare_engine(times, office.scans)
-        self.results.rows.append(limits.compare_updates(times, office.scans, "office"))
-        scans = self._settings.scans
-        few = make_office("office, 360 beams", Sensor.spanning(360, 360, 30.0), scans)
-        yard = make_yard("yard, 80 m range", Sensor.spanning(180, 180, 80.0), scans)
-        others = (
-            (few, limits.FEW_BEAMS_LIMITS),
-            (yard, limits.YARD_LIMITS),
-            (make_large_place(), limits.SPARSE_LIMITS),
-        )
-        for workload, engine_limits in others:
-            times = self._measure_engine(workload)
-            self.results.rows += limits.compare_workload(times, workload, engine_limits)
-        if FREIBURG.exists():
-            freiburg = read_workload(FREIBURG, 0.05)
-            times = self._measure_engine(freiburg)
-            row = limits.compare_updates(times, freiburg.scans, freiburg.name)
-            self.results.rows.append(row)
-        else:
-            show(f"\n{FREIBURG.name} is absent from {REAL_LOGS}: not measured\n")
-
-    def _measure_engine(self, workload: Workload) -> Times:
-        check_equal(workload.thin(SHARE), self._yardsticks)
-        figures, times = measure_engine(workload, self._yardsticks, self._settings.rounds)
-        self.results.engine[workload.name] = figures
-        show(tables.draw_engine(workload, figures))
-        return times
-
-    def _measure_stages(self, office: Workload) -> None:
-        self.results.stages = measure_stages(office, self._folder, self._settings.rounds)
-        show(tables.draw_stages(office.scans, self.results.stages))
+        return [
+            limits.Row(f"{row['what']} (AVX2)", row["limit"], row["value"], row["detail"])
+            for row in rows
+        ]
 
     def _measure_texts(self, office: Workload) -> None:
-        rounds, rows = 2 * self._settings.rounds, self.results.rows
-        for name in ("CSV", "CARMEN"):
-            log = FORMATS[name](office, self._folder)
-            rows.append(limits.compare_loadtxt(log, name, 0.4, rounds))
+        logs = {name: FORMATS[name](office, self._folder) for name in ("CSV", "CARMEN")}
         if FREIBURG.exists():
-            log = self._folder / "freiburg-079.log"
-            log.write_bytes(gzip.decompress(FREIBURG.read_bytes()))
-            rows.append(limits.compare_loadtxt(log, "freiburg-079 as plain text", 0.4, rounds))
+            plain = logs["freiburg-079 as plain text"] = self._folder / "freiburg-079.log"
+            plain.write_bytes(gzip.decompress(FREIBURG.read_bytes()))
+        self.results.rows += [limits.compare_loadtxt(log, name) for name, log in logs.items()]
 
     def _measure_many(self, few: Workload) -> None:
         """What needs ten times the scans."""
-        rounds = self._settings.rounds
-        many = make_office("office", WIDE, 10 * few.scans)
-        self.results.rows += limits.compare_threads(many, 2 * rounds)
-        folder = self._folder / "tenfold"
+        many, folder = make_office("office", WIDE, 10 * few.scans), self._folder / "tenfold"
+        self.results.rows += limits.compare_threads(many)
         folder.mkdir()
         logs = {workload.scans: write_mcap(workload, folder) for workload in (few, many)}
-        self.results.rows += limits.compare_builds(logs[many.scans], rounds)
-        self.results.rows += limits.compare_tenfold_time(logs, rounds)
-        self.results.rows += process_limits.compare_tenfold_memory(logs, rounds)
-        self.results.rows += process_limits.compare_slices(logs[many.scans], rounds)
-
-    def _measure_processes(self) -> None:
-        rounds, folder = self._settings.rounds, self._folder
-        self.results.rows += process_limits.compare_mrpt(FREIBURG, folder, 2 * rounds)
-        self.results.rows += process_limits.measure_corridor(self._settings.corridor, folder)
-        self.results.rows += process_limits.measure_field(folder)
-        self.results.rows += process_limits.compare_help(2 * rounds)
-        self.results.rows += process_limits.measure_smallest(folder, rounds)
-        self.results.rows += process_limits.measure_writing(make_large_place(), folder, rounds)
+        self.results.rows += [
+            *limits.compare_builds(logs[many.scans]),
+            *limits.compare_tenfold_time(logs),
+            *process_limits.compare_tenfold_memory(logs),
+            *process_limits.compare_slices(logs[many.scans]),
+        ]
 
 
 def make_large_place() -> Workload:

@@ -40,7 +40,7 @@ def write_clouds(folder: Path, clouds: int) -> Path:
     return log
 
 
-def measure_clouds(folder: Path, rounds: int, clouds: int = 300) -> list[Row]:
+def measure_clouds(folder: Path, clouds: int = 300) -> list[Row]:
     """Build maps of clouds with one thread and with two, in this process and in ones of their own.
 
     Points a second, time against copying the same bytes, two threads against one, and memory.
@@ -51,7 +51,7 @@ def measure_clouds(folder: Path, rounds: int, clouds: int = 300) -> list[Row]:
         for jobs in (1, 2)
     }
     copies = {"copy": partial(shutil.copyfile, log, folder / "copy.mcap")}
-    times = time_in_turn({**runs, **copies}, rounds)
+    times = time_in_turn({**runs, **copies})
     what = "clouds, MCAP to map"
     return [
         tell_speed(times, points),
@@ -73,7 +73,7 @@ def tell_speed(times: Times, points: int) -> Row:
 def compare_memory(folder: Path, log: Path, clouds: int) -> Row:
     """Peak memory of three times the clouds of the same place, in processes of their own."""
     more, few = (
-        run([OCCMAP, "build", each, "-o", folder / "peak.pgm", "--json"]).peak_bytes / 2**20
+        run([OCCMAP, "build", each, "-o", folder / "peak.pgm", "--json"]).peak_bytes
         for each in (write_clouds(folder, 3 * clouds), log)
     )
     return divide("clouds: memory for 3 x the clouds", MEMORY_LIMIT, more, few, "MiB")

@@ -14,20 +14,18 @@ from occmap.options import BuildOptions
 from occmap.scans import make_engine
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
-from occmap.types import Int64, PosedScans, Update
+from occmap.types import BEAM_UPDATES, Int64, PosedScans, Update
 from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
 
 COUNTS = SimpleModel()
-COMBINATIONS: Mapping[str, tuple[Update, SensorModel]] = {
-    "beam x simple, counting": (Update.BEAM, COUNTS),
-    "polygon x simple, counting": (Update.POLYGON, COUNTS),
-    "surface x simple, counting": (Update.SURFACE, COUNTS),
-    "beam x quadratic": (Update.BEAM, QuadraticModel()),
-    "polygon x quadratic": (Update.POLYGON, QuadraticModel()),
-    "surface x quadratic": (Update.SURFACE, QuadraticModel()),
+MODELS: Mapping[str, SensorModel] = {"simple, counting": COUNTS, "quadratic": QuadraticModel()}
+COMBINATIONS = {
+    f"{update.value} x {name}": (update, model)
+    for name, model in MODELS.items()
+    for update in BEAM_UPDATES
 }
 """The models simple and counting share their evidence; they differ in what is made of it."""
 
@@ -64,7 +62,7 @@ def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1)
 
 
 def measure_engine(
-    workload: Workload, yardsticks: Mapping[str, Trace], rounds: int
+    workload: Workload, yardsticks: Mapping[str, Trace]
 ) -> tuple[list[Figure], Times]:
     """Take the processor time of the yardsticks and of every update x model, in turn."""
     box = find_box(workload)
@@ -73,7 +71,7 @@ def measure_engine(
         name: partial(trace, workload, update, model)
         for name, (update, model) in COMBINATIONS.items()
     }
-    times = time_in_turn({**runs, **traces}, rounds, process_time)
+    times = time_in_turn({**runs, **traces}, clock=process_time)
     visited: dict[str, float] = {
         name: sum(int(layer.sum(dtype=np.int64)) for layer in run()) for name, run in runs.items()
     }

@@ -1,6 +1,6 @@
 """What occmap must reach, as ratios within one run: the rows that this process measures itself."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,23 +16,27 @@ from occmap.readers import open_log, read_scans
 from occmap.scans.logs import choose_topics
 from occmap.types import BEAM_UPDATES, Scan, ScanRun, Update
 from tests.bench.engine import COUNTS, trace
-from tests.bench.measuring import Times, time_in_turn
+from tests.bench.measuring import ROUNDS, Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import PLAIN, TUNED
 
+OFFICE, FREIBURG = "office, 1081 beams", "freiburg-079-corrected"
 ENGINE_LIMITS = {
-    "beam x simple, counting": 0.65,
-    "polygon x simple, counting": 0.15,
-    "beam x quadratic": 0.7,
-    "polygon x quadratic": 1.5,
+    OFFICE: {
+        "beam x simple, counting": 0.65,
+        "polygon x simple, counting": 0.15,
+        "beam x quadratic": 0.7,
+        "polygon x quadratic": 1.5,
+    },
+    # The cost of a scan is its area, while that of the yardstick is its beams.
+    "office, 360 beams": {"polygon x quadratic": 1.5},
+    "yard, 80 m range": {"polygon x simple, counting": 0.5, "polygon x quadratic": 3.0},
+    # Few scans of a large place: what nothing crosses costs nothing.
+    "861 scans of a yard": {"beam x simple, counting": 1.0},
 }
-FEW_BEAMS_LIMITS = {"polygon x quadratic": 1.5}
-"""The cost of a scan is its area, while that of the yardstick is its beams."""
-YARD_LIMITS = {"polygon x simple, counting": 0.5, "polygon x quadratic": 3.0}
-SPARSE_LIMITS = {"beam x simple, counting": 1.0}
-"""Few scans of a large place: what nothing crosses costs nothing."""
+"""By workload"""
 BEAM, SURFACE = "beam x simple, counting", "surface x simple, counting"
-SURFACE_LIMIT = 1.6
+SURFACE_LIMITS = {OFFICE: 1.6, FREIBURG: 1.6}
 THREADS_LIMIT = 0.6
 ROSBAGS_LIMITS = {Update.POLYGON: 1.3, Update.BEAM: 1.6, Update.SURFACE: 1.8}
 
@@ -56,54 +60,39 @@ class Row:
         return "met" if self.value <= self.limit else "NOT MET"
 
 
-def compare_workload(
-    times: Times, workload: Workload, engine_limits: Mapping[str, float]
-) -> list[Row]:
-    """One thread on scans of another kind, as `compare_engine`."""
-    rows = compare_engine(times, workload.scans, engine_limits)
-    return [replace(row, what=f"{row.what}, {workload.name}") for row in rows]
+def compare_engine(times: Times, workload: Workload) -> Iterator[Row]:
+    """One thread against the C++ loop; its tuned build has no limit, and is told for what it is.
+
+    The surface update is held against the beam update, whose beams it traces, too.
+    """
+
+    def tell(name: str) -> str:
+        return f"{1e6 * times.median(name) / workload.scans:.1f}"
+
+    where = "" if workload.name == OFFICE else f", {workload.name}"
+    for name, limit in ENGINE_LIMITS.get(workload.name, {}).items():
+        what = f"{name} / {PLAIN}{where}"
+        if PLAIN in times.seconds:
+            tuned = f"/ {TUNED}: {times.ratio(name, TUNED):.2f} ({tell(TUNED)} us)"
+            detail = f"{tell(name)} / {tell(PLAIN)} us a scan; {tuned}"
+            yield Row(what, limit, times.ratio(name, PLAIN), detail)
+        else:
+            yield Row(what, limit, None, "no g++")
+    if (most := SURFACE_LIMITS.get(workload.name)) is not None:
+        what = f"surface / beam, counts, {workload.name.partition(',')[0]}"
+        detail = f"{tell(SURFACE)} / {tell(BEAM)} us a scan"
+        yield Row(what, most, times.ratio(SURFACE, BEAM), detail)
 
 
-def compare_engine(
-    times: Times, scans: int, engine_limits: Mapping[str, float] = ENGINE_LIMITS
-) -> list[Row]:
-    """One thread against the C++ loop; its tuned build has no limit, and is told for what it is."""
-    if PLAIN not in times.seconds:
-        return [Row(f"{n} / {PLAIN}", limit, None, "no g++") for n, limit in engine_limits.items()]
-
-    def microseconds(name: str) -> str:
-        return f"{1e6 * times.median(name) / scans:.1f}"
-
-    return [
-        Row(
-            f"{name} / {PLAIN}",
-            limit,
-            times.ratio(name, PLAIN),
-            f"{microseconds(name)} / {microseconds(PLAIN)} us a scan; "
-            f"/ {TUNED}: {times.ratio(name, TUNED):.2f} ({microseconds(TUNED)} us)",
-        )
-        for name, limit in engine_limits.items()
-    ]
-
-
-def compare_updates(times: Times, scans: int, workload: str) -> Row:
-    """What the surface update costs beside the beam update, whose beams it traces, too."""
-    mine, its = (f"{1e6 * times.median(name) / scans:.1f}" for name in (SURFACE, BEAM))
-    what = f"surface / beam, counts, {workload}"
-    return Row(what, SURFACE_LIMIT, times.ratio(SURFACE, BEAM), f"{mine} / {its} us a scan")
-
-
-def compare_threads(workload: Workload, rounds: int) -> list[Row]:
+def compare_threads(workload: Workload) -> Iterator[Row]:
     """Two threads against one: ranges to evidence, without reading."""
-    rows = []
     for update in BEAM_UPDATES:
         runs = {str(jobs): partial(trace, workload, update, COUNTS, jobs) for jobs in (2, 1)}
-        times = time_in_turn(runs, rounds)
+        times = time_in_turn(runs, 2 * ROUNDS)
         what = f"{update.value}: two threads / one, engine only, {workload.scans} scans"
         row = compare(times, ("2", "1"), what, THREADS_LIMIT)
         busy = ", ".join(f"{count_busy_cores(run):.2f}" for run in runs.values())
-        rows.append(replace(row, detail=f"{row.detail}; cores at work: {busy}"))
-    return rows
+        yield replace(row, detail=f"{row.detail}; cores at work: {busy}")
 
 
 def count_busy_cores(run: Callable[[], object]) -> float:
@@ -113,7 +102,7 @@ def count_busy_cores(run: Callable[[], object]) -> float:
     return (process_time() - processor) / (perf_counter() - wall)
 
 
-def compare_builds(log: Path, rounds: int) -> list[Row]:
+def compare_builds(log: Path) -> Iterator[Row]:
     """The whole tool on an MCAP in one process, all loaded before: against rosbags reading it, and
     with two threads against one.
     """
@@ -129,16 +118,14 @@ def compare_builds(log: Path, rounds: int) -> list[Row]:
         for update in BEAM_UPDATES
         for jobs in (1, 2)
     }
-    times = time_in_turn({"rosbags": read_all, **builds}, rounds)
-    rows = []
+    times = time_in_turn({"rosbags": read_all, **builds})
     for update, limit in ROSBAGS_LIMITS.items():
         what, two, one = f"build {update.value} MCAP", f"{update.value}, 2", f"{update.value}, 1"
-        rows.append(compare(times, (two, "rosbags"), f"{what} / rosbags reads it", limit))
-        rows.append(compare(times, (two, one), f"{what}: two threads / one", THREADS_LIMIT))
-    return rows
+        yield compare(times, (two, "rosbags"), f"{what} / rosbags reads it", limit)
+        yield compare(times, (two, one), f"{what}: two threads / one", THREADS_LIMIT)
 
 
-def compare_loadtxt(log: Path, what: str, limit: float, rounds: int) -> Row:
+def compare_loadtxt(log: Path, what: str) -> Row:
     """Open and read a text log, against NumPy reading a table of its ranges alone."""
     table = log.with_suffix(".ranges")
     np.savetxt(table, np.vstack([some.ranges for some in read_all(log)]), fmt="%.6g")
@@ -146,8 +133,8 @@ def compare_loadtxt(log: Path, what: str, limit: float, rounds: int) -> Row:
         "read": partial(read_all, log),
         "loadtxt": partial(np.loadtxt, table),
     }
-    times = time_in_turn(runs, rounds)
-    return compare(times, ("read", "loadtxt"), f"read {what} / np.loadtxt of its ranges", limit)
+    times = time_in_turn(runs, 2 * ROUNDS)
+    return compare(times, ("read", "loadtxt"), f"read {what} / np.loadtxt of its ranges", 0.4)
 
 
 def read_all(path: Path) -> list[Scan | ScanRun]:
@@ -156,17 +143,13 @@ def read_all(path: Path) -> list[Scan | ScanRun]:
     return list(read_scans(log, choose_topics(log, [])))
 
 
-def compare_tenfold_time(logs: Mapping[int, Path], rounds: int) -> list[Row]:
+def compare_tenfold_time(logs: Mapping[int, Path]) -> Iterator[Row]:
     """Ten times the scans of the same rooms, in this process."""
     few, many = map(str, sorted(logs))
-    rows = []
     for update in BEAM_UPDATES:
         runs = {str(scans): make_build(update, log, 2) for scans, log in logs.items()}
-        times = time_in_turn(runs, rounds)
-        rows.append(
-            compare(times, (many, few), f"build {update.value}: time for 10 x the scans", 10.5)
-        )
-    return rows
+        what = f"build {update.value}: time for 10 x the scans"
+        yield compare(time_in_turn(runs), (many, few), what, 10.5)
 
 
 def make_build(update: Update, log: Path, jobs: int) -> Callable[[], object]:
@@ -174,9 +157,10 @@ def make_build(update: Update, log: Path, jobs: int) -> Callable[[], object]:
     return partial(build, [log], BuildOptions(update=update, jobs=jobs), [log.with_suffix(".pgm")])
 
 
-def divide(what: str, limit: float, mine: float, its: float, unit: str) -> Row:
-    """The ratio of two figures of one unit."""
-    return Row(what, limit, mine / its, f"{mine:.4g} / {its:.4g} {unit}")
+def divide(what: str, limit: float, mine: float, its: float, unit: str = "s") -> Row:
+    """The ratio of two figures: seconds, or bytes that are told in another unit."""
+    size = {"s": 1, "MB": 10**6, "MiB": 2**20}[unit]
+    return Row(what, limit, mine / its, f"{mine / size:.4g} / {its / size:.4g} {unit}")
 
 
 def compare(times: Times, pair: tuple[str, str], what: str, limit: float) -> Row:

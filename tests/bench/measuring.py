@@ -27,13 +27,15 @@ class Times:
         return min(self.seconds[name]) / min(self.seconds[base])
 
 
+ROUNDS = 5
+"""As many as anything is measured, and twice as many where a machine that others use shows most"""
 Clock = Callable[[], float]
 """Seconds: `perf_counter`, or `process_time` where one thread's work is measured, for that does
 not count what others do on the machine."""
 
 
 def time_in_turn(
-    runs: Mapping[str, Callable[[], object]], rounds: int, clock: Clock = perf_counter
+    runs: Mapping[str, Callable[[], object]], rounds: int = ROUNDS, clock: Clock = perf_counter
 ) -> Times:
     """Time every run once a round; see `take_in_turn`."""
     timers = {name: partial(time_once, run, clock) for name, run in runs.items()}
@@ -47,7 +49,7 @@ def time_once(run: Callable[[], object], clock: Clock = perf_counter) -> float:
     return clock() - start
 
 
-def take_in_turn(timers: Mapping[str, Callable[[], float]], rounds: int) -> Times:
+def take_in_turn(timers: Mapping[str, Callable[[], float]], rounds: int = ROUNDS) -> Times:
     """Ask every timer once a round for its seconds, in an order that turns round.
 
     One round before the first is not counted: it loads what the others find loaded.

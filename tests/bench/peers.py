@@ -12,11 +12,10 @@ import numpy as np
 
 from occmap.cells import Decision, OccupancyMap, to_log_odds
 from occmap.grid import CellBox, Lattice
-from occmap.grid.kernels.units import FREE, HIT, SKIP
-from occmap.grid.rendering import find_bounds, paint
-from occmap.grid.tiles import TileGrid
-from occmap.jit import kernel
-from occmap.types import Bool, Float32, Float64, Int32, Int64, Rays, UInt8
+from occmap.grid.engine import GridEngine
+from occmap.grid.rendering import find_bounds, measure_bounds
+from occmap.grid.tiles import GridSpec, TileGrid
+from occmap.types import Bool, Float32, Rays, Update
 
 
 class Verdict(NamedTuple):
@@ -100,100 +99,33 @@ def map_peers(scans: Sequence[Rays], by_beam: TileGrid) -> dict[str, OccupancyMa
     by_beam
         What occmap's plain beam update counts in these scans.
     """
-    row, col, row_end, col_end = find_bounds(by_beam)
-    box = CellBox(row - 1, col - 1, row_end + 1, col_end + 1)  # as ends are rounded twice
-    hits, _ = paint(by_beam, lambda first, _: first, 0.0, box)
-    misses, _ = paint(by_beam, lambda _, second: second, 0.0, box)
+    lattice, box = by_beam.lattice, find_bounds(by_beam)
+    hits, misses = by_beam.gather(box, np.float32)
     verdicts = {name: rule(hits, misses) for name, rule in COUNT_RULES.items()}
-    verdicts |= observe_by_scan(scans, SCAN_RULES, by_beam.lattice, box)
-    corner = by_beam.lattice.to_metres(box.col), by_beam.lattice.to_metres(box.row)
+    log_odds = observe_by_scan(scans, list(SCAN_RULES.values()), lattice, box)
+    known = hits + misses > 0
+    verdicts |= {name: Verdict(log_odds[i], known) for i, name in enumerate(SCAN_RULES)}
+    corner = lattice.to_metres(box.col), lattice.to_metres(box.row)
     return {
-        name: OccupancyMap(
-            found.log_odds,
-            found.known,
-            by_beam.lattice.resolution,
-            corner,
-            Decision(found.cut, found.cut),
-        )
+        name: OccupancyMap(*found[:2], lattice.resolution, corner, Decision(found.cut, found.cut))
         for name, found in verdicts.items()
     }
 
 
 def observe_by_scan(
-    scans: Sequence[Rays], rules: Mapping[str, ScanRule], lattice: Lattice, box: CellBox
-) -> dict[str, Verdict]:
-    """Let rules observe scans one after the other, in the cells of a box that no beam leaves."""
-    log_odds = np.zeros((len(rules), box.rows, box.cols), np.float32)
-    seen = np.zeros((box.rows, box.cols), np.int32)
-    low = np.array([box.col, box.row])
-    done = 0
+    scans: Sequence[Rays], rules: Sequence[ScanRule], lattice: Lattice, box: CellBox
+) -> Float32:
+    """(R, H, W) log-odds of the cells of a box, in which rules observe one scan after the other."""
+    log_odds = np.zeros((len(rules), *box.shape), np.float32)
+    hit, miss, low, high = np.array(rules, np.float32).T[:, :, None, None]
     for rays in scans:
-        starts, ends = (
-            np.floor(lattice.to_units(place) / 256).astype(np.int64) - low
-            for place in (rays.origin, rays.end)
-        )
-        observe_scans(starts, ends, rays.kind, np.array(list(rules.values())), done, seen, log_odds)
-        done += len(rays.kind)
-    return {name: Verdict(log_odds[i], seen != 0) for i, name in enumerate(rules)}
-
-
-@kernel
-def observe_scans(
-    starts: Int64,
-    ends: Int64,
-    kinds: UInt8,
-    rules: Float64,
-    done: int,
-    seen: Int32,
-    log_odds: Float32,
-) -> None:
-    """Add scans to the log-odds of each rule.
-
-    Parameters
-    ----------
-    starts, ends, kinds
-        (S, K, 2), (S, B, 2) columns and rows, (S, B).
-    rules
-        (R, 4) as `ScanRule`.
-    done
-        How many scans were added before.
-    seen
-        (H, W) the number of the last scan that a cell was observed by, from 1.
-    log_odds
-        (R, H, W) added to.
-    """
-    scans, beams = kinds.shape
-    for s in range(scans):
-        number = done + s + 1
-        for b in range(beams):
-            if kinds[s, b] == HIT:
-                _observe(rules[:, 0], rules, ends[s, b, 1], ends[s, b, 0], number, seen, log_odds)
-        for b in range(beams):
-            if kinds[s, b] == SKIP:
-                continue
-            k = min(b, starts.shape[1] - 1)
-            col, row = starts[s, k]
-            end_col, end_row = ends[s, b]
-            right, up = (1 if end_col > col else -1), (1 if end_row > row else -1)
-            across, rise = abs(end_col - col), abs(end_row - row)
-            steps, error = max(across, rise), max(across, rise)
-            for _ in range(steps + int(kinds[s, b] == FREE)):
-                _observe(rules[:, 1], rules, row, col, number, seen, log_odds)
-                error += 2 * min(across, rise)
-                aside = error >= 2 * steps
-                error -= 2 * steps * int(aside)
-                col += right * int(aside or across >= rise)
-                row += up * int(aside or across < rise)
-
-
-@kernel
-def _observe(
-    change: Float64, rules: Float64, row: int, col: int, number: int, seen: Int32, log_odds: Float32
-) -> None:
-    """Add to a cell, once a scan."""
-    if seen[row, col] == number:
-        return
-    seen[row, col] = number
-    for r in range(len(rules)):
-        total = log_odds[r, row, col] + change[r]
-        log_odds[r, row, col] = min(max(total, rules[r, 2]), rules[r, 3])
+        for number in range(len(rays.kind)):
+            engine = GridEngine(GridSpec(Update.BEAM, lattice))
+            engine.add(rays.take(slice(number, number + 1)))
+            seen = engine.finish()
+            if touched := measure_bounds(seen):
+                hits, misses = seen.gather(touched)
+                change = np.where(hits > 0, hit, np.where(misses > 0, miss, 0))
+                part = log_odds[:, *touched.within(box)]
+                np.clip(part + change, low, high, out=part)
+    return log_odds

@@ -10,8 +10,9 @@ that only people were hit in, those that are not occupied.
 import math
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,42 +70,40 @@ def walk(way: Float64, steps: int, rng: np.random.Generator) -> Float64:
     return np.column_stack([np.interp(at, corners, way[:, axis]) + aside[axis] for axis in (0, 1)])
 
 
-def list_rows(scene: Scene, seed: int = 7) -> Iterator[tuple[str, str]]:
-    """Rows of a CSV without people, and with them, from the same poses."""
-    office, drive = import_generator("office"), import_generator("drive")
+def record(scene: Scene, folder: Path, seed: int = 7) -> list[Path]:
+    """Write the drive without people, and with them, from the same poses."""
+    office, drive, formats = map(import_generator, ("office", "drive", "formats"))
     faces, rng = office.office_faces(), np.random.default_rng(seed)
     glass = np.array([face for box in office.GLASS for face in office.box_faces(box)])
     places = np.array(list(drive._places_along(office.WAY)))
+    stamps, poses, alone, people = [], [], [], []
     for visit in range(scene.visits):
         # Half of the visits go the other way; poses drift by decimetres, and shake.
         order = places if visit % 2 == 0 else np.add(places[::-1], (0, 0, math.pi))
         drift = np.cumsum(rng.normal(0, [0.004, 0.004, 0.0006], places.shape), axis=0)
         drift -= np.linspace(0, 1, len(places))[:, None] * drift[-1]
-        poses = order + drift + rng.normal(0, [0.008, 0.008, 0.002], places.shape)
+        rough = order + drift + rng.normal(0, [0.008, 0.008, 0.002], places.shape)
+        poses += [drive.Planar(*pose) for pose in rough.tolist()]
         there = [walk(office.WAY, len(places), rng) for _ in range(scene.people)]
         if scene.boxes and visit == 0:
             there += [np.tile(box, (len(places), 1)) for box in BOXES]
         for step, (x, y, yaw) in enumerate(order):
-            aim = yaw + BEARINGS
-            stands = office.cast_rays((x, y), aim, faces, office.PILLAR)
-            shine = office.cast_rays((x, y), aim, glass, (1e6, 1e6, 0.1))
+            cast = partial(office.cast_rays, (x, y), yaw + BEARINGS)
+            stands, shine = cast(faces, office.PILLAR), cast(glass, (1e6, 1e6, 0.1))
             stands = np.where(rng.random(BEAMS) < 0.25, np.minimum(stands, shine), stands)
-            near = stands
-            for person in (each[step] for each in there):
-                if math.dist(person, (x, y)) > RADIUS_M + 0.3:
-                    circle = (*person, RADIUS_M)
-                    met = office.cast_rays((x, y), aim, np.zeros((0, 4)), circle)
-                    near = np.minimum(near, met)
+            circles = [(*each[step], RADIUS_M) for each in there]
+            far = [each for each in circles if math.dist(each[:2], (x, y)) > RADIUS_M + 0.3]
+            met = [cast(np.zeros((0, 4)), each) for each in far]
             noise = rng.normal(0, 0.01, BEAMS)
-            stamp = f"{visit * VISIT_S + step * STEP_S:.3f}"
-            start = ",".join([stamp, *(f"{value:.5f}" for value in poses[step])])
-            yield write_row(start, stands + noise), write_row(start, near + noise)
-
-
-def write_row(start: str, ranges: Float64) -> str:
-    """A row of a CSV: nothing comes back from beyond the laser's reach."""
-    cells = (f"{value:.3f}" if value < REACH_M else "inf" for value in ranges)
-    return ",".join([start, *cells]) + "\n"
+            stamps.append(round(1e9 * (visit * VISIT_S + step * STEP_S)))
+            alone.append(stands + noise)
+            people.append(np.min([stands, *met], axis=0) + noise)
+    sensor = drive.Sensor(BEAMS, float(BEARINGS[0]), math.radians(1), 0.0, REACH_M, 0)
+    logs = [folder / "alone.csv", folder / "people.csv"]
+    for log, ranges in zip(logs, map(np.array, (alone, people)), strict=True):
+        seen = np.where(ranges < REACH_M, ranges, np.inf)
+        formats.write_csv(drive.Drive(stamps, poses, seen, sensor), log)
+    return logs
 
 
 def find_near(cells: Bool) -> Bool:
@@ -117,13 +116,7 @@ def find_near(cells: Bool) -> Bool:
 
 def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict[str, Fate]:
     """Map a scene by some rules, which differ in what they make of the same evidence."""
-    head = f"# angle_min: {BEARINGS[0]}\n# angle_increment: {math.radians(1)}\n"
-    head += f"# range_max: {REACH_M}\nstamp,x,y,yaw," + ",".join(f"r{b}" for b in range(BEAMS))
-    texts = zip(*list_rows(scene), strict=True)
-    logs = [folder / "alone.csv", folder / "people.csv"]
-    for log, rows in zip(logs, texts, strict=True):
-        log.write_text(f"{head}\n{''.join(rows)}")
-    fates = {}
+    logs, fates = record(scene, folder), {}
     for name, options in rules.items():
         plain = replace(options, min_passes=None)
         alone, people = (build([log], plain, [log.with_suffix(".npz")]) for log in logs)

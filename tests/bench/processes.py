@@ -15,6 +15,9 @@ OCCMAP = Path(sys.executable).with_name("occmap")
 NO_BYTE_CODE = "PYTHONDONTWRITEBYTECODE"
 
 
+Command = Sequence[str | Path]
+
+
 class ProcessError(Exception):
     """A measured command failed."""
 
@@ -29,7 +32,7 @@ class Usage(NamedTuple):
     output: str
 
 
-def run(command: Sequence[str | Path]) -> Usage:
+def run(command: Command) -> Usage:
     """Run a command to its end.
 
     Raises
@@ -48,16 +51,12 @@ def run(command: Sequence[str | Path]) -> Usage:
     return Usage(usage["seconds"], usage["processor_seconds"], usage["peak_bytes"], output)
 
 
-def time_process(*command: str | Path) -> float:
-    """Run a command and return its seconds, start-up and all."""
-    return run(command).seconds
-
-
-def time_processor(*command: str | Path) -> float:
-    """Run a command and return the seconds that its threads worked."""
-    return run(command).processor_seconds
-
-
-def build_command(update: Update, log: Path, output: Path, *options: str) -> list[str | Path]:
+def build_command(update: Update, log: Path, output: Path, *options: str) -> Command:
     """The occmap command that builds a map, with its report as JSON."""
     return [OCCMAP, "build", update.value, log, "-o", output, "--json", *options]
+
+
+def measure_size(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())

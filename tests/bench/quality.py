@@ -12,6 +12,7 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from statistics import mean
@@ -28,9 +29,11 @@ from occmap.grid.kernels.units import HIT
 from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
 from occmap.scans.tracing import ignore_progress
 from occmap.scoring import HoldOut, Score, estimate_error, score_map
 from occmap.scoring.compare import SharedEvidence, refuse_unscored
+from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Float64, Rays
 from tests.bench.peers import CLASSES_ONLY, map_peers
 from tests.bench.settings import DEFAULT, LOGS, OURS, PLAIN, Recording, list_neighbours, list_steps
@@ -44,11 +47,21 @@ ROUNDS = 3
 """The shortest of so many builds is told"""
 
 
-class Scans(NamedTuple):
-    """What maps are made of, and what they are asked for."""
+class Scans:
+    """Takes the scans of a log: what maps are made of, and what they are asked for."""
 
-    seen: list[Rays]
-    held_out: list[Rays]
+    def __init__(self) -> None:
+        self.seen: list[Rays] = []
+        self.hold_out = HoldOut()
+
+    @property
+    def held_out(self) -> list[Rays]:
+        """Every fifth scan."""
+        return self.hold_out.sample.parts
+
+    def add(self, rays: Rays) -> None:
+        """Take the scans of a batch."""
+        self.seen.append(self.hold_out.split(rays))
 
 
 class Fare(NamedTuple):
@@ -67,18 +80,6 @@ class Fare(NamedTuple):
         return float(near / beams)
 
 
-class Kept:
-    """Takes all scans of a log, and holds some out."""
-
-    def __init__(self) -> None:
-        self.seen: list[Rays] = []
-        self.hold_out = HoldOut()
-
-    def add(self, rays: Rays) -> None:
-        """Take the scans of a batch."""
-        self.seen.append(self.hold_out.split(rays))
-
-
 def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     """Read a log; every fifth scan is held out.
 
@@ -89,9 +90,9 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     """
     posing = replace(recording.posing, deskew=options.posing.deskew)
     options = replace(options, posing=posing)
-    kept, _, _ = scoring.read_scans([recording.path], options, Kept, ignore_progress)
+    kept, _, _ = scoring.read_scans([recording.path], options, Scans, ignore_progress)
     refuse_unscored([str(recording.path)], kept.hold_out.sample.scans, kept.hold_out.hits)
-    return Scans(kept.seen, kept.hold_out.sample.parts)
+    return kept
 
 
 def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
@@ -240,15 +241,14 @@ def score_neighbours(
     recording: Recording, groups: Sequence[Mapping[str, BuildOptions]]
 ) -> dict[str, Fare]:
     """Score what differs from a default in one setting; a log is read once for each way to read."""
+
+    @cache
+    def read(returns: ReturnOptions, posing: PosingOptions) -> Scans:
+        return read_scans(recording, replace(DEFAULT, returns=returns, posing=posing))
+
     fares: dict[str, Fare] = {}
-    settings = dict(chain.from_iterable(group.items() for group in groups))
-    for reading in {(each.returns, each.posing): each for each in settings.values()}.values():
-        alike = {
-            name: each
-            for name, each in settings.items()
-            if (each.returns, each.posing) == (reading.returns, reading.posing)
-        }
-        fares |= score_builds(read_scans(recording, reading), alike)
+    for name, each in chain.from_iterable(group.items() for group in groups):
+        fares |= score_builds(read(each.returns, each.posing), {name: each})
     return fares
 
 

@@ -4,7 +4,7 @@ import os
 import resource
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,8 @@ from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store.layout import import_zarr
 from tests.bench.limits import Row, divide
 from tests.bench.logs import write_mcap
-from tests.bench.processes import OCCMAP, run
+from tests.bench.measuring import ROUNDS, time_once
+from tests.bench.processes import OCCMAP, measure_size, run
 from tests.bench.tables import draw_rows
 from tests.bench.workloads import Sensor, make_office
 
@@ -52,10 +53,9 @@ class Cost(NamedTuple):
     """Of memory that a worker took at most"""
     driver_bytes: int
     """The same for a driver, with all that it loads"""
-    shuffled: int
-    """Bytes in the run files of some logs ..."""
-    told: int
-    """... and in what workers told the driver of them; nothing passes between workers"""
+    passed: tuple[int, int]
+    """Bytes of what workers told the driver of some logs, and of the run files of these; nothing
+    passes between workers"""
 
 
 def write_fleet(folder: Path, offices: int) -> list[Path]:
@@ -98,7 +98,7 @@ def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
     with start_workers(workers) as (client, address):
         started = perf_counter() - start, measure_workers(client)[0] / workers
         fleet = Fleet(address, output.with_suffix(".scratch"))
-        shuffled, told = measure_shuffle(fleet, logs[:FIRST])
+        passed = measure_shuffle(fleet, logs[:FIRST])
         first = output.with_suffix(".first.zarr")
         fleet.build(logs[:FIRST], OPTIONS, [first], ignore_progress)
         before = measure_workers(client)[0]
@@ -109,7 +109,7 @@ def build_by(workers: int, logs: Sequence[Path], output: Path) -> Cost:
         spent += measure_process()[0] - before - own
         flags = ["--dask", address, "-q"]
         again = run([OCCMAP, "build", *logs, "-o", output.with_suffix(".again.zarr"), *flags])
-        return Cost(started, seconds, spent, peak, again.peak_bytes, shuffled, told)
+        return Cost(started, seconds, spent, peak, again.peak_bytes, passed)
 
 
 def measure_workers(client: Client) -> tuple[float, int]:
@@ -119,28 +119,12 @@ def measure_workers(client: Client) -> tuple[float, int]:
 
 
 def measure_shuffle(fleet: Fleet, logs: Sequence[Path]) -> tuple[int, int]:
-    """Bytes in the run files of logs, and in the stubs, which are what the driver is told."""
+    """Bytes in the stubs of logs, which are what the driver is told, and in their run files."""
+    stubs = [f".{task.__name__}" for task in (survey_log, trace_log)]
     with fleet.work(logs, OPTIONS, Keep(slices=True), ignore_progress) as work:
         files = list(work.setting.folder.iterdir())
-        stubs = [f".{task.__name__}" for task in (survey_log, trace_log)]
-        shuffled = sum(each.stat().st_size for each in files if each.suffix == ".run")
-        told = sum(each.stat().st_size for each in files if each.suffix in stubs)
-        return shuffled, told
-
-
-def measure_size(path: Path) -> int:
-    """Bytes of all files in a folder."""
-    return sum(each.stat().st_size for each in path.rglob("*") if each.is_file())
-
-
-def time_shortest(action: Callable[[], object], rounds: int = 5) -> float:
-    """The shortest of some times that it takes (s)."""
-    times = []
-    for _ in range(rounds):
-        start = perf_counter()
-        action()
-        times.append(perf_counter() - start)
-    return min(times)
+        told = sum(measure_size(each) for each in files if each.suffix in stubs)
+        return told, sum(measure_size(each) for each in files if each.suffix == ".run")
 
 
 def measure(folder: Path) -> tuple[list[Row], str]:
@@ -153,28 +137,29 @@ def measure(folder: Path) -> tuple[list[Row], str]:
     two = build_by(2, large, folder / "two.zarr")
     one = build_by(1, large, folder / "one.zarr")
     levels = import_zarr().open_group(folder / "two.zarr", mode="r")["classes"]
-    overview, whole = (time_shortest(partial(levels[n].__getitem__, ...)) for n in ("16", "1"))
-    store, mega = measure_size(folder / "two.zarr"), 1e-6
+    overview, whole = (
+        min(time_once(partial(levels[n].__getitem__, ...)) for _ in range(ROUNDS))
+        for n in ("16", "1")
+    )
     what_started = (
         f"\nTwo workers are there after {two.start[0]:.1f} s, which takes {two.start[1]:.1f} s of "
         "processor time each; the figures above are without it.\n"
     )
     cores = ", ".join(f"{each.processor_seconds / each.seconds:.1f}" for each in (two, one))
-    time = divide("time, two workers / one", 0.6, two.seconds, one.seconds, "s")
+    time = divide("time, two workers / one", 0.6, two.seconds, one.seconds)
     time = replace(time, detail=f"{time.detail}, {cores} of {os.cpu_count()} cores at work")
+    peak = "peak of memory, ten times the map"
     work = two.processor_seconds, alone.processor_seconds
-    by_worker = two.worker_bytes * mega, few.worker_bytes * mega
-    by_driver = two.driver_bytes * mega, few.driver_bytes * mega
-    passed = two.told * mega, two.shuffled * mega
-    sizes = store * mega, archive.stat().st_size * mega
     return [
-        divide("processor time, two workers / one process", 1.5, *work, unit="s"),
+        divide("processor time, two workers / one process", 1.5, *work),
         time,
-        divide("a worker's peak of memory, ten times the map", 1.1, *by_worker, unit="MB"),
-        divide("the driver's peak of memory, ten times the map", 1.2, *by_driver, unit="MB"),
-        divide("bytes that pass between processes / in run files", 0.01, *passed, unit="MB"),
-        divide("store / .npz", 0.35, *sizes, unit="MB"),
-        divide("an overview picture / one at full resolution", 0.05, overview, whole, unit="s"),
+        divide(f"a worker's {peak}", 1.1, two.worker_bytes, few.worker_bytes, "MB"),
+        divide(f"the driver's {peak}", 1.2, two.driver_bytes, few.driver_bytes, "MB"),
+        divide("bytes that pass between processes / in run files", 0.01, *two.passed, "MB"),
+        divide(
+            "store / .npz", 0.35, measure_size(folder / "two.zarr"), measure_size(archive), "MB"
+        ),
+        divide("an overview picture / one at full resolution", 0.05, overview, whole),
     ], what_started
 
 

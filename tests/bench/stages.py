@@ -8,6 +8,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.types import Update
 from tests.bench.logs import FORMATS
+from tests.bench.measuring import ROUNDS
 from tests.bench.workloads import Workload
 
 WHOLE = "whole"
@@ -18,11 +19,11 @@ Stages = Mapping[str, float]
 """Seconds by stage."""
 
 
-def measure_stages(workload: Workload, folder: Path, rounds: int) -> dict[str, Stages]:
+def measure_stages(workload: Workload, folder: Path) -> dict[str, Stages]:
     """Build from every format with one thread, the polygon update, and a PGM and a PNG."""
     logs = {name: write(workload, folder) for name, write in FORMATS.items()}
     found: dict[str, list[Stages]] = {name: [] for name in logs}
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         for name, log in logs.items():
             found[name].append(time_build(log, folder))
     return {name: take_shortest(builds) for name, builds in found.items()}

@@ -27,18 +27,11 @@ def draw_engine(workload: Workload, figures: Sequence[Figure]) -> str:
         f"{workload.mean_range:.1f} m, {workload.resolution} m cells, one thread\n\n"
     )
     base = figures[0].microseconds
-    return title + draw(
-        ("", "us a scan", f"/ {figures[0].name}", "M cells/s"),
-        [
-            (
-                figure.name,
-                f"{figure.microseconds:.1f}",
-                f"{figure.microseconds / base:.2f}",
-                f"{figure.cells_per_second / 1e6:.0f}",
-            )
-            for figure in figures
-        ],
-    )
+    rows = []
+    for figure in figures:
+        spent, cells = figure.microseconds, figure.cells_per_second / 1e6
+        rows.append((figure.name, f"{spent:.1f}", f"{spent / base:.2f}", f"{cells:.0f}"))
+    return title + draw(("", "us a scan", f"/ {figures[0].name}", "M cells/s"), rows)
 
 
 def draw_stages(scans: int, formats: Mapping[str, Stages]) -> str:
@@ -48,27 +41,17 @@ def draw_stages(scans: int, formats: Mapping[str, Stages]) -> str:
         f"\nThousand scans a second by stage: build polygon, {scans} scans x 1081 beams, "
         f"one thread, the shortest of some builds ({WHOLE}: all stages; everything is loaded)\n\n"
     )
-    return title + draw(
-        ("", *stages),
-        [
-            (name, *(f"{scans / found[stage] / 1000:.1f}" for stage in stages))
-            for name, found in formats.items()
-        ],
-    )
+    rows = [
+        (name, *(f"{scans / found[stage] / 1000:.1f}" for stage in stages))
+        for name, found in formats.items()
+    ]
+    return title + draw(("", *stages), rows)
 
 
 def draw_rows(rows: Sequence[Row]) -> str:
     """The figures that have a limit."""
-    return "\nLimits\n\n" + draw(
-        ("", "measured", "at most", "", "from"),
-        [
-            (
-                row.what,
-                "-" if row.value is None else f"{row.value:.2f}",
-                f"{row.limit:.2f}",
-                row.verdict,
-                row.detail,
-            )
-            for row in rows
-        ],
-    )
+    body = []
+    for row in rows:
+        value = "-" if row.value is None else f"{row.value:.2f}"
+        body.append((row.what, value, f"{row.limit:.2f}", row.verdict, row.detail))
+    return "\nLimits\n\n" + draw(("", "measured", "at most", "", "from"), body)

@@ -1,6 +1,7 @@
 """The rules of peers, worked by hand on a few cells and scans, and the plain walk."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,24 +15,15 @@ from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, Rays, Update
-from tests.bench import drives, people, quality
-from tests.bench.peers import (
-    COUNT_RULES,
-    SCAN_RULES,
-    Verdict,
-    add_log_odds,
-    map_peers,
-    pass_through,
-    share_hits,
-)
+from tests.bench import drives, peers, people, quality
 from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
-from tests.grid.scans import make_scan
+from tests.grid.scans import make_rays, make_scan
 from tests.samples import SAMPLE_LOGS, write_csv
 
-SCAN_PEERS = sorted(SCAN_RULES)
+SCAN_PEERS = sorted(peers.SCAN_RULES)
 
 
-def look(verdict: Verdict) -> str:
+def look(verdict: peers.Verdict) -> str:
     """A letter for each cell."""
     odds = math.log(verdict.cut / (1 - verdict.cut))
     with np.errstate(invalid="ignore"):
@@ -42,33 +34,38 @@ def look(verdict: Verdict) -> str:
     )
 
 
-def count(*pairs: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Hits and misses."""
-    hits, misses = np.array(pairs, np.float32).T
-    return hits, misses
+@pytest.mark.parametrize(
+    ("rule", "counts", "shown"),
+    [
+        # gmapping calls a cell occupied above one hit in four visits.
+        (peers.share_hits, [(0, 0), (0, 5), (1, 0), (1, 2), (1, 3), (3, 8)], " .##.#"),
+        # Karto wants three passes and more than one hit in ten, and a hit is two passes:
+        # 1 of 2, 1 of 3, 1 of 9, 1 of 10; 0 of 2, 0 of 3.
+        (peers.pass_through, [(1, 0), (1, 1), (1, 7), (1, 8), (0, 2), (0, 3)], " ##. ."),
+        # Bayes takes two misses for a hit and not three.
+        (peers.add_log_odds, [(0, 0), (1, 2), (1, 3), (2, 4)], " #.#"),
+    ],
+)
+def test_a_rule_of_counts_by_hand(
+    rule: Callable[..., peers.Verdict], counts: list[tuple[int, int]], shown: str
+) -> None:
+    """Of cells with these hits and misses."""
+    hits, misses = np.array(counts, np.float32).T
+    assert look(rule(hits, misses)) == shown
 
 
-def test_gmapping_calls_a_cell_occupied_above_one_hit_in_four_visits() -> None:
-    assert look(share_hits(*count((0, 0), (0, 5), (1, 0), (1, 2), (1, 3), (3, 8)))) == " .##.#"
-
-
-def test_karto_wants_three_passes_and_more_than_one_hit_in_ten() -> None:
-    """A hit is two passes: 1 of 2, 1 of 3, 1 of 9, 1 of 10; 0 of 2, 0 of 3."""
-    assert look(pass_through(*count((1, 0), (1, 1), (1, 7), (1, 8), (0, 2), (0, 3)))) == " ##. ."
-
-
-def test_bayes_takes_two_misses_for_a_hit_and_not_three() -> None:
+def test_bayes_adds_log_odds() -> None:
     """ln(7/3) = 0.847 for a hit, ln(2/3) = -0.405 for a miss."""
-    verdict = add_log_odds(*count((0, 0), (1, 2), (1, 3), (2, 4)))
-    assert look(verdict) == " #.#"
-    assert verdict.log_odds[3] == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
+    two, four = np.array([2], np.float32), np.array([4], np.float32)
+    found = peers.add_log_odds(two, four).log_odds
+    assert found == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
 
 
 def map_scans(*scans: Rays) -> dict[str, OccupancyMap]:
     engine = GridEngine(GridSpec(Update.BEAM, Lattice(1.0)))
     for rays in scans:
         engine.add(rays)
-    return map_peers(scans, engine.finish())
+    return peers.map_peers(scans, engine.finish())
 
 
 def read_row(grid: OccupancyMap) -> list[float | None]:
@@ -86,7 +83,7 @@ def test_a_scan_counts_once_in_a_cell_and_its_hits_come_first(name: str) -> None
     """Two beams cross the first cells; the third cell is hit by one and crossed by the other."""
     rays = make_scan((2, Kind.HIT), (4, Kind.HIT), (5, Kind.SKIP))
     hit, miss = (math.log(p / (1 - p)) for p in HIT_MISS[name])
-    expected = [miss, miss, hit, miss, hit, None]
+    expected = [miss, miss, hit, miss, hit]  # and the last beam shows nothing
     assert read_row(map_scans(rays)[name]) == pytest.approx(expected, abs=1e-6)
 
 
@@ -94,63 +91,25 @@ def test_a_scan_counts_once_in_a_cell_and_its_hits_come_first(name: str) -> None
 def test_a_beam_without_return_crosses_its_last_cell(name: str) -> None:
     miss = math.log(HIT_MISS[name][1] / (1 - HIT_MISS[name][1]))
     row = read_row(map_scans(make_scan((2, Kind.FREE)))[name])
-    assert row == pytest.approx([miss] * 3 + [None], abs=1e-6)
+    assert row == pytest.approx([miss] * 3, abs=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
+    ("name", "at_last", "most", "least"),
     [
-        # five hits end at 3.5, ten misses later at -0.5: bounds at the end alone would say 0.2
-        ("OctoMap", math.log(0.971 / 0.029) + 10 * math.log(0.4 / 0.6)),
-        ("hector", 5 * math.log(9) + 10 * math.log(0.4 / 0.6)),
-        ("Cartographer", 5 * math.log(0.55 / 0.45) + 10 * math.log(0.49 / 0.51)),
+        # Five hits end at 3.5, ten misses later at -0.5: bounds at the end alone would say 0.2.
+        ("OctoMap", math.log(0.971 / 0.029) + 10 * math.log(0.4 / 0.6), 3.5111, -2.0001),
+        ("hector", 5 * math.log(9) + 10 * math.log(0.4 / 0.6), 50, 40 * math.log(0.4 / 0.6)),
+        ("Cartographer", 5 * math.log(0.55 / 0.45) + 10 * math.log(0.49 / 0.51), 2.1972,
+         40 * math.log(0.49 / 0.51)),
     ],
-)
-def test_bounds_hold_after_each_scan(name: str, expected: float) -> None:
+)  # fmt: skip
+def test_bounds_hold_after_each_scan(name: str, at_last: float, most: float, least: float) -> None:
+    """Where later scans say something else, and where forty say the same."""
     scans = [make_scan((2, Kind.HIT))] * 5 + [make_scan((4, Kind.HIT))] * 10
-    assert read_row(map_scans(*scans)[name])[2] == pytest.approx(expected, abs=1e-5)
-
-
-def test_what_is_sure_of_itself_stays_within_bounds() -> None:
-    found = map_scans(*[make_scan((2, Kind.HIT))] * 40)
-    ends = {name: read_row(found[name])[2] for name in SCAN_PEERS}
-    assert ends == pytest.approx(
-        {"OctoMap": 3.5111, "hector": 50, "Cartographer": 2.1972}, abs=1e-3
-    )
-    starts = {name: read_row(found[name])[0] for name in SCAN_PEERS}
-    free = {
-        "OctoMap": -2.0001,
-        "hector": -40 * 0.405465,
-        "Cartographer": 40 * math.log(0.49 / 0.51),
-    }
-    assert starts == pytest.approx(free, abs=1e-3)
-
-
-def test_a_slanted_beam_crosses_what_occmap_says_it_does() -> None:
-    """Once a scan, with one beam each: seen is what the plain beam update saw."""
-    rng = np.random.default_rng(7)
-    scans = [
-        Rays.along(
-            rng.uniform(-9, 9, (1, 1, 2)),
-            np.array([[[math.cos(angle), math.sin(angle)]]]),
-            np.array([[reach]], np.float32),
-            np.array([[kind]], np.uint8),
-            np.zeros(1, np.int64),
-            full_circle=False,
-        )
-        for angle, reach, kind in zip(
-            rng.uniform(-4, 4, 60),
-            rng.uniform(0.1, 12, 60),
-            [Kind.HIT, Kind.FREE] * 30,
-            strict=True,
-        )
-    ]
-    found = map_scans(*scans)
-    assert set(found) == {*COUNT_RULES, *SCAN_RULES}
-    assert np.array_equal(found["OctoMap"].observed, found["plain Bayes"].observed)
-    hits_less_misses = found["hector"].log_odds  # no bound is met
-    share = found["gmapping"].probability
-    assert np.array_equal(hits_less_misses > 2.19, share == 1)
+    assert read_row(map_scans(*scans)[name])[2] == pytest.approx(at_last, abs=1e-5)
+    sure = read_row(map_scans(*[make_scan((2, Kind.HIT))] * 40)[name])
+    assert [sure[2], sure[0]] == pytest.approx([most, least], abs=1e-3)
 
 
 def draw_map(cells: str) -> OccupancyMap:
@@ -167,9 +126,8 @@ def test_the_walk_finds_the_first_occupied_cell_to_two_cells(
     reach: float, foretold: int | None
 ) -> None:
     """From x = 0.25 steps fall on the middles of cells; the seventh is in the wall at 3.5 m."""
-    rays = make_scan((reach, Kind.HIT), (3.5, Kind.SKIP), (3.5, Kind.FREE))
-    rays.origin[..., 0] = 0.25
-    rays.origin[..., 1] = 0.25
+    kinds = [Kind.HIT, Kind.SKIP, Kind.FREE]
+    rays = make_rays((0.25, 0.25), (1, 0), [reach, 3.5, 3.5], kinds)
     found = quality.walk(draw_map("........###"), [rays])
     assert found.tolist() == [[0, 0] if foretold is None else [1, foretold]]
 
@@ -190,7 +148,7 @@ def test_a_lead_is_measured_scan_by_scan() -> None:
 def test_every_fifth_scan_is_kept_from_all_maps(tmp_path: Path) -> None:
     log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, 2.0])
     scans = quality.read_scans(Recording(log), DEFAULT)
-    assert [sum(len(rays.kind) for rays in part) for part in scans] == [8, 2]
+    assert [sum(len(rays.kind) for rays in part) for part in (scans.seen, scans.held_out)] == [8, 2]
 
 
 def test_the_last_step_is_a_bare_build() -> None:
@@ -205,7 +163,7 @@ def test_the_tables_of_a_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str
     quality.main([str(log), "--resolution", "0.2"])
     text = capsys.readouterr().out
     shares, walked, leads = (table.splitlines() for table in text.split("\n\n"))
-    rules = [*COUNT_RULES, *SCAN_RULES, *list_steps()]
+    rules = [*peers.COUNT_RULES, *peers.SCAN_RULES, *list_steps()]
     for table in (shares, walked):
         assert [line[2:].split("  ")[0].strip(" |") for line in table[2:]] == rules
     assert leads[2].startswith("| drive.csv")

@@ -11,7 +11,8 @@ import numpy as np
 from occmap.posing import Stamps
 from occmap.readers import Role, open_log
 from occmap.scans.stream import BATCH_BEAMS, stack
-from occmap.sensor import RangeLimits, ReturnOptions
+from occmap.sensor import ReturnOptions
+from occmap.sensor.bands import RangeLimits
 from occmap.types import Float32, Float64, PosedScans, ScanBatch
 from tests.bench.plans import YARD, YARD_WAY, Box, corridor, office, office_way
 from tests.bench.raycast import cast_scans

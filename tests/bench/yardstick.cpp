@@ -8,12 +8,6 @@
 #include <cstdlib>
 #include <vector>
 
-struct Sensor {
-    int64_t beams;
-    double angle_min, angle_increment;
-    float nearest, limit;
-};
-
 struct Grid {
     double resolution;
     int64_t row, col;  // of the lower-left cell
@@ -51,12 +45,15 @@ static inline void trace_beam(const Grid &grid, int64_t col, int64_t row, int64_
     ++grid.hits[end_row * grid.cols + end_col];
 }
 
-// ranges: scans x beams; poses: scans x (x, y, yaw)
-extern "C" void trace(const float *ranges, const double *poses, int64_t scans,
-                      const Sensor &sensor, const Grid &grid) {
-    std::vector<double> cosine(sensor.beams), sine(sensor.beams);
-    for (int64_t b = 0; b < sensor.beams; ++b) {
-        double bearing = sensor.angle_min + sensor.angle_increment * b;
+// ranges: scans x beams; poses: scans x (x, y, yaw); the last arguments are those of the grid
+extern "C" void trace(const float *ranges, const double *poses, int64_t scans, int64_t beams,
+                      double angle_min, double angle_increment, float nearest, float limit,
+                      double resolution, int64_t low_row, int64_t low_col, int64_t cols,
+                      int32_t *hits, int32_t *misses) {
+    const Grid grid{resolution, low_row, low_col, cols, hits, misses};
+    std::vector<double> cosine(beams), sine(beams);
+    for (int64_t b = 0; b < beams; ++b) {
+        double bearing = angle_min + angle_increment * b;
         cosine[b] = std::cos(bearing);
         sine[b] = std::sin(bearing);
     }
@@ -65,9 +62,9 @@ extern "C" void trace(const float *ranges, const double *poses, int64_t scans,
         double turn_x = std::cos(poses[3 * s + 2]), turn_y = std::sin(poses[3 * s + 2]);
         int64_t col = to_cell(x, grid.resolution) - grid.col;
         int64_t row = to_cell(y, grid.resolution) - grid.row;
-        for (int64_t b = 0; b < sensor.beams; ++b) {
-            float range = ranges[s * sensor.beams + b];
-            if (!(range >= sensor.nearest && range < sensor.limit)) continue;
+        for (int64_t b = 0; b < beams; ++b) {
+            float range = ranges[s * beams + b];
+            if (!(range >= nearest && range < limit)) continue;
             double end_x = x + range * (turn_x * cosine[b] - turn_y * sine[b]);
             double end_y = y + range * (turn_y * cosine[b] + turn_x * sine[b]);
             trace_beam(grid, col, row, to_cell(end_x, grid.resolution) - grid.col,

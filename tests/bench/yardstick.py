@@ -50,8 +50,7 @@ def limits(sensor: Sensor) -> tuple[float, float]:
 
 def trace_in_numba(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
     """Visit every cell of every beam in compiled Python."""
-    hits = np.zeros((box.rows, box.cols), np.int32)
-    misses = np.zeros((box.rows, box.cols), np.int32)
+    hits, misses = np.zeros((2, *box.shape), np.int32)
     _trace_scans(
         workload.ranges,
         workload.poses,
@@ -118,27 +117,6 @@ def _trace_beam(misses: Counts, col: int, row: int, end_col: int, end_row: int) 
             row += up
 
 
-class _Sensor(ctypes.Structure):
-    _fields_ = (
-        ("beams", ctypes.c_int64),
-        ("angle_min", ctypes.c_double),
-        ("angle_increment", ctypes.c_double),
-        ("nearest", ctypes.c_float),
-        ("limit", ctypes.c_float),
-    )
-
-
-class _Grid(ctypes.Structure):
-    _fields_ = (
-        ("resolution", ctypes.c_double),
-        ("row", ctypes.c_int64),
-        ("col", ctypes.c_int64),
-        ("cols", ctypes.c_int64),
-        ("hits", ctypes.c_void_p),
-        ("misses", ctypes.c_void_p),
-    )
-
-
 def compile_cpp(folder: Path) -> dict[str, Trace]:
     """Compile the C++ yardstick into a folder, with each set of flags; none where there is no g++.
 
@@ -161,27 +139,19 @@ def compile_cpp(folder: Path) -> dict[str, Trace]:
 
 def _load(library: Path) -> Trace:
     trace = ctypes.CDLL(str(library)).trace
-    trace.restype = None
+    pointer, whole, real = ctypes.c_void_p, ctypes.c_int64, ctypes.c_double
+    of_sensor = (whole, real, real, ctypes.c_float, ctypes.c_float)
+    of_grid = (real, whole, whole, whole, pointer, pointer)
+    trace.argtypes, trace.restype = (pointer, pointer, whole, *of_sensor, *of_grid), None
 
     def trace_in_cpp(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
         ranges, poses = map(np.ascontiguousarray, (workload.ranges, workload.poses))
-        hits = np.zeros((box.rows, box.cols), np.int32)
-        misses = np.zeros((box.rows, box.cols), np.int32)
+        hits, misses = np.zeros((2, *box.shape), np.int32)
         sensor = workload.sensor
-        trace(
-            ctypes.c_void_p(ranges.ctypes.data),
-            ctypes.c_void_p(poses.ctypes.data),
-            ctypes.c_int64(workload.scans),
-            ctypes.byref(
-                _Sensor(sensor.beams, sensor.angle_min, sensor.angle_increment, *limits(sensor))
-            ),
-            ctypes.byref(
-                _Grid(
-                    workload.resolution, box.row, box.col, box.cols,
-                    hits.ctypes.data, misses.ctypes.data,
-                )
-            ),
-        )  # fmt: skip
+        beams = sensor.beams, sensor.angle_min, sensor.angle_increment, *limits(sensor)
+        place = workload.resolution, box.row, box.col, box.cols
+        scans = ranges.ctypes.data, poses.ctypes.data, workload.scans
+        trace(*scans, *beams, *place, hits.ctypes.data, misses.ctypes.data)
         return hits, misses
 
     return trace_in_cpp

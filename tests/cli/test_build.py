@@ -1,7 +1,6 @@
 """`occmap build` where all goes well: the files, the report, the notes and the flags."""
 
 import gzip
-import json
 from pathlib import Path
 
 import pytest
@@ -16,10 +15,12 @@ from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
 from occmap.writers import Shade, WriteOptions
-from tests.cli.runner import find_command, occmap, read_error
+from tests.cli.runner import ask, find_command, occmap, read_error
 from tests.samples import PLAIN_WORDS, SAMPLE_LOGS, write_csv
 
+pytestmark = pytest.mark.usefixtures("here")
 DRIVE = SAMPLE_LOGS / "drive.csv"
+HALL = SAMPLE_LOGS / "hall.mcap"
 
 
 def parse(*words: str) -> BuildOptions:
@@ -91,23 +92,21 @@ def test_flags_set_the_options(words: str, expected: dict[str, object]) -> None:
     assert {name: getattr(options, name) for name in expected} == expected
 
 
-def test_the_map_is_what_the_library_builds(tmp_path: Path) -> None:
-    mine, expected = tmp_path / "mine.pgm", tmp_path / "expected.pgm"
-    result = occmap("build", "polygon", DRIVE, "-o", mine, "-o", tmp_path / "mine.png")
-    assert (result.code, result.err) == (0, "")
+def test_the_map_is_what_the_library_builds(here: Path) -> None:
+    result = occmap("build", "polygon", DRIVE, "-o", "mine.pgm", "-o", "mine.png", "--strict")
+    assert (result.code, result.err) == (0, "")  # the log is sound
+    assert {path.name for path in here.iterdir()} == {"mine.pgm", "mine.yaml", "mine.png"}
     model = choose_model(Update.POLYGON)
-    build([DRIVE], BuildOptions(update=Update.POLYGON, model=model), [expected])
-    assert mine.read_bytes() == expected.read_bytes()
-    files = {path.name for path in tmp_path.iterdir()} - {"expected.pgm", "expected.yaml"}
-    assert files == {"mine.pgm", "mine.yaml", "mine.png"}
-    assert occmap("build", DRIVE, "-o", mine, "--strict").code == 0  # the log is sound
+    build([DRIVE], BuildOptions(update=Update.POLYGON, model=model), [Path("expected.pgm")])
+    assert Path("mine.pgm").read_bytes() == Path("expected.pgm").read_bytes()
 
 
-def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(float(second), 0, 0) for second in range(4)], [0.32])
-    words = ["--resolution", 0.1, "--end", 3, "-o", tmp_path / "m.pgm"]
-    lines = occmap("build", *PLAIN_WORDS, log, *words).out.splitlines()
-    assert lines[:7] == [
+def test_the_report_is_aligned_and_says_what_was_done() -> None:
+    write_csv(Path("log.csv"), [(float(second), 0, 0) for second in range(4)], [0.32])
+    words = ["--resolution", 0.1, "--end", 3, "-o", "m.pgm"]
+    lines = occmap("build", *PLAIN_WORDS, "log.csv", *words).out.splitlines()
+    time = lines.pop(7)
+    assert lines == [
         "map      24 x 1 cells of 0.1 m, x 0 to 2.4 m, y 0 to 0.1 m",
         "cells    12.5% occupied, 37.5% free, 50.0% unknown",
         "agree    100.0% of the hits lie in occupied cells",
@@ -115,22 +114,21 @@ def test_the_report_is_aligned_and_says_what_was_done(tmp_path: Path) -> None:
         "scans    3 of 4 used",
         "dropped  1 outside --start and --end",
         "beams    3: 3 hit",
+        "files    m.pgm",
+        "         m.yaml",
     ]
-    assert lines[7].startswith("time     ")
-    assert " scans/s (open " in lines[7]
-    assert lines[8:] == [f"files    {tmp_path / 'm.pgm'}", f"         {tmp_path / 'm.yaml'}"]
+    assert time.startswith("time     ")
+    assert " scans/s (open " in time
 
 
 @pytest.mark.parametrize(
     ("late_s", "hint", "notes"),
     [(0.0, "", 0), (0.1, "; walls may be doubled: `occmap tune LOG` looks for", 0), (0.4, "", 1)],
 )
-def test_tune_is_named_where_walls_may_be_doubled(
-    tmp_path: Path, late_s: float, hint: str, notes: int
-) -> None:
+def test_tune_is_named_where_walls_may_be_doubled(late_s: float, hint: str, notes: int) -> None:
     """On this drive 0, 100 and 400 ms leave 100%, 56% and 31% of the hits in occupied cells."""
     words = [SAMPLE_LOGS / "drive.mcap", "--time-offset", late_s]
-    built = occmap("build", *words, "-o", tmp_path / "m.pgm")
+    built = occmap("build", *words, "-o", "m.pgm")
     (line,) = (line for line in built.out.splitlines() if line.startswith("agree"))
     assert line.partition("occupied cells")[2].startswith(hint)
     assert bool(hint) == ("occmap tune" in built.out)
@@ -138,64 +136,55 @@ def test_tune_is_named_where_walls_may_be_doubled(
     assert bool(hint) == ("walls may be doubled" in occmap("check", *words).out)
 
 
-def test_where_poses_stand_beside_scans_no_clock_is_blamed(tmp_path: Path) -> None:
-    words = [SAMPLE_LOGS / "drive.csv", "--sensor-pose", "0.07,0.03,0.03"]
-    report = json.loads(occmap("build", *words, "-o", tmp_path / "m.pgm", "--json").out)
+def test_where_poses_stand_beside_scans_no_clock_is_blamed() -> None:
+    words = [DRIVE, "--sensor-pose", "0.07,0.03,0.03"]
+    report = ask("build", *words, "-o", "m.pgm")
     assert LEAST_AGREEMENT < report["map"]["agreement"] < DOUBTFUL_AGREEMENT
-    for command in (["build", *words, "-o", tmp_path / "m.pgm"], ["check", *words]):
+    for command in (["build", *words, "-o", "m.pgm"], ["check", *words]):
         assert "occmap tune" not in occmap(*command).out
 
 
-@pytest.mark.parametrize("command", ["build", "check"])
-def test_where_poses_stand_beside_scans_no_time_mends_them(tmp_path: Path, command: str) -> None:
-    words = [SAMPLE_LOGS / "drive.csv", "--sensor-pose", "0.3,0.3,0.4"]
-    outputs = ["-o", tmp_path / "m.pgm"] if command == "build" else []
-    told = occmap(command, *words, *outputs)
+@pytest.mark.parametrize("command", ["build -o m.pgm", "check"])
+def test_where_poses_stand_beside_scans_no_time_mends_them(command: str) -> None:
+    told = occmap(*command.split(), SAMPLE_LOGS / "drive.csv", "--sensor-pose", "0.3,0.3,0.4")
     assert "the poses do not fit the scans; " in told.err + told.out
     assert "another trajectory by --poses FILE" in told.err + told.out
     for vain in ("tune", "--time-offset", "--deskew"):
         assert vain not in told.err + told.out
 
 
-def test_json_is_one_object_and_nothing_else(tmp_path: Path) -> None:
-    result = occmap("build", DRIVE, "--json", "-o", tmp_path / "m.pgm")
-    report = json.loads(result.out)
-    assert report["scans"] == {"read": 414, "used": 414, "dropped": {}}
-    assert report["map"]["update"] == DEFAULT_UPDATE.value
+def test_json_is_one_object_and_nothing_else() -> None:
+    result = occmap("build", DRIVE, "--json", "-o", "m.pgm")
+    assert result.json["scans"] == {"read": 414, "used": 414, "dropped": {}}
+    assert result.json["map"]["update"] == DEFAULT_UPDATE.value
     assert result.err == ""
 
 
-def write_cut(folder: Path) -> Path:
-    """Write a log whose gzip data ends early."""
-    whole = write_csv(folder / "log.csv", [(n / 1e4, 0.0, 0.0) for n in range(3000)], [0.3])
-    cut = folder / "cut.csv.gz"
-    cut.write_bytes(gzip.compress(whole.read_bytes())[:-1000])
-    return cut
+def test_damage_is_a_note_and_with_strict_an_error_after_the_map(here: Path) -> None:
+    """The log's gzip data ends early."""
+    whole = write_csv(here / "log.csv", [(n / 1e4, 0.0, 0.0) for n in range(3000)], [0.3])
+    Path("cut.csv.gz").write_bytes(gzip.compress(whole.read_bytes())[:-1000])
+    line, damage = "build cut.csv.gz -o m.pgm", "cut.csv.gz: the gzip data is cut short"
+    told = occmap(line)
+    assert (told.code, told.err.count("\n")) == (0, 1)
+    assert told.err.startswith(f"note: {damage}")
+    assert occmap(f"{line} -q") == (0, "", "")
+    Path("m.pgm").unlink()
+
+    strict = read_error(occmap(f"{line} --strict -q"), 1)
+    assert strict.startswith(damage)
+    assert strict.endswith("(--strict); the map was written")
+    assert Path("m.pgm").exists()
+    told = occmap(f"{line} --strict --json")
+    assert (told.code, told.err.count("\n")) == (1, 2)
+    assert told.json["damage"]
 
 
-def test_damage_is_a_note_and_with_strict_an_error_after_the_map(tmp_path: Path) -> None:
-    log, target = write_cut(tmp_path), tmp_path / "m.pgm"
-    result = occmap("build", log, "-o", target)
-    (note,) = result.err.splitlines()
-    assert result.code == 0
-    assert note.startswith(f"note: {log}: the gzip data is cut short")
-    target.unlink()
-
-    strict = occmap("build", log, "-o", target, "--strict", "-q")
-    assert "the gzip data is cut short" in read_error(strict, 1)
-    assert strict.err.endswith("(--strict); the map was written\n")
-    assert target.exists()
-    told = occmap("build", log, "-o", target, "--strict", "--json")
-    assert (told.code, len(told.err.splitlines())) == (1, 2)
-    assert json.loads(told.out)["damage"]
-
-
-def test_a_map_without_walls_is_noted(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 2.0], 0.5)
-    words = ["build", log, "--max-range", "0.5", "-o", tmp_path / "map.pgm"]
-    assert "note: no beam hit anything, so the map has no walls" in occmap(*words).err
-    words[3] = "1.5"
-    assert occmap(*words).err == ""
+def test_a_map_without_walls_is_noted() -> None:
+    write_csv(Path("log.csv"), [(0, 0, 0)], [1.0, 2.0], 0.5)
+    told = occmap("build log.csv -o m.pgm --max-range 0.5")
+    assert "note: no beam hit anything, so the map has no walls" in told.err
+    assert occmap("build log.csv -o m.pgm --max-range 1.5").err == ""
 
 
 @pytest.mark.parametrize(
@@ -208,61 +197,40 @@ def test_a_map_without_walls_is_noted(tmp_path: Path) -> None:
         (0.1, 90, ""),
     ],
 )
-def test_odd_angles_are_noted_by_build_and_check(
-    tmp_path: Path, step: float, beams: int, note: str
-) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)] * 3, [1.0] * beams, step)
-    told = f"note: {log}: scan: {note}\n" if note else ""
-    assert occmap("build", log, "-o", tmp_path / "map.pgm").err == told
-    lines = occmap("check", log).out.splitlines()
-    assert (f"warning   {log}: scan: {note}" in lines) == bool(note)
-    assert any("degrees?" in line or "same way" in line for line in lines) == bool(note)
+def test_odd_angles_are_noted_by_build_and_check(step: float, beams: int, note: str) -> None:
+    write_csv(Path("log.csv"), [(0, 0, 0)] * 3, [1.0] * beams, step)
+    told = f"log.csv: scan: {note}"
+    assert occmap("build log.csv -o m.pgm").err == (f"note: {told}\n" if note else "")
+    warnings = [each for each in occmap("check log.csv").out.splitlines() if each[:4] == "warn"]
+    assert warnings == ([f"warning   {told}"] if note else [])
 
 
-def test_options_of_the_other_update_are_noted(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 1.0], 0.1)
-    words = [log, "--jump", "0.3", "--border-gap", "4", "-o", tmp_path / "map.pgm"]
-    told = "note: --{} does nothing with the {} update\n".format
-    both = told("jump", "beam") + told("border-gap", "beam")
-    assert occmap("build", "beam", *words).err == both
-    assert occmap("build", *words).err == told("border-gap", "surface")
-    assert occmap("build", "polygon", *words).err == ""
+@pytest.mark.parametrize(
+    ("line", "idle"),
+    [
+        ("beam log.csv --jump 0.3 --border-gap 4", "--jump --border-gap"),
+        ("surface log.csv --jump 0.3 --border-gap 4", "--border-gap"),
+        ("polygon log.csv --jump 0.3 --border-gap 4", ""),
+        ("log.csv --jump 0.3 --max-height 2 --ground flat", "--max-height --ground"),
+        (
+            f"{HALL} --no-return clear --range-max 9 --footprint=-1,-1,1,1",
+            "--no-return --range-max",
+        ),
+        ("log.csv --scratch .", "--scratch"),  # which is for workers
+    ],
+)
+def test_options_that_do_nothing_are_noted(line: str, idle: str) -> None:
+    write_csv(Path("log.csv"), [(0, 0, 0)], [1.0, 1.0], 0.1)
+    told = occmap(f"build {line} -o m.pgm --json")
+    notes = [f"note: {each}" for each in told.json["notes"]]
+    assert told.err.splitlines() == notes
+    assert [each.split()[1] for each in notes if "does nothing" in each] == idle.split()
 
 
-def test_options_of_scans_are_noted_where_clouds_are_mapped(tmp_path: Path) -> None:
-    words = ["--no-return", "clear", "--range-max", "30", "--footprint=-0.3,-0.3,0.3,0.3"]
-    err = occmap("build", SAMPLE_LOGS / "hall.mcap", *words, "-o", tmp_path / "m.pgm").err
-    idle = [line for line in err.splitlines() if "does nothing" in line]
-    assert [line.split()[1] for line in idle] == ["--no-return", "--range-max"]
-
-
-def test_options_of_clouds_are_noted_where_scans_are_mapped(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0, 1.0], 0.1)
-    words = ["--jump", "0.3", "--max-height", "2", "--ground", "flat"]
-    err = occmap("build", log, *words, "-o", tmp_path / "m.pgm").err
-    assert [line.split()[1] for line in err.splitlines()] == ["--max-height", "--ground"]
-
-
-def test_a_band_without_a_ceiling_is_mapped_like_one_with_a_very_high_one(tmp_path: Path) -> None:
-    made = []
-    for height in ("inf", "1000"):
-        path = tmp_path / f"{height}.pgm"
-        words = ["--max-height", height, "-o", path]
-        assert occmap("build", SAMPLE_LOGS / "hall.mcap", *words).code == 0
-        made.append(path.read_bytes())
-    assert made[0] == made[1]
-
-
-def test_options_of_a_build_by_workers_are_noted_without_workers(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0, 0, 0)], [1.0])
-    words = ["build", log, "-o", tmp_path / "m.pgm", "--scratch", tmp_path]
-    told = occmap(*words, "--json")
-    assert json.loads(told.out)["notes"] == ["--scratch does nothing without --dask"]
-    assert told.err == "note: --scratch does nothing without --dask\n"
-
-
-def test_quiet_prints_nothing(tmp_path: Path) -> None:
-    assert occmap("build", write_cut(tmp_path), "-o", tmp_path / "m.pgm", "-q") == (0, "", "")
+def test_a_band_without_a_ceiling_is_mapped_like_one_with_a_very_high_one() -> None:
+    for name, height in (("a", "inf"), ("b", "1000")):
+        assert occmap(f"build {HALL} --max-height {height} -o {name}.pgm").code == 0
+    assert Path("a.pgm").read_bytes() == Path("b.pgm").read_bytes()
 
 
 def test_a_bar_never_passes_its_total(monkeypatch: pytest.MonkeyPatch) -> None:

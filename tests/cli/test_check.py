@@ -1,110 +1,123 @@
 """`occmap check` as a command line: text, JSON and exit codes."""
 
-import json
 import math
 from pathlib import Path
 
 import pytest
 
 from occmap.choices import format_mount, format_static
-from occmap.cli import run
 from occmap.options import OPTIONS
-from tests.cli.runner import occmap, read_error
+from occmap.types import Float64
+from tests.cli.runner import ask, occmap
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
 from tests.samples import SAMPLE_LOGS
 from tests.samples import write_csv as write_planar
 
-Capture = pytest.CaptureFixture[str]
+pytestmark = pytest.mark.usefixtures("here")
 
 
-def test_text_ends_with_the_recommended_command(tmp_path: Path, capsys: Capture) -> None:
-    path = write_csv(tmp_path / "my room.csv", Drive())
-    assert run(["check", str(path)]) == 0
-    out, err = capsys.readouterr()
-    assert err == ""
-    lines = out.splitlines()
-    assert lines[0] == str(path)
-    assert lines[-1] == f"occmap build '{path}' -o 'my room.pgm'"
+def test_text_ends_with_the_recommended_command() -> None:
+    write_csv(Path("my room.csv"), Drive())
+    result = occmap("check", "my room.csv")
+    assert (result.code, result.err) == (0, "")
+    lines = result.out.splitlines()
+    assert lines[0] == "my room.csv"
+    assert lines[-1] == "occmap build 'my room.csv' -o 'my room.pgm'"
     assert f"  poses   {SCANS} of {SCANS} scans, stated beside the scans" in lines
     assert all(line == line.rstrip() for line in lines)
 
 
-def test_the_recommended_command_builds_the_map(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write_bag(tmp_path / "room.bag", Drive(math.pi))
-    monkeypatch.chdir(tmp_path)
-    assert run(["check", str(path), "--json"]) == 1  # a bare build would fail
-    command = json.loads(capsys.readouterr().out)["command"]
-    assert run(command[1:]) == 0
-    assert (tmp_path / "room.pgm").exists()
-    capsys.readouterr()
-    assert run(["check", str(path), *command[3:-2], "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["buildable"]
+def test_the_recommended_command_builds_the_map() -> None:
+    write_bag(Path("room.bag"), Drive(math.pi))
+    found = occmap("check room.bag --json")
+    assert found.code == 1  # a bare build would fail
+    command = found.json["command"]
+    assert occmap(*command[1:]).code == 0
+    assert Path("room.pgm").exists()
+    assert ask("check", "room.bag", *command[3:-2])["buildable"]
 
 
-def test_a_problem_is_told_and_fails(tmp_path: Path, capsys: Capture) -> None:
-    path = tmp_path / "notes.txt"
-    path.write_text("hello\n")
-    assert run(["check", str(path)]) == 1
-    out, err = capsys.readouterr()
-    assert f"problem   {path}: a text file of no known log format" in out
-    assert "Traceback" not in out + err
+def test_what_is_no_log_is_a_problem_which_a_quiet_check_prints_too() -> None:
+    Path("notes.txt").write_text("hello\n")
+    problem = "notes.txt: a text file of no known log format"
+    told = occmap("check notes.txt")
+    assert (told.code, told.err) == (1, "")
+    assert f"problem   {problem}" in told.out
+    told = occmap("check -q notes.txt")
+    assert (told.code, told.out) == (1, "")
+    assert told.err.startswith(f"error: {problem}")
+    assert occmap("check", "-q", SAMPLE_LOGS / "drive.csv") == (0, "", "")
 
 
-def test_scans_and_poses_of_other_times_are_shown_beside_each_other(
-    tmp_path: Path, capsys: Capture
-) -> None:
-    path = write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)])
-    poses = tmp_path / "slam.tum"
-    poses.write_text("2.5 0 0 0 0 0 0 1\n4 1 0 0 0 0 0 1\n")
-    assert run(["check", str(path), "--poses", str(poses)]) == 1
-    lines = capsys.readouterr().out.splitlines()
+def test_scans_and_poses_of_other_times_are_shown_beside_each_other() -> None:
+    write_bag(Path("room.bag"), Drive(), mount=[(0.0, 0.0)])
+    Path("slam.tum").write_text("2.5 0 0 0 0 0 0 1\n4 1 0 0 0 0 0 1\n")
+    told = occmap("check room.bag --poses slam.tum")
+    assert told.code == 1
+    lines = told.out.splitlines()
     assert f"  stamps  100.000 to {99 + SCANS}.000 s" in lines
-    assert any(f"{poses}: 2 samples, 2.5 to 4.0 s, largest gap" in line for line in lines)
-    assert lines[-1] == (
-        f"problem   /scan: none of {SCANS} scans can be used: {SCANS} after the last pose; "
-        "--time-offset -97.5 would put the first scan at the first pose"
-    )
+    assert any("slam.tum: 2 samples, 2.5 to 4.0 s, largest gap" in line for line in lines)
+    problem = f"problem   /scan: none of {SCANS} scans can be used: {SCANS} after the last pose; "
+    assert lines[-1].startswith(f"{problem}--time-offset -97.5 would put the first scan at")
 
 
-def test_a_laser_without_a_mount_beside_another_is_a_warning(
-    tmp_path: Path, capsys: Capture
-) -> None:
+def test_a_laser_without_a_mount_beside_another_is_a_warning() -> None:
     log = drive(ROS2)
     for stamp_ns in range(10**9, 7 * 10**9, 10**9):
         log.append(Written("/bumper", stamp_ns, scan(ROS2, stamp_ns, "bumper", RANGES)))
-    path = tmp_path / "two.mcap"
-    write_mcap(path, log)
-    assert run(["check", str(path), "--fail-if", "warnings > 0"]) == 3
-    lines = capsys.readouterr().out.splitlines()
-    (warning,) = (line for line in lines if line.startswith("warning"))
+    write_mcap(Path("two.mcap"), log)
+    told = occmap("check", "two.mcap", "--fail-if", "warnings > 0")
+    assert told.code == 3
+    (warning,) = (line for line in told.out.splitlines() if line.startswith("warning"))
     assert "/bumper: scans without a pose: " in warning
     assert "no transform to the scan's frame" in warning
 
 
-def test_no_beam_that_sees_anything_is_a_problem(tmp_path: Path, capsys: Capture) -> None:
-    path = write_planar(tmp_path / "log.csv", [(0, 0, 0)] * 2, [-1.0, math.nan], 0.5)
-    assert run(["check", str(path)]) == 1
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[-1] == "problem   no beam of any scan observes a cell: see the ranges"
-    assert run(["build", str(path), "-o", str(tmp_path / "m.pgm")]) == 1
-    assert capsys.readouterr().err == (
-        f"error: {path}: no beam of any scan observed a cell: 2 too close, 2 nan; see the ranges "
-        "in `occmap check`\n"
-    )
+def test_no_beam_that_sees_anything_is_a_problem() -> None:
+    write_planar(Path("log.csv"), [(0, 0, 0)] * 2, [-1.0, math.nan], 0.5)
+    told, built = occmap("check log.csv"), occmap("build log.csv -o m.pgm")
+    assert (told.code, built.code) == (1, 1)
+    assert told.out.splitlines()[-1].startswith("problem   no beam of any scan observes a cell")
+    assert "2 too close, 2 nan; see the ranges in `occmap check`" in built.err
 
 
-def test_what_no_return_may_tell_is_recommended(tmp_path: Path, capsys: Capture) -> None:
-    path = write_planar(tmp_path / "log.csv", [(0, 0, 0)] * 2, [math.inf] * 60, 0.1)
+def test_what_no_return_may_tell_is_recommended() -> None:
+    path = write_planar(Path("log.csv"), [(0, 0, 0)] * 2, [math.inf] * 60, 0.1)
     path.write_text("# range_max: 3\n" + path.read_text())
-    assert run(["check", str(path), "--json"]) == 1
-    command = json.loads(capsys.readouterr().out)["command"]
-    assert command[3:5] == ["--no-return", "clear"]
-    assert run(["build", str(path), "-o", str(tmp_path / "m.pgm")]) == 1
-    assert capsys.readouterr().err.endswith("or try --no-return clear\n")
-    assert run([*command[1:-1], str(tmp_path / "m.pgm")]) == 0
+    found, built = occmap("check log.csv --json"), occmap("build log.csv -o m.pgm")
+    assert (found.code, built.code) == (1, 1)
+    assert found.json["command"][3:5] == ["--no-return", "clear"]
+    assert built.err.endswith("see the ranges in `occmap check`\n")
+    assert occmap(*found.json["command"][1:]).code == 0
+
+
+def test_a_robot_that_stands_in_its_own_scans_is_left_out_by_the_command() -> None:
+    def stand(ranges: Float64) -> Float64:
+        ranges[10:16] = 0.3  # a post at 40 to 60 degrees
+        return ranges
+
+    write_csv(Path("post.csv"), Drive(spoil=stand))
+    found = ask("check post.csv")
+    low, high = math.radians(40), math.radians(60)
+    corners = [0.3 * f(angle) for angle in (high, low) for f in (math.cos, math.sin)]
+    near = [corners[0] - 0.05, corners[3] - 0.05, corners[2] + 0.05, corners[1] + 0.05]
+    assert found["logs"][0]["scans"][0]["ranges"]["body"] == pytest.approx(near, abs=0.006)
+    assert found["command"][3] == "--footprint"
+    built = occmap(*found["command"][1:], "--json")
+    assert built.json["beams"]["own_robot"] == 6 * SCANS
+
+
+def test_a_wall_beside_a_parked_robot_is_not_the_robot() -> None:
+    write_planar(Path("parked.csv"), [(0, 0, 0)] * 60 + [(9, 0, 0)] * 5, [0.5] * 30, 0.1)
+    assert ask("check parked.csv")["logs"][0]["scans"][0]["ranges"]["body"] is None
+
+
+def test_ranges_in_millimetres_are_not_taken_for_open_space() -> None:
+    write_csv(Path("mm.csv"), Drive(spoil=lambda ranges: 1000 * ranges))
+    found = occmap("check mm.csv --json")
+    assert (found.code, found.json["command"]) == (1, [])
+    assert any(text.endswith("in mm?") for text in found.json["warnings"])
 
 
 @pytest.mark.parametrize("log", ["drive.csv", "drive.log"])
@@ -114,14 +127,10 @@ def test_a_log_without_record_times_is_not_compared_with_them(log: str) -> None:
     assert "record times" not in out
 
 
-def test_stamps_are_compared_with_the_record_times(tmp_path: Path) -> None:
-    log = drive(ROS2)
-    late = [written._replace(record_ns=written.record_ns + 2 * 10**9) for written in log]
-    write_mcap(tmp_path / "late.mcap", late)
-    assert (
-        "  2.5 s before the record times, drift 0 s, "
-        in occmap("check", tmp_path / "late.mcap").out
-    )
+def test_stamps_are_compared_with_the_record_times() -> None:
+    late = [each._replace(record_ns=each.record_ns + 2 * 10**9) for each in drive(ROS2)]
+    write_mcap(Path("late.mcap"), late)
+    assert "  2.5 s before the record times, drift 0 s, " in occmap("check late.mcap").out
 
 
 @pytest.mark.parametrize("text", ["0,0,3.14159", "0.1,-0.2,1.5708", "0,0,-1.5708,3.14159,0"])
@@ -132,46 +141,26 @@ def test_mounts_are_written_as_they_are_read(text: str) -> None:
     assert given == "base,laser,0.1,0.2,0.3,0.1,-0.2,1.5"
 
 
-def test_the_robot_and_the_reading_come_back_as_flags(tmp_path: Path, capsys: Capture) -> None:
-    path = write_csv(tmp_path / "room.csv", Drive())
-    flags = [
-        "--echo", "last", "--ignore-sector", "2.5,-2.5", "--ignore-sector", "1,2",
-        "--footprint", "-0.4,-0.3,0.2,0.3", "--min-height", "0.2", "--max-height", "0.5",
-    ]  # fmt: skip
-    assert run(["check", str(path), *flags, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["command"][3:-2] == flags
-
-
-@pytest.mark.parametrize(
-    "words", ["", "x.bag --resolution much", "x.bag --footprint 1,1,0,0", "x.bag --resolution inf"]
-)
-def test_values_that_make_no_sense_are_usage_errors(words: str) -> None:
-    assert read_error(occmap("check", *words.split()), 2)
-
-
-def test_one_of_a_thing_is_in_the_singular(tmp_path: Path, capsys: Capture) -> None:
-    assert run(["check", str(write_bag(tmp_path / "room.bag", Drive(), mount=[(0.0, 0.0)]))]) == 0
-    assert "1 transform that never changes" in capsys.readouterr().out
-    log = write_planar(tmp_path / "one.csv", [(0.0, 0.0, 0.0)], [1.0])
-    assert run(["check", str(log)]) == 0
-    out = capsys.readouterr().out
+def test_one_of_a_thing_is_in_the_singular() -> None:
+    write_bag(Path("room.bag"), Drive(), mount=[(0.0, 0.0)])
+    assert "1 transform that never changes" in occmap("check room.bag").out
+    write_planar(Path("one.csv"), [(0.0, 0.0, 0.0)], [1.0])
+    out = occmap("check one.csv").out
     assert "  shape   1 beam over 0 deg" in out
     assert "  poses   1 of 1 scan, stated" in out
 
 
-def test_damage_is_a_warning_and_told_once(tmp_path: Path) -> None:
-    path = tmp_path / "cut.mcap"
-    path.write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60_000])
-    lines = occmap("check", path).out.splitlines()
+def test_damage_is_a_warning_and_told_once() -> None:
+    Path("cut.mcap").write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60_000])
+    lines = occmap("check cut.mcap").out.splitlines()
     (line,) = (line for line in lines if "the file ends in the middle of the record" in line)
-    assert line.startswith(f"warning   {path}: ")
+    assert line.startswith("warning   cut.mcap: ")
 
 
-def test_a_log_that_cannot_be_read_through_has_one_problem(tmp_path: Path) -> None:
-    log = tmp_path / "few.csv"
+def test_a_log_that_cannot_be_read_through_has_one_problem() -> None:
     head = "# angle_min: -1\n# angle_increment: 1\n# range_max: 10\nstamp,x,y,yaw,r0,r1\n"
-    log.write_text(head + "1,0,0,0,1,2\n2,0,0,0,1,2\njunk\n3,0,0,0,1,2\n")
-    found = json.loads(occmap("check", log, "--json").out)
+    Path("few.csv").write_text(head + "1,0,0,0,1,2\n2,0,0,0,1,2\njunk\n3,0,0,0,1,2\n")
+    found = occmap("check few.csv --json").json
     assert found["warnings"] == []
     (problem,) = found["problems"]
-    assert problem.startswith(f"{log}:7: 1 cells where the header has 6")
+    assert problem.startswith("few.csv:7: 1 cells where the header has 6")

@@ -1,12 +1,12 @@
 """Options that a team repeats stand in a file beside the logs, or in one that is named."""
 
-import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import ask, occmap, read_error
 from tests.samples import SAMPLE_LOGS
 
 
@@ -21,11 +21,8 @@ def write(log: Path, text: str, name: str = "occmap.toml") -> Path:
     return path
 
 
-def map_of(log: Path, *words: object) -> dict[str, object]:
-    told = occmap("build", log, "-o", log.parent / "m.pgm", *words, "--json")
-    assert told.code == 0, told.err
-    found: dict[str, object] = json.loads(told.out)
-    return found
+def map_of(log: Path, *words: object) -> Any:
+    return ask("build", log, "-o", log.parent / "m.pgm", *words)
 
 
 TYPED = [
@@ -49,32 +46,28 @@ def test_a_file_says_what_might_be_typed(log: Path) -> None:
     read = map_of(log)
     assert read["map"] == typed["map"]
     assert (log.parent / "m.pgm").read_bytes() == cells
-    notes = read["notes"]
-    assert isinstance(notes, list)
-    assert notes[0].startswith(f"{path}: resolution = 0.1, max-range = 5, ignore-sector = [[2.5, ")
+    assert read["notes"][0].startswith(
+        f"{path}: resolution = 0.1, max-range = 5, ignore-sector = [[2.5, "
+    )
 
 
 def test_what_is_kept_of_a_build_holds_the_options_of_the_file(log: Path) -> None:
     write(log, FILE)
     assert occmap("build", log, "-o", log.parent / "m.npz").code == 0
-    told = json.loads(
-        occmap("render", log.parent / "m.npz", "-o", log.parent / "m.pgm", "--json").out
-    )
+    told = ask("render", log.parent / "m.npz", "-o", log.parent / "m.pgm")
     assert told["map"]["resolution"] == 0.1
     assert told["scans"]["dropped"]["left out by --stride"] > 0
-    command = json.loads(occmap("check", log, "--json").out)["command"]
+    command = ask("check", log)["command"]
     assert command[command.index("--max-range") + 1] == "5"
 
 
-def test_a_named_file_goes_before_the_one_beside_the_logs_and_what_is_typed_before_both(
+def test_a_named_file_goes_before_the_one_beside_the_logs_and_a_typed_value_before_both(
     log: Path,
 ) -> None:
     write(log, "resolution = 0.1")
     other = write(log, "resolution = 0.2", "other.toml")
     for words, resolution in (((), 0.1), (("--config", other), 0.2), (("-r", 0.4), 0.4)):
-        found = map_of(log, *words)["map"]
-        assert isinstance(found, dict)
-        assert found["resolution"] == resolution
+        assert map_of(log, *words)["map"]["resolution"] == resolution
 
 
 def test_flags_and_options_of_one_command(log: Path) -> None:
@@ -186,6 +179,4 @@ def test_files_are_looked_for_beside_the_file_that_names_them(
     (log.parent / "shapes.csv").write_text("occupied,box,0,0,1,1\n")
     path = write(log, 'edits = "shapes.csv"')
     monkeypatch.chdir(Path(__file__).parent)
-    notes = map_of(log)["notes"]
-    assert isinstance(notes, list)
-    assert notes[0] == f'{path}: edits = "{log.parent / "shapes.csv"}"'
+    assert map_of(log)["notes"][0] == f'{path}: edits = "{log.parent / "shapes.csv"}"'

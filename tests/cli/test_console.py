@@ -1,18 +1,16 @@
 """What a log or a path says reaches the terminal as text: it moves no cursor and starts no line."""
 
 import json
-import os
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from occmap.cli import console
 from occmap.cli.console import clean, quote_for_windows, write_command
-from tests.cli.runner import occmap
+from tests.cli.runner import occmap, spawn
 from tests.readers.ros import ROS2, SECOND, Written, drive, scan, write_mcap
+from tests.samples import write_csv
 
 NASTY = (
     "/s\x1b[2J\x1b]0;title\x07can\n"
@@ -29,28 +27,21 @@ def check_lines(text: str) -> None:
         assert "##[" not in line
 
 
-@pytest.mark.parametrize("command", ["build", "check"])
-def test_names_of_a_log_are_only_text(tmp_path: Path, command: str) -> None:
+@pytest.mark.usefixtures("here")
+def test_names_of_a_log_are_only_text_and_in_json_as_they_are() -> None:
     nasty = [Written(NASTY, SECOND * n, scan(ROS2, SECOND * n, NASTY)) for n in (2, 3)]
-    path = write_mcap(tmp_path / "log.mcap", [*drive(ROS2), *nasty])
-    words = ["-o", str(tmp_path / "map.pgm")] if command == "build" else []
-    result = occmap(command, path, *words)
-    assert "forged" in result.out + result.err
-    check_lines(result.out)
-    check_lines(result.err)
+    write_mcap(Path("log.mcap"), [*drive(ROS2), *nasty])
+    for line in ("build log.mcap -o map.pgm", "check log.mcap", "check log.mcap --json"):
+        result = occmap(line)
+        assert "forged" in result.out + result.err
+        check_lines(result.out)
+        check_lines(result.err)
+    (log,) = result.json["logs"]
+    assert NASTY in {stream["topic"] for stream in log["streams"]}
 
 
-def test_json_holds_names_as_they_are(tmp_path: Path) -> None:
-    nasty = [Written(NASTY, SECOND * n, scan(ROS2, SECOND * n)) for n in (2, 3)]
-    path = write_mcap(tmp_path / "log.mcap", [*drive(ROS2), *nasty])
-    result = occmap("check", path, "--json")
-    topics = {stream["topic"] for stream in json.loads(result.out)["logs"][0]["streams"]}
-    assert NASTY in topics
-    check_lines(result.out)
-
-
-def test_an_error_is_only_text(tmp_path: Path) -> None:
-    result = occmap("build", tmp_path / "no\x1b[2J\n::error::forged", "-o", "m.pgm")
+def test_an_error_is_only_text() -> None:
+    result = occmap("build", "no\x1b[2J\n::error::forged", "-o", "m.pgm")
     assert result.code == 1
     assert result.err.count("\n") == 1
     check_lines(result.err)
@@ -73,22 +64,15 @@ def test_cleaning(text: str, cleaned: str) -> None:
     assert clean(text) == cleaned
 
 
-def test_a_path_that_is_no_text(tmp_path: Path) -> None:
+def test_a_path_that_is_no_text(here: Path) -> None:
     """Every command names it, and JSON, which has no such strings, stays JSON."""
-    folder = os.fsencode(tmp_path)
-    name = os.path.join(folder, b"lo\xffg.csv")  # noqa: PTH118  bytes
-    with open(name, "wb") as file:  # noqa: PTH123  bytes
-        file.write(b"# angle_min: 0\n# angle_increment: 0.1\nstamp,x,y,yaw,r0\n0,0,0,0,1.5\n")
-    program = [sys.executable.encode(), b"-m", b"occmap"]
-    outputs = [b"-o", folder + b"/m\xfe.pgm", b"-o", folder + b"/m\xfe.npz"]
-    for words in ([b"build", name, *outputs], [b"check", name], [b"check", name, b"--json"]):
-        run = subprocess.run([*program, *words], check=False, capture_output=True)
-        assert run.returncode == 0, run.stderr
-        assert b"Traceback" not in run.stderr
-        assert b"fault in occmap" not in run.stderr
-        text = run.stdout.decode("utf-8")
-        assert "lo\\udcffg" in text or "m\\udcfe" in text
-    assert json.loads(text)
+    write_csv(here / "log.csv", [(0.0, 0.0, 0.0)], [1.5]).rename(here / "lo\udcffg.csv")
+    name = "lo\udcffg.csv"
+    for line in ("build {} -o m\udcfe.pgm -o m\udcfe.npz", "check {}", "check {} --json"):
+        done = spawn(*line.format(name).split())
+        assert (done.returncode, done.stderr) == (0, "")
+        assert "lo\\udcffg" in done.stdout or "m\\udcfe" in done.stdout
+    assert json.loads(done.stdout)["logs"][0]["path"] == name
 
 
 def test_a_command_line_is_quoted_as_the_shell_here_wants_it(

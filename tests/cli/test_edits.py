@@ -1,6 +1,5 @@
 """What a person draws over a map outlives rebuilds, merges and fleets, and no evidence has it."""
 
-import json
 import os
 from pathlib import Path
 from threading import Thread
@@ -13,7 +12,7 @@ from occmap import build_map
 from occmap.page.pages import describe_product
 from occmap.writers import Product
 from occmap.writers.npz import read_evidence
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import ask, occmap, read_error
 from tests.samples import SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.mcap"
@@ -22,9 +21,8 @@ X, Y = -4.05, -3.05
 
 
 @pytest.fixture(autouse=True)
-def _edits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("edits.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,1,0.5\n")
+def _edits(here: Path) -> None:
+    (here / "edits.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,1,0.5\n")
 
 
 def read_box(path: str, x: float, y: float, x_end: float, y_end: float) -> np.ndarray:
@@ -58,10 +56,8 @@ def test_what_is_drawn_beyond_all_blocks_of_a_store_is_counted() -> None:
     """A square of 2 m, 100 m away: 40 x 40 cells."""
     Path("far.csv").write_text("occupied,box,100,100,102,102\n")
     occmap("build", DRIVE, "-o", "map.zarr")
-    words = ("render", "map.zarr", "--extent", "-5,-5,105,105", "-o", "map.tif", "--json")
-    plain, edited = (
-        json.loads(occmap(*words, *more).out)["map"] for more in ((), ("--edits", "far.csv"))
-    )
+    line = "render map.zarr --extent -5,-5,105,105 -o map.tif"
+    plain, edited = (ask(each)["map"] for each in (line, f"{line} --edits far.csv"))
     cells = edited["columns"] * edited["rows"]
     assert (edited["occupied"] - plain["occupied"]) * cells == pytest.approx(1600)
     assert (plain["unknown"] - edited["unknown"]) * cells == pytest.approx(1600)
@@ -78,8 +74,7 @@ def test_evidence_names_the_file_of_edits_and_has_nothing_of_it() -> None:
 
 def test_the_counts_of_a_map_are_those_of_what_is_written() -> None:
     Path("all.csv").write_text("occupied,box,-100,-100,100,100\n")
-    made = occmap("build", DRIVE, "-o", "m.pgm", "--edits", "all.csv", "--json")
-    assert json.loads(made.out)["map"]["occupied"] == 1.0
+    assert ask("build", DRIVE, "-o", "m.pgm", "--edits", "all.csv")["map"]["occupied"] == 1.0
 
 
 def test_a_keepout_mask_has_what_is_forbidden() -> None:
@@ -134,18 +129,6 @@ def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
     assert len(read_evidence(Path("rest.npz")).manifest.builds) == 1
 
 
-def test_edits_of_a_file_of_options_lie_beside_it() -> None:
-    site = Path("site")
-    site.mkdir()
-    Path("edits.csv").rename(site / "edits.csv")
-    (site / "occmap.toml").write_text('edits = "edits.csv"\n')
-    line = ("build", DRIVE, "--config", site / "occmap.toml", "-o", "m.pgm")
-    made = occmap(*line)
-    assert made.code == 0
-    assert (read_box("m.pgm", 10.9, -1.5, 11.5, -0.9) == 254).all()
-    assert occmap(*line, "--edits", "none.csv").code == 2  # what is typed lies where one is
-
-
 @pytest.mark.parametrize(
     ("shape", "is_outside"),
     [
@@ -179,22 +162,16 @@ def test_a_file_without_a_shape_is_told(text: str) -> None:
 
 def test_diff_tells_changes_where_edits_lie_from_others() -> None:
     Path("more.csv").write_text("free,box,10.9,-1.5,11.5,-0.9\nforbidden,box,0,0,9,9\n")
-    line = ("render", "-q", "m.npz", "-o")
-    assert occmap("build", "-q", DRIVE, "-o", "m.npz").code == 0
-    assert occmap(*line, "plain.pgm").code == 0
-    assert occmap(*line, "edited.pgm", "--edits", "more.csv").code == 0
-    plain, edited = (np.asarray(Image.open(f"{name}.pgm")) for name in ("plain", "edited"))
-    changed = int((plain != edited).sum())
-    told = occmap("diff", "plain.pgm", "edited.pgm", "--edits", "more.csv", "--json")
-    said = json.loads(told.out)
-    assert said["edited"] == said["changed"] == changed > 0
     Path("elsewhere.csv").write_text("free,box,0,0,1,1\nforbidden,box,10.9,-1.5,11.5,-0.9\n")
-    told = occmap("diff", "plain.pgm", "edited.pgm", "--edits", "elsewhere.csv")
+    assert occmap("build", "-q", DRIVE, "-o", "m.npz", "-o", "plain.pgm").code == 0
+    assert occmap("render -q m.npz -o edited.pgm --edits more.csv").code == 0
+    plain, edited = (np.asarray(Image.open(f"{name}.pgm")) for name in ("plain", "edited"))
+    line = "diff plain.pgm edited.pgm"
+    said = ask(f"{line} --edits more.csv")
+    assert said["edited"] == said["changed"] == (plain != edited).sum() > 0
+    told = occmap(f"{line} --edits elsewhere.csv")
     assert "edits    0 changed cells in shapes that were drawn" in told.out
-    told = occmap("diff", "plain.pgm", "edited.pgm", "--json")
-    assert json.loads(told.out)["edited"] is None
-    error = read_error(occmap("diff", "plain.pgm", "edited.pgm", "--edits", "none.csv"), 2)
-    assert error.startswith("none.csv: cannot be read")
+    assert ask(line)["edited"] is None
 
 
 def test_a_page_has_the_outlines_of_edits() -> None:

@@ -1,38 +1,38 @@
 """`occmap explain` as a user types it."""
 
-import json
 import math
 from pathlib import Path
 
 import pytest
 
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import ask, occmap
 from tests.samples import PLAIN_WORDS, write_csv
 
 ACROSS = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (0.25, 0.05, 0.0)]
 """With a beam of 0.32 m: two that hit the cell at (0.35, 0.05), and one that crosses it"""
 
 
-def save(log: str, *words: object, into: str = "") -> None:
+ASK = "explain a.npz 0.37 0.05"
+
+
+def save(log: str, words: str = "", into: str = "") -> None:
     """Build evidence of a log."""
-    line = [f"{log}.csv", "--resolution", "0.1", *words, "-o", f"{into or log}.npz"]
-    assert occmap("build", *PLAIN_WORDS, *line).code == 0
+    line = f"{log}.csv --resolution 0.1 {words} -o {into or log}.npz"
+    assert occmap("build", *PLAIN_WORDS, *line.split()).code == 0
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a folder with two logs, evidence of the first, and the same as log-odds."""
-    monkeypatch.chdir(tmp_path)
-    write_csv(tmp_path / "a.csv", ACROSS, [0.32])
-    write_csv(tmp_path / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
-    for log in "ab":
-        save(log, "--model", "simple:spread=0")
-    save("a", "--model", "quadratic", into="q")
-    return tmp_path
+def _evidence(here: Path) -> None:
+    """Two logs, evidence of both, and of the first as log-odds, too."""
+    write_csv(here / "a.csv", ACROSS, [0.32])
+    write_csv(here / "b.csv", [(-1.95, -0.55, 0.0)], [0.32])
+    save("a")
+    save("b")
+    save("a", "--model quadratic", into="q")
 
 
 def test_a_cell_in_lines() -> None:
-    result = occmap("explain", "a.npz", "0.37", "0.05")
+    result = occmap(ASK)
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines() == [
         "cell     row 0, column 3: x 0.3 to 0.4 m, y 0 to 0.1 m",
@@ -48,19 +48,18 @@ def test_a_cell_in_lines() -> None:
 
 
 def test_eighths_are_told_as_observations_and_json_says_the_unit() -> None:
-    words = ["--resolution", "0.1", "--hit-offset", "0", "--model", "simple:spread=0"]
-    assert occmap("build", "surface", "a.csv", *words, "-o", "s.npz").code == 0
-    question = ["explain", "s.npz", "0.37", "0.05"]
-    found = json.loads(occmap(*question, "--json").out)
+    assert occmap("build surface a.csv -r 0.1 --hit-offset 0 -o s.npz").code == 0
+    question = "explain s.npz 0.37 0.05"
+    found = ask(question)
     hits, misses = (found["seen"][name] / 8 for name in ("hits", "misses"))
     assert found["unit"] == 8
     assert hits > 0
-    seen = occmap(*question).out.splitlines()[2].split()
+    seen = occmap(question).out.splitlines()[2].split()
     assert (float(seen[1]), float(seen[4])) == (hits, misses)
 
 
 def test_scans_in_lines() -> None:
-    result = occmap("explain", "a.npz", "0.37", "0.05", "--log", "a.csv")
+    result = occmap(f"{ASK} --log a.csv")
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines()[8:] == [
         "scans    3 of 3 scans used: 2 hits and 1 miss",
@@ -72,7 +71,7 @@ def test_scans_in_lines() -> None:
 
 
 def test_log_odds_in_lines() -> None:
-    lines = occmap("explain", "q.npz", "0.37", "0.05", "--log", "a.csv").out.splitlines()
+    lines = occmap("explain q.npz 0.37 0.05 --log a.csv").out.splitlines()
     # logit(0.6), twice up, once down
     assert lines[2] == "seen     log-odds 0.405 of 3 observations"
     assert lines[8] == ("scans    3 of 3 scans used: log-odds 0.405 of 3 observations")
@@ -83,17 +82,17 @@ def test_log_odds_in_lines() -> None:
 def test_visits_come_by_build() -> None:
     # Two visits, half a minute apart: on the first the cell is hit, on the second it is crossed.
     write_csv(Path("late.csv"), [ACROSS[0], *[(5.0, 5.0, 0.0)] * 29, ACROSS[2]], [0.32])
-    save("late", "--resume", "a.npz", into="al")
-    words = ["explain", "al.npz", "0.37", "0.05"]
-    assert occmap(*words).out.splitlines()[3:6] == [
+    save("late", "--resume a.npz", into="al")
+    question = "explain al.npz 0.37 0.05"
+    assert occmap(question).out.splitlines()[3:6] == [
         "visits   a.csv: hit on 1 of 1 visit, in slices of time from 0.000 s to 10.000 s",
         "         late.csv: hit on 1 of 2 visits, in slices of time from 0.000 s to 40.000 s",
         "         together: hit on 1 of 2 visits, in slices of time from 0.000 s to 40.000 s",
     ]
-    assert occmap(*words[:2], "5.05", "5.05").out.splitlines()[3] == (
+    assert occmap("explain al.npz 5.05 5.05").out.splitlines()[3] == (
         "visits   late.csv: hit on 0 of 1 visit, in slices of time from 0.000 s to 30.000 s"
     )
-    found = json.loads(occmap(*words, "--json", "--min-passes", "2").out)
+    found = ask(f"{question} --min-passes 2")
     assert [build["until_ns"] for build in found["builds"]] == [10 * 10**9, 40 * 10**9]
     known = {"since_ns": 0, "until_ns": 40 * 10**9, "hit_visits": 1, "seen_visits": 2}
     assert found["visits"] == known
@@ -103,95 +102,56 @@ def test_visits_come_by_build() -> None:
 def test_hits_on_too_few_visits_are_forgotten() -> None:
     write_csv(Path("once.csv"), ACROSS[:1], [0.32])
     save("once")
-    words = ["explain", "once.npz", "0.37", "0.05", "--min-passes"]
-    assert occmap(*words, "2").out.splitlines()[1:3] == [
+    question = "explain once.npz 0.37 0.05 --min-passes"
+    assert occmap(f"{question} 2").out.splitlines()[1:3] == [
         "class    unknown: it was hit, but on fewer visits than --min-passes",
         "seen     1 hit and 0 misses",
     ]
-    assert "class    occupied" in occmap(*words, "1").out
+    assert "class    occupied" in occmap(f"{question} 1").out
     # Nothing around the point lasts either: that is an answer, too, and no error.
-    words[2] = "0.47"
-    assert occmap(*words, "2").out.splitlines()[1] == "class    unknown: nothing observed this cell"
+    around = occmap(question.replace("0.37", "0.47") + " 2")
+    assert around.out.splitlines()[1] == "class    unknown: nothing observed this cell"
 
 
-def test_coordinates_may_be_negative() -> None:
-    for words in (["-1.65", "-.55"], ["-1.65e0", "-0.55"], ["--", "-1.65", "-0.55"]):
-        found = json.loads(occmap("explain", "--json", "b.npz", *words).out)
-        assert found["cell"]["row"], found["cell"]["column"] == (-6, -17)
-        assert found["seen"]["hits"] == 1
-    assert occmap("explain", "b.npz", "-1.65", "-0.55", "--prior", "0.4", "-q").code == 0
+@pytest.mark.parametrize(
+    "point", ["-1.65 -.55", "-1.65e0 -0.55", "-- -1.65 -0.55", "-1.65,-.55", "-16.5e-1,-.55"]
+)
+def test_coordinates_may_be_negative_and_have_a_comma_between(point: str) -> None:
+    found = occmap(f"explain --json b.npz {point}").json
+    assert (found["cell"]["row"], found["cell"]["column"]) == (-6, -17)
+    assert found["seen"]["hits"] == 1
 
 
 def test_a_cell_that_nothing_observed() -> None:
-    inside = occmap("explain", "a.npz", "0.05", "0.15", "--log", "a.csv").out.splitlines()
+    inside = occmap("explain a.npz 0.05 0.15 --log a.csv").out.splitlines()
     assert inside[1] == "class    unknown: nothing observed this cell"
     assert inside[2] == "         it lies outside of the map: x 0 to 0.7 m, y 0 to 0.1 m"
     assert inside[-1] == "scans    none of 3 scans used observed the cell"
-    far = occmap("explain", "a.npz", "-70", "0").out.splitlines()
+    far = occmap("explain a.npz -70 0").out.splitlines()
     assert far[1:] == inside[1:3]
 
 
 def test_a_long_list_is_cut_and_json_is_not() -> None:
     write_csv(Path("long.csv"), ACROSS[:1] * 50, [0.32])
     save("long")
-    words = ["explain", "long.npz", "0.37", "0.05", "--log", "long.csv"]
-    lines = occmap(*words).out.splitlines()
+    question = "explain long.npz 0.37 0.05 --log long.csv"
+    lines = occmap(question).out.splitlines()
     assert [line.split()[0] for line in lines[10:-1]] == [f"{s}.000" for s in range(12)]
     assert lines[-1] == "         and 38 more: --json lists all"
-    found = json.loads(occmap(*words, "--json").out)
+    found = ask(question)
     assert [scan["stamp_ns"] for scan in found["scans"]] == [s * 10**9 for s in range(50)]
 
 
 def test_another_model_and_other_thresholds() -> None:
-    words = ["explain", "a.npz", "0.37", "0.05"]
-    counting = occmap(*words, "--model", "counting:strength=2,spread=0,ceiling=1,doubt=0").out
+    counting = occmap(f"{ASK} --model counting:strength=2,spread=0,ceiling=1,doubt=0").out
     assert "probability 0.600 by counting:" in counting
-    assert "class    undecided: " in occmap(*words, "--occupied-thresh", "0.8").out
-    assert "p_hit=0.6" in occmap(*words, "--p-hit", "0.6").out
+    assert "class    undecided: " in occmap(f"{ASK} --occupied-thresh 0.8").out
+    assert "p_hit=0.6" in occmap(f"{ASK} --p-hit 0.6").out
 
 
 def test_what_is_not_explained_is_noted() -> None:
-    assert occmap("merge", "a.npz", "b.npz", "-o", "ab.npz").code == 0
-    result = occmap("explain", "ab.npz", "-1.65", "-0.55", "--log", "a.csv")
-    assert result.err == (
-        "note: these logs explain 0 hits and 0 misses of 1 hit and 0 misses; the rest is in b.csv\n"
-    )
-    both = occmap("explain", "ab.npz", "-1.65", "-0.55", "--log", "a.csv", "--log", "b.csv")
-    assert both.err == ""
-
-
-@pytest.mark.parametrize(
-    ("words", "code", "found"),
-    [
-        (["a.npz", "0", "0", "--log", "b.csv"], 1, "b.csv: a.npz was not made of it; it was made"),
-        (["a.npz", "0", "0", "--log", "c.csv"], 1, "c.csv: cannot be read (No such file"),
-        (["a.npz", "0", "0", "--poses", "b.csv"], 2, "--poses goes with a log; add --log LOG"),
-        (["a.csv", "0", "0"], 1, "a.csv: is not an evidence file"),
-        (["c.npz", "0", "0"], 1, "c.npz: no such file"),
-        (["a.npz", "0", "nan"], 2, "the point (0, nan) is in no map; give x and y in metres"),
-        (["a.npz", "-inf", "0"], 2, "-i"),
-        (["a.npz", "1e300", "0"], 2, "is in no map"),
-        (["a.npz", "0"], 2, "Missing argument 'Y'"),
-        (["a.npz", "0", "north"], 2, "`Y` is 'north'; give a number"),
-        (["a.npz", "0", "0", "--modle", "counting"], 2, "--model"),
-        (["a.npz", "0", "0", "--model", "quadratic"], 1, "which quadratic cannot read"),
-        (["q.npz", "0", "0", "--min-passes", "2"], 2, "quadratic sums up log-odds"),
-        (["a.npz", "0", "0", "--min-passes", "0"], 2, "--min-passes 0 is not possible"),
-        (["q.npz", "0", "0", "--p-min", "0.3"], 1, "no other can read it"),
-        (["a.npz", "0", "0", "--free-thresh", "0.9"], 2, "0 < free < occupied < 1"),
-    ],
-)
-def test_bad_input_is_one_line(words: list[str], code: int, found: str) -> None:
-    assert found in read_error(occmap("explain", *words), code)
-
-
-@pytest.mark.parametrize("point", [["0.37,0.05"], ["3.7e-1,.05"], ["-4,-2"], ["4,-2."]])
-def test_a_point_may_have_a_comma(point: list[str]) -> None:
-    apart = point[0].split(",")
-    assert occmap("explain", "a.npz", *point) == occmap("explain", "a.npz", *apart)
-    assert occmap("explain", "a.npz", "0.37,0.05").code == 0
-
-
-def test_what_is_missing_comes_with_an_example() -> None:
-    error = read_error(occmap("explain", "a.npz"), 2)
-    assert error == "Missing argument 'X'; write, for example, occmap explain map.npz 1.5 -0.25"
+    assert occmap("merge a.npz b.npz -o ab.npz").code == 0
+    question = "explain ab.npz -1.65 -0.55 --log a.csv"
+    note = "note: these logs explain 0 hits and 0 misses of 1 hit and 0 misses; the rest is in b.cs"
+    assert occmap(question).err.startswith(note)
+    assert occmap(f"{question} --log b.csv").err == ""

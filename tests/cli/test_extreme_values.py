@@ -1,8 +1,6 @@
 """Numbers beyond their types, and YAML that unfolds: one line and an exit code, quickly."""
 
 import resource
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import pytest
 
 from occmap.cells import MOST_OBSERVED
 from occmap.writers.npz import read_evidence, write_evidence
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import occmap, read_error, spawn
 from tests.samples import write_csv
 
 MEMORY = 1 << 30
@@ -20,12 +18,10 @@ MERGING = "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}\n" for
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a new folder with a map, `m`, as PGM with YAML, PNG and evidence."""
-    monkeypatch.chdir(tmp_path)
-    log = write_csv(tmp_path / "log.csv", [(x / 10, 0.0, 0.0) for x in range(5)], [1.0, 1.5], 0.1)
-    assert occmap("build", log, *["-o", "m.pgm", "-o", "m.png", "-o", "m.npz"]).code == 0
-    return tmp_path
+def _map(here: Path) -> None:
+    """A map, `m`, as PGM with YAML, PNG and evidence."""
+    write_csv(here / "log.csv", [(x / 10, 0.0, 0.0) for x in range(5)], [1.0, 1.5], 0.1)
+    assert occmap("build log.csv -o m.pgm -o m.png -o m.npz").code == 0
 
 
 def change_yaml(name: str, value: str, before: str = "") -> str:
@@ -36,19 +32,16 @@ def change_yaml(name: str, value: str, before: str = "") -> str:
 
 
 def diff_in_bounds(file: str) -> str:
-    run = subprocess.run(
-        [sys.executable, "-m", "occmap", "diff", "m.yaml", file],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=20,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY)),
-    )
-    assert (run.returncode, run.stdout) == (1, "")
-    assert run.stderr.count("\n") == 1
-    assert len(run.stderr) < 400
-    assert "fault in occmap" not in run.stderr
-    return run.stderr
+    done = spawn("diff", "m.yaml", file, preexec_fn=limit_memory)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.count("\n") == 1
+    assert len(done.stderr) < 400
+    assert "fault in occmap" not in done.stderr
+    return str(done.stderr)
+
+
+def limit_memory() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
 @pytest.mark.parametrize(
@@ -77,23 +70,21 @@ def test_a_yaml_that_unfolds(unfolding: str, name: str) -> None:
     assert f"bad.yaml: {name}"[:10] in diff_in_bounds(change_yaml(name, "*a39", before))
 
 
-def test_a_picture_of_changes_spares_the_image_that_a_yaml_names(folder: Path) -> None:
+def test_a_picture_of_changes_spares_the_image_that_a_yaml_names() -> None:
     image = Path("m.png").read_bytes()
     named = change_yaml("image", "m.png")
     for maps in ([named, "m.pgm"], ["m.pgm", named]):
-        error = read_error(occmap("diff", *maps, "-o", "m.png"), 2)
-        assert error == "m.png: is an input: it would be overwritten; give another name"
+        assert "m.png: is an input" in read_error(occmap("diff", *maps, "-o", "m.png"), 2)
         assert Path("m.png").read_bytes() == image
     assert occmap("diff", named, "m.pgm", "-o", "changes.png").code == 0
-    assert (folder / "changes.png").exists()
+    assert Path("changes.png").exists()
 
 
 def test_maps_under_names_that_are_no_text() -> None:
     """The YAML names its image with the bytes that the file system has."""
     name = "map\udcff.pgm"
-    assert occmap("build", "log.csv", "-o", name).code == 0
-    assert occmap("diff", "map\udcff.yaml", "m.yaml").code == 0
-    assert occmap("diff", "map\udcff.pgm", "m.yaml").code == 0
+    for line in (f"build log.csv -o {name}", "diff map\udcff.yaml m.yaml", f"diff {name} m.yaml"):
+        assert occmap(line).code == 0
 
 
 @pytest.mark.parametrize("fill", [MOST_OBSERVED, MOST_OBSERVED // 2 + 1])
@@ -110,16 +101,12 @@ def test_sums_beyond_what_evidence_may_hold_are_refused(fill: int) -> None:
 
 
 @pytest.mark.parametrize("reading", [3.4e38, 3e30, 1e18])
-def test_a_stray_range_beyond_all_sense(tmp_path: Path, reading: float) -> None:
+def test_a_stray_range_beyond_all_sense(reading: float) -> None:
     """What `check` recommends is what works, or it says why nothing does."""
     ranges = [1.0 + beam / 7 for beam in range(100)]
-    log = write_csv(tmp_path / "far.csv", [(0.1 * x, 0.0, 0.0) for x in range(5)], ranges, 0.01)
-    text = log.read_text().splitlines()
-    row = text[-1].split(",")
-    text[-1] = ",".join([*row[:-1], f"{reading:g}"])
-    log.write_text("\n".join(text))
-    seen = occmap("check", log)
-    built = occmap("build", log, "-o", "far.pgm")
+    log = write_csv(Path("far.csv"), [(0.1 * x, 0.0, 0.0) for x in range(5)], ranges, 0.01)
+    log.write_text(f"{log.read_text().rpartition(',')[0]},{reading:g}\n")
+    seen, built = occmap("check far.csv"), occmap("build far.csv -o far.pgm")
     assert "Warning" not in seen.err + built.err
     assert built.code == seen.code
     assert "1 x 1 cells" not in seen.out
@@ -127,7 +114,7 @@ def test_a_stray_range_beyond_all_sense(tmp_path: Path, reading: float) -> None:
         assert f"{reading:.6g} m" in seen.out
         assert f"{reading:.6g} m" in built.err
         assert "occmap build" not in seen.out.splitlines()[-1]
-    assert occmap("build", log, "-o", "far.pgm", "--max-range", 30).code == 0
+    assert occmap("build far.csv -o far.pgm --max-range 30").code == 0
 
 
 @pytest.mark.filterwarnings("error")

@@ -1,6 +1,5 @@
 """The command table: its help agrees with the commands, and errors become exit codes."""
 
-import json
 from importlib.metadata import version
 
 import pytest
@@ -16,7 +15,7 @@ from tests.cli.runner import find_command, occmap, read_error
 def test_the_table_says_what_the_command_says(name: str) -> None:
     command = find_command(name)
     assert command.name == name
-    assert command.get_short_help_str(limit=200) == COMMANDS[name]
+    assert (command.help or "").partition("\n")[0] == COMMANDS[name]
     (help_line,) = [line for line in occmap("--help").out.splitlines() if f"  {name} " in line]
     assert help_line.split() == [name, *COMMANDS[name].split()]
 
@@ -29,29 +28,6 @@ def test_no_word_and_help_are_the_same() -> None:
 
 def test_version() -> None:
     assert occmap("--version").out == f"occmap {version('occmap')}\n"
-
-
-@pytest.mark.parametrize(
-    ("words", "found"),
-    [
-        (["buidl", "x.log"], "no command is called 'buidl'; did you mean 'build'?"),
-        (["zzz"], "no command is called 'zzz'; there are build, "),
-        (["--verison"], "--version"),
-        (["readers", "extra"], "Got unexpected extra argument (extra); see `occmap readers"),
-        (["readers", "--jsn"], "see `occmap readers --help`"),
-    ],
-)
-def test_wrong_usage_is_one_line_and_exit_code_2(words: list[str], found: str) -> None:
-    assert found in read_error(occmap(*words), 2)
-
-
-def test_a_log_without_a_command_is_answered_with_the_command(
-    tmp_path: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(str(tmp_path))
-    with open("x.log", "w", encoding="utf-8"):  # noqa: PTH123
-        pass
-    assert "to map a log: occmap build x.log -o map.pgm" in read_error(occmap("x.log"), 2)
 
 
 def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,12 +68,12 @@ def test_a_program_that_waits_for_json_gets_the_error_in_its_parts(
     told = occmap("readers", "--json")
     assert (told.code, told.err) == (1, "error: a.log:3: found this; do that\n")
     parts = {"exit_code": 1, "where": "a.log:3", "found": "found this", "fix": "do that"}
-    assert json.loads(told.out) == {"schema": "occmap/error/1", "error": parts}
+    assert told.json == {"schema": "occmap/error/1", "error": parts}
 
 
 @pytest.mark.parametrize("words", [["--json", "--jsn"], ["extra", "--json"]])
 def test_wrong_usage_is_json_too_wherever_json_is_asked_for(words: list[str]) -> None:
-    error = json.loads(occmap("readers", *words).out)["error"]
+    error = occmap("readers", *words).json["error"]
     assert (error["exit_code"], error["fix"]) == (2, "see `occmap readers --help`")
 
 
@@ -120,12 +96,6 @@ def test_no_error_leaves_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cli, "discard", lambda _stream: silenced.append(True))
     assert occmap("readers") == (0, "", "")
     assert silenced == [True]
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_is_told_alike_in_the_list_and_in_its_own_help(name: str) -> None:
-    text = (find_command(name).help or "").partition("\n")[0]
-    assert text == COMMANDS[name]
 
 
 def test_the_help_of_build_names_the_default_update() -> None:

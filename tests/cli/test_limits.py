@@ -1,14 +1,12 @@
 """`--fail-if` where something is measured: exit code 3, a line each, and the result as usual."""
 
 import gzip
-import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from occmap.report.limits import BUILD, CHECK, COMPARE, COUNT, DIFF, SAVED, Measures
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import Result, occmap, read_error
 from tests.samples import PLAIN_WORDS, write_csv
 
 COMMANDS: dict[str, tuple[list[str], Measures]] = {
@@ -46,7 +44,7 @@ def folder(logs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return logs
 
 
-def run(command: str, *more: str) -> Any:
+def run(command: str, *more: str) -> Result:
     return occmap(command, *COMMANDS[command][0], *more)
 
 
@@ -58,16 +56,13 @@ def test_all_that_is_measured_is_a_number_and_fails_where_it_is_told_to(
     low = [word for each in measures for word in ("--fail-if", f"{each.name} < 0")]
     result = occmap(command, *words, *limits, *low, "--json", "-q")
     assert result.code == 3
-    found = json.loads(result.out)["failed"]
-    assert [each["name"] for each in found if each["limit"].endswith(">= 0")] == [
-        each.name for each in measures if each.name != "log_likelihood"
-    ]
-    assert [each["name"] for each in found if each["limit"].endswith("< 0")] == [
-        each.name for each in measures if each.name == "log_likelihood"
-    ]
+    found = {each["name"]: each for each in result.json["failed"]}
+    assert found.keys() == {each.name for each in measures}
     assert len(result.err.splitlines()) == len(measures)
     for measure in measures:
-        value = next(each["value"] for each in found if each["name"] == measure.name)
+        is_negative = measure.name == "log_likelihood"
+        assert found[measure.name]["limit"].endswith("< 0" if is_negative else ">= 0")
+        value = found[measure.name]["value"]
         assert isinstance(value, int if measure.unit == COUNT else int | float)
 
 
@@ -76,7 +71,7 @@ def test_names_are_in_the_help_and_wrong_ones_are_refused_before_anything_is_rea
     command: str, words: list[str], measures: Measures
 ) -> None:
     kept = occmap(command, *words, "--fail-if", f"{measures[0].name} < 0", "--json")
-    assert (kept.code, json.loads(kept.out)["failed"]) == (0, [])
+    assert (kept.code, kept.json["failed"]) == (0, [])
     gone = [word.replace("log.", "no.").replace("half.", "no.") for word in words]
     error = read_error(occmap(command, *gone, "--fail-if", "nothing > 1"), 2)
     names = ", ".join(each.name for each in measures)
@@ -88,7 +83,7 @@ def measure(command: str, name: str, *more: str) -> float:
     for sign in (">=", "<"):
         result = run(command, "--fail-if", f"{name} {sign} 0", "--json", *more)
         if result.code == 3:
-            return float(json.loads(result.out)["failed"][0]["value"])
+            return float(result.json["failed"][0]["value"])
     raise AssertionError(name)
 
 
@@ -166,7 +161,7 @@ def test_damage_weighs_more_than_a_limit_and_both_are_told(tmp_path: Path) -> No
 
 def test_a_log_that_cannot_be_mapped_weighs_more_than_a_limit() -> None:
     result = occmap("check", "no.csv", "--fail-if", "scans_read < 1", "--json")
-    assert (result.code, len(json.loads(result.out)["failed"])) == (1, 1)
+    assert (result.code, len(result.json["failed"])) == (1, 1)
 
 
 def test_fail_above_is_a_limit_on_what_changed() -> None:
@@ -175,7 +170,5 @@ def test_fail_above_is_a_limit_on_what_changed() -> None:
         "error: changed is 95.2%, and --fail-above says > 1%",
         "error: changed is 0.952, and --fail-if says > 0.5",
     ]
-    assert [each["limit"] for each in json.loads(result.out)["failed"]] == [
-        "changed > 1%",
-        "changed > 0.5",
-    ]
+    limits = [each["limit"] for each in result.json["failed"]]
+    assert limits == ["changed > 1%", "changed > 0.5"]

@@ -1,6 +1,5 @@
 """`occmap readers`, `models` and `writers`: what is installed, and what is broken."""
 
-import json
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import get_args
@@ -8,18 +7,16 @@ from typing import get_args
 import pytest
 
 from occmap import plugins
-from tests.cli.runner import occmap, read_error
+from tests.cli.runner import ask, occmap, read_error
 
 
 @pytest.fixture
 def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
     """Install, in every group, a plugin that does not import."""
-    known = {group: plugins.list_plugins(group) for group in ("occmap.readers", "occmap.models")}
-
-    def list_plugins(group: plugins.Group) -> tuple[EntryPoint, ...]:
-        return (*known[group], EntryPoint("sonar", "there.is.no.such:Module", group))
-
-    monkeypatch.setattr(plugins, "list_plugins", list_plugins)
+    known = {group: plugins.list_plugins(group) for group in get_args(plugins.Group)}
+    for group in known:
+        known[group] += (EntryPoint("sonar", "there.is.no.such:Module", group),)
+    monkeypatch.setattr(plugins, "list_plugins", known.__getitem__)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +28,7 @@ def broken_plugin(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_all_that_is_installed_is_listed(command: str, names: str) -> None:
-    listed = json.loads(occmap(command, "--json").out)
+    listed = ask(command)
     assert listed["broken"] == []
     assert [plugin["name"] for plugin in listed[command]] == names.split()
     text = occmap(command).out
@@ -41,7 +38,7 @@ def test_all_that_is_installed_is_listed(command: str, names: str) -> None:
 
 
 def test_models_have_parameters_with_defaults() -> None:
-    listed = json.loads(occmap("models", "--json").out)["models"]
+    listed = ask("models")["models"]
     (simple,) = [model for model in listed if model["name"] == "simple"]
     observed = {"p_hit": 0.7, "p_miss": 0.4, "prior": 0.5, "cut": 0.5, "spread": 0.08}
     assert simple["parameters"] == observed | {"clamp_min": 0.0, "clamp_max": 1.0}
@@ -55,23 +52,19 @@ def test_a_broken_plugin_is_named_with_its_reason(command: str) -> None:
     result = occmap(command)
     assert result.code == 0
     assert result.out.splitlines()[-1] == f"sonar is installed but does not load: {reason}"
-    listed = json.loads(occmap(command, "--json").out)
+    listed = ask(command)
     assert listed["broken"] == [{"name": "sonar", "reason": reason}]
     assert len(listed[command]) >= 3
 
 
-def test_a_log_that_a_broken_reader_may_know_names_the_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    known = {group: plugins.list_plugins(group) for group in get_args(plugins.Group)}
-    known["occmap.readers"] += (EntryPoint("sonar", "there.is.no.such:Module", "occmap.readers"),)
-    monkeypatch.setattr(plugins, "list_plugins", known.__getitem__)
-    (tmp_path / "x.log").write_text("hello\n")
-    error = read_error(occmap("build", tmp_path / "x.log", "-o", tmp_path / "m.pgm"), 1)
+@pytest.mark.usefixtures("broken_plugin")
+def test_a_log_that_a_broken_reader_may_know_names_the_reader(here: Path) -> None:
+    (here / "x.log").write_text("hello\n")
+    error = read_error(occmap("build x.log -o m.pgm"), 1)
     fix = "carmen, clouds, csv, mcap, rosbag (sonar cannot be loaded): see `occmap readers`"
     assert error.endswith(f"it starts with 'hello'; occmap reads {fix}")
 
 
 def test_quiet_keeps_only_what_json_asks_for() -> None:
     assert occmap("readers", "-q").out == ""
-    assert json.loads(occmap("readers", "-q", "--json").out)["readers"]
+    assert ask("readers -q")["readers"]

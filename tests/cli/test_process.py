@@ -11,19 +11,14 @@ from pathlib import Path
 import pytest
 
 import occmap
-from tests.samples import SAMPLE_LOGS, write_csv
+from tests.cli.runner import spawn
+from tests.samples import SAMPLE_LOGS
 
-OCCMAP = [sys.executable, "-m", "occmap"]
 DRIVE = str(SAMPLE_LOGS / "drive.mcap")
 
 
-def call(*words: str, **settings: int) -> subprocess.CompletedProcess[str]:
-    settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | settings
-    return subprocess.run([*OCCMAP, *words], text=True, timeout=60, check=False, **settings)  # type: ignore[call-overload,no-any-return]
-
-
 def test_python_m_occmap() -> None:
-    done = call("--version")
+    done = spawn("--version")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("occmap ")
 
@@ -33,7 +28,7 @@ def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     for words in (["build", DRIVE, "-o", str(target)], ["--help"], ["models", "--json"]):
         read_end, write_end = os.pipe()
         os.close(read_end)
-        done = call(*words, stdout=write_end)
+        done = spawn(*words, stdout=write_end)
         os.close(write_end)
         assert (done.returncode, done.stderr) == (0, "")
     assert target.exists()
@@ -42,23 +37,6 @@ def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
 def test_closed_streams_are_no_error() -> None:
     script = f"exec {sys.executable} -m occmap models >&- 2>&-"
     assert subprocess.run(["sh", "-c", script], check=False, timeout=60).returncode == 0
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_disk_is_one_line() -> None:
-    with Path("/dev/full").open("w", encoding="utf-8") as full:
-        done = call("models", stdout=full.fileno())
-    assert done.returncode == 1
-    assert done.stderr == "error: stdout: cannot be written (No space left on device)\n"
-
-
-def test_a_name_that_no_encoding_knows_can_be_printed(tmp_path: Path) -> None:
-    log = os.fsencode(write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)], [0.3]))
-    target = os.fsencode(tmp_path) + b"/\xff.pgm"
-    command = [*map(os.fsencode, OCCMAP), b"build", log, b"-o", target]
-    done = subprocess.run(command, capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (0, b"")
-    assert b"\\udcff.pgm" in done.stdout
 
 
 TELLING_BUILD = """
@@ -137,8 +115,6 @@ def test_without_sources_each_option_is_there(tmp_path: Path) -> None:
     for source in package.rglob("*.py"):
         compiled = tmp_path / "occmap" / source.relative_to(package).with_suffix(".pyc")
         py_compile.compile(str(source), str(compiled))
-    done = subprocess.run(
-        [*OCCMAP, "build", "--help-all"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = spawn("build", "--help-all", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert re.search(r"--min-range M +Ignore nearer ranges. +\[default: 0.0\]", done.stdout)

@@ -1,6 +1,5 @@
 """`occmap tune` as a command line: what it prints, what it exits with, and what is refused."""
 
-import json
 import math
 import shlex
 from pathlib import Path
@@ -48,17 +47,12 @@ def test_a_gain_can_fail_a_pipeline(late: tuple[Path, Path]) -> None:
     result = occmap("tune", *words, "--fail-if", "gain > 2%", "--fail-if", "share < 10%")
     assert result.code == 3
     assert result.err.startswith("error: gain is ")
-    printed = json.loads(result.out)
+    printed = result.json
     assert [each["name"] for each in printed["failed"]] == ["gain"]
     assert printed["time"]["verdict"] == "found"
     assert printed["share"] - printed["share_before"] == pytest.approx(printed["gain"])
-    assert printed["correction"] == {
-        "time_s": -0.1,
-        "yaw": 0.0,
-        "x": 0.0,
-        "y": 0.0,
-        "deskew": False,
-    }
+    still = {"yaw": 0.0, "x": 0.0, "y": 0.0, "deskew": False}
+    assert printed["correction"] == {"time_s": -0.1, **still}
     assert printed["tried"][0]["share"] == printed["share_before"]
 
 
@@ -104,24 +98,6 @@ def test_a_missing_mount_is_asked_for_as_by_build(tmp_path: Path) -> None:
     asked = read_error(occmap("tune", log), 1)
     assert "--sensor-pose 0,0,3.14159, which suits the scans best of all turns: " in asked
     assert asked == read_error(occmap("build", log, "-o", tmp_path / "m.pgm"), 1)
-
-
-@pytest.mark.parametrize(
-    ("words", "found"),
-    [
-        ([], "Missing argument 'LOG...'; write, for example, occmap tune drive.mcap"),
-        ([DRIVE, "--resolution", "0"], "a resolution of 0.0 m is not possible"),
-        ([DRIVE, "--fail-if", "agreement > 2%"], "no measure is called 'agreement'"),
-        ([DRIVE, "--model", "simple"], "No such option"),
-    ],
-)
-def test_wrong_usage(words: list[object], found: str) -> None:
-    assert found in read_error(occmap("tune", *words), 2)
-
-
-def test_what_fails_is_one_line(tmp_path: Path) -> None:
-    assert "no such file" in read_error(occmap("tune", tmp_path / "no.log"), 1)
-    assert "--max-cells 3" in read_error(occmap("tune", DRIVE, "--max-cells", 3), 1)
 
 
 def test_of_a_log_without_a_beam_to_score_by_nothing_is_said(tmp_path: Path) -> None:

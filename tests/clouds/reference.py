@@ -9,8 +9,8 @@ import numpy as np
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions
 from occmap.types import Float64, PosedScans
+from tests.grid.reference import Cell, bresenham
 
-Cell = tuple[int, int]
 NONE = -(1 << 30)
 
 
@@ -27,19 +27,6 @@ def find_height(ground: dict[Cell, int], x: float, y: float) -> int | None:
     up, right = along - row, across - col
     shares = (1 - up) * (1 - right), (1 - up) * right, up * (1 - right), up * right
     return round(sum(share * each for share, each in zip(shares, around, strict=True)))  # type: ignore[operator, misc]
-
-
-def list_line(start: Cell, end: Cell) -> list[Cell]:
-    """The cells of Bresenham's line before its end; halves are rounded away from the start."""
-    steps = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
-    cells = []
-    for k in range(steps):
-        moved = [
-            math.copysign(math.floor(abs(to - at) * k / steps + 0.5), to - at)
-            for at, to in zip(start, end, strict=True)
-        ]
-        cells.append((start[0] + int(moved[0]), start[1] + int(moved[1])))
-    return cells
 
 
 def find_sector(x: int, y: int) -> int:
@@ -139,7 +126,7 @@ class SlowEngine:
         for sector in near.keys() | far.keys():
             ends = [(each.apart, each.cell) for each in near[sector]]
             _, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
-            line = list_line((start[0], start[1]), end)
+            line = bresenham((start[0], start[1]), end)[:-1]
             missed.update(cell for cell in line if self.find_ground(cell) is not None)
         hit = {each.cell for each in hits}
         for cell in hit:

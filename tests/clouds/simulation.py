@@ -1,23 +1,26 @@
 """A room of boxes on a floor that may rise, seen by a lidar that drives through it; no noise."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions
-from occmap.clouds.engine import CloudEngine
+from occmap.clouds.engine import CloudEngine, make_band
 from occmap.clouds.ground import GroundFinder
 from occmap.grid import CellBox, Lattice
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.posing.tracks import rotate_by, to_quaternions
+from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
-from tests.samples import SAMPLE_LOGS
+from tests.samples import SAMPLE_LOGS, import_generator
 
+hall = import_generator("hall")
 Solid: TypeAlias = tuple[float, float, float, float, float, float]
 """x, y and z from and to"""
 WALLS: list[Solid] = [
@@ -47,23 +50,16 @@ class Room:
 
     def cast(self, origin: Float64, rays: Float64) -> Float64:
         """Where rays (N, 3) from one place end: (N, 3), NaN where they meet nothing."""
-        nearest = np.full(len(rays), np.inf)
         with np.errstate(divide="ignore", invalid="ignore"):
-            for low, high, slope in ((-9, 4, 0.0), (4, 8, self.slope), (8, 99, 0.0)):
-                level = float(self.floor(np.array(float(low)))) if low > 0 else 0.0
-                foot = max(low, 4) if slope else 0.0
-                down = rays[:, 2] - slope * rays[:, 0]
-                away = (level - origin[2] + slope * (origin[0] - foot)) / down
-                x = origin[0] + away * rays[:, 0]
-                met = (away > 0) & (x >= low) & (x <= high)
-                nearest = np.where(met, np.minimum(nearest, away), nearest)
-            for solid in [*WALLS, *self.solids]:
-                near, far = np.array(solid).reshape(3, 2).T
-                one, other = (near - origin) / rays, (far - origin) / rays
-                enter = np.minimum(one, other).max(axis=1)
-                leave = np.maximum(one, other).min(axis=1)
-                met = (enter < leave) & (enter > 0)
-                nearest = np.where(met, np.minimum(nearest, enter), nearest)
+            top = self.slope * (8 - 4)
+            solids = [*WALLS, *self.solids, (8, 99, -99, 99, -1, top)]
+            met = [hall._meet_block(origin, rays, np.reshape(each, (3, 2)).T) for each in solids]
+            ramp = (self.slope * (origin[0] - 4) - origin[2]) / (
+                rays[:, 2] - self.slope * rays[:, 0]
+            )
+            x = origin[0] + ramp * rays[:, 0]
+            met += [-origin[2] / rays[:, 2], np.where((x >= 4) & (x <= 8), ramp, np.inf)]
+            nearest = np.min([np.where(each > 0, each, np.inf) for each in met], axis=0)
         nearest[~np.isfinite(nearest)] = np.nan
         return np.asarray(origin + nearest[:, None] * rays)
 
@@ -125,6 +121,44 @@ def place(cloud: Cloud, origin: Float64, rotation: Float64) -> PosedScans:
     return PosedScans(batch, position, rotation[None])
 
 
+def read_points(posed: PosedScans) -> Float32:
+    """The points of a cloud (N, 3)."""
+    (cloud,) = posed.batch.clouds or ()
+    return cloud.points
+
+
+def change_points(posed: PosedScans, points: NDArray[np.floating[Any]]) -> PosedScans:
+    """The same cloud with other points (N, 3)."""
+    (cloud,) = posed.batch.clouds or ()
+    changed = cloud._replace(points=points.astype(np.float32))
+    return replace(posed, batch=replace(posed.batch, clouds=(changed,)))
+
+
+LEVEL = np.eye(3)
+
+
+def drive_turning(
+    mount: Float64 = LEVEL, posed_by: Float64 = LEVEL, up: Float64 = LEVEL, degrees: float = 37.0
+) -> list[PosedScans]:
+    """Drive while the sensor turns by so much with each cloud.
+
+    Parameters
+    ----------
+    mount
+        How it sits on the body.
+    posed_by
+        How the poses say that it sits.
+    up
+        By what the poses are turned as a whole.
+    """
+    made = []
+    for number, posed in enumerate(drive(Room())):
+        heading = turn(0, 0, degrees * number)
+        turned = change_points(posed, read_points(posed) @ heading @ mount)
+        made.append(replace(turned, rotation=(up @ heading @ posed_by)[None]))
+    return made
+
+
 def find_ground(drives: Sequence[PosedScans]) -> Ground:
     """Find the ground below a drive."""
     finder = GroundFinder(len(drives))
@@ -137,7 +171,7 @@ def observe(
     drives: Sequence[PosedScans], ground: Ground, options: CloudOptions | None = None
 ) -> CloudEngine:
     """Observe all clouds of a drive."""
-    engine = CloudEngine(LATTICE, options or CloudOptions(), ground, (0.0, np.inf))
+    engine = CloudEngine(LATTICE, make_band(options or CloudOptions(), ReturnOptions()), ground)
     for posed in drives:
         engine.add(posed)
     return engine

@@ -1,21 +1,12 @@
-"""Peaks of columns of heights, and the ground that is found from them."""
+"""growth.Peaks of columns of heights, and the ground that is found from them."""
 
 import numpy as np
 import pytest
 
 from occmap.cells import Ground
 from occmap.clouds.ground import Columns, fit_plane, index_blocks, list_storeys, look_beside
-from occmap.clouds.kernels.growth import (
-    NO_GROUND,
-    PASSED,
-    STOOD,
-    Blocks,
-    Found,
-    Peaks,
-    drop_raised,
-    restore_levels,
-    smooth_ground,
-)
+from occmap.clouds.kernels import growth
+from occmap.clouds.kernels.growth import PASSED, STOOD
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, list_peaks, pack
 from occmap.types import Bool, Float64, Int32
 
@@ -47,7 +38,7 @@ BLOCKS = index_blocks(np.array([[0, 0]]))
 """One block: column (row, col) lies at 64 row + col."""
 
 
-def lay(heights: dict[int, int], empty: int = NO_GROUND) -> Int32:
+def lay(heights: dict[int, int], empty: int = growth.NO_GROUND) -> Int32:
     """A number for each column of a block."""
     laid = np.full(64 * 64, empty, np.int32)
     laid[list(heights)] = list(heights.values())
@@ -64,7 +55,7 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
 ) -> None:
     first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
     heights = np.array([-280, -160, 0], np.int32)
-    columns = Columns(BLOCKS, Peaks(first, many, heights, np.array(weights, np.int32)), 1)
+    columns = Columns(BLOCKS, growth.Peaks(first, many, heights, np.array(weights, np.int32)), 1)
     found, _ = look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300))
     assert found.height[0] == height
 
@@ -75,10 +66,10 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
 ) -> None:
     heights = lay({650: 40, 651: -160, 652: -160})
     nothing = np.zeros(heights.size, np.uint8)
-    found = Found(heights, lay({650: 100, 651: 1, 652: points - 1}, 0), nothing)
+    found = growth.Found(heights, lay({650: 100, 651: 1, 652: points - 1}, 0), nothing)
     base = np.empty_like(heights)
 
-    drop_raised(BLOCKS, found, base)
+    growth.drop_raised(BLOCKS, found, base)
 
     assert base[650] == height
     assert base[651] == -160
@@ -96,14 +87,14 @@ def test_a_step_is_higher_where_the_robot_did_not_pass(
     where = lay({650: passed}, 0).astype(np.uint8)
     base = np.empty_like(heights)
 
-    drop_raised(BLOCKS, Found(heights, lay({650: 5, 651: 9}, 0), where), base)
+    growth.drop_raised(BLOCKS, growth.Found(heights, lay({650: 5, 651: 9}, 0), where), base)
 
     assert base[650] == (0 if is_dropped else step)
 
 
 def lay_rows(rows: list[int]) -> Int32:
     """Heights of ground of some columns of a block, by row; none elsewhere."""
-    laid = np.full((64, 64), NO_GROUND, np.int32)
+    laid = np.full((64, 64), growth.NO_GROUND, np.int32)
     laid[: len(rows), 26:34] = np.array(rows, np.int32)[:, None]
     return laid.ravel()
 
@@ -120,7 +111,7 @@ def test_a_level_that_goes_on_is_given_back_but_for_its_brink(
     near = np.full(first.size, PASSED, np.uint8)
     base = lay_rows([0] * 60)  # all that was raised is lowered
 
-    restore_levels(BLOCKS, Found(first, np.ones_like(first), near), base)
+    growth.restore_levels(BLOCKS, growth.Found(first, np.ones_like(first), near), base)
 
     rows = base.reshape(64, 64)[20 : 20 + wide // 2, 30]
     assert np.flatnonzero(rows == 0).tolist() == lost
@@ -130,10 +121,11 @@ def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:
     heights = lay({650: 0, 651: 20})
     first, many = lay({650: 0, 651: 2}, 0), lay({650: 2, 651: 2}, 0)
     # Of the first column a peak at 100 is beyond 90 mm; of the second one it is within.
-    peaks = Peaks(first, many, np.array([0, 100, 20, 80], np.int32), np.array([6, 9, 3, 1], "i4"))
+    found, points = np.array([[0, 100, 20, 80], [6, 9, 3, 1]], np.int32)
+    peaks = growth.Peaks(first, many, found, points)
     base = np.empty_like(heights)
 
-    smooth_ground(BLOCKS, peaks, heights, base)
+    growth.smooth_ground(BLOCKS, peaks, heights, base)
 
     assert base[650] == (6 * 0 + 3 * 20 + 1 * 80) // 10
     assert base[651] == (6 * 0 + 9 * 100 + 3 * 20 + 1 * 80) // 19
@@ -162,10 +154,10 @@ def test_the_height_of_the_ground_at_a_place_by_hand() -> None:
     np.testing.assert_array_equal(ground.find_heights(places), [-0.25, 0.4, *[np.nan] * 3])
 
 
-def lay_slope(height: Float64) -> tuple[Blocks, Int32, Bool]:
+def lay_slope(height: Float64) -> tuple[growth.Blocks, Int32, Bool]:
     """Ground in the lower half of a block, none in the upper one."""
-    level = np.where(ROW < 32, np.rint(height), NO_GROUND).astype(np.int32).ravel()
-    return BLOCKS, level, level != NO_GROUND
+    level = np.where(ROW < 32, np.rint(height), growth.NO_GROUND).astype(np.int32).ravel()
+    return BLOCKS, level, level != growth.NO_GROUND
 
 
 COL, ROW = (each.astype(np.float64) for each in np.meshgrid(np.arange(64), np.arange(64)))
@@ -184,4 +176,4 @@ def test_what_is_no_plane_does_not_go_on() -> None:
     blocks, level, measured = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
         some = measured & part
-        assert fit_plane(blocks, np.where(some, level, NO_GROUND), some) is None
+        assert fit_plane(blocks, np.where(some, level, growth.NO_GROUND), some) is None

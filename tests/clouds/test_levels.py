@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +11,22 @@ import pytest
 
 from occmap.clouds.ground import GroundFinder
 from occmap.options import BuildOptions
+from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.readers.ros_log import RosLog
 from occmap.scans.tracing import level_ground
-from occmap.types import Float64, Pose, PosedScans
+from occmap.types import Float64, Pose, PoseBatch, PosedScans, PoseSample
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
-from tests.clouds.simulation import HALL, Room, drive, place, turn, write_leaning
+from tests.clouds.simulation import (
+    HALL,
+    Room,
+    change_points,
+    drive,
+    read_points,
+    turn,
+    write_leaning,
+)
 
 PLACE, YAW = (300.0, -2000.0), 0.5
 """Where the logs' map is said to lie in that which is made"""
@@ -38,13 +48,9 @@ def shift(posed: PosedScans, x: float, y: float) -> PosedScans:
 
 def climb(clouds: Sequence[PosedScans], slope: float) -> list[PosedScans]:
     """The same place on a hill: what lies farther along x lies higher, and walls stay upright."""
-    made = []
-    for each in clouds:
-        (cloud,) = each.batch.clouds or ()
-        points = cloud.points + np.outer(cloud.points[:, 0] * slope, [0, 0, 1])
-        origin = each.position[0] + [0, 0, slope * each.position[0, 0]]
-        made.append(place(cloud._replace(points=points.astype(np.float32)), origin, each.rotation))
-    return made
+    up = np.array([[1, 0, slope], [0, 1, 0], [0, 0, 1]])
+    raised = [change_points(each, read_points(each) @ up) for each in clouds]
+    return [replace(each, position=each.position @ up) for each in raised]
 
 
 def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder]:
@@ -115,3 +121,19 @@ def test_a_build_says_how_it_was_levelled_and_a_session_takes_it_over(tmp_path: 
     assert one.ground
     assert other.ground
     assert other.ground.measured.sum() > one.ground.measured.sum()
+
+
+def test_a_build_reads_the_poses_of_a_log_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    poses, reads = RosLog.stacked_poses, []
+
+    def count_reads(log: RosLog) -> Iterator[PoseSample | PoseBatch]:
+        reads.append(log)
+        return poses(log)
+
+    monkeypatch.setattr(RosLog, "stacked_poses", count_reads)
+    leaning = write_leaning(tmp_path / "leaning.tum", turn(4, -6, 0))  # so its ground is found anew
+    reads.clear()
+    build([HALL], BuildOptions(posing=PosingOptions(poses=str(leaning))), [tmp_path / "map.pgm"])
+    assert len(reads) == 1

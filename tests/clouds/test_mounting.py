@@ -1,26 +1,19 @@
-"""How a 3D sensor sits is found from the floor and the walls that its clouds show."""
-
-from dataclasses import replace
+"""How a 3D sensor sits is found from the floor and the walls, and a wrong mount or up is told."""
 
 import numpy as np
 import pytest
 
-from occmap.clouds.mounting import find_seat
+from occmap.clouds.ground import measure_slope
+from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.posing.chain import Transforms
-from occmap.types import Float64, PosedScans
-from tests.clouds.simulation import SENSOR_M, Room, drive, turn
-
-
-def mount_on(mount: Float64, turning: float = 37.0) -> list[PosedScans]:
-    """Drive with a sensor that sits so, posed as if it were the body, which turns as it goes."""
-    made = []
-    for number, posed in enumerate(drive(Room())):
-        (cloud,) = posed.batch.clouds or ()
-        heading = turn(0, 0, turning * number)
-        points = (cloud.points @ heading @ mount).astype(np.float32)
-        batch = replace(posed.batch, clouds=(cloud._replace(points=points),))
-        made.append(replace(posed, batch=batch, rotation=heading[None]))
-    return made
+from tests.clouds.simulation import (
+    SENSOR_M,
+    change_points,
+    drive_turning,
+    find_ground,
+    read_points,
+    turn,
+)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +23,7 @@ def mount_on(mount: Float64, turning: float = 37.0) -> list[PosedScans]:
 )
 def test_a_mount_is_found_however_a_sensor_sits(angles: tuple[float, float, float]) -> None:
     mount = turn(*angles)
-    seat = find_seat(mount_on(mount))
+    seat = find_seat(drive_turning(mount))
 
     assert seat is not None
     assert seat.has_yaw
@@ -41,17 +34,45 @@ def test_a_mount_is_found_however_a_sensor_sits(angles: tuple[float, float, floa
 
 
 def test_where_a_robot_never_turns_no_wall_tells_the_yaw() -> None:
-    seat = find_seat(mount_on(turn(0, 20, 0), turning=0)[:1] * 2)
+    seat = find_seat(drive_turning(turn(0, 20, 0), degrees=0)[:1] * 2)
 
     assert seat is not None
     assert not seat.has_yaw
 
 
 def test_walls_alone_are_no_floor() -> None:
-    walls = []
-    for posed in mount_on(np.eye(3)):
-        (cloud,) = posed.batch.clouds or ()
-        high = cloud._replace(points=cloud.points[cloud.points[:, 2] > 0.1 - SENSOR_M])
-        walls.append(replace(posed, batch=replace(posed.batch, clouds=(high,))))
+    clouds = [(posed, read_points(posed)) for posed in drive_turning()]
+    walls = [change_points(posed, all_[all_[:, 2] > 0.1 - SENSOR_M]) for posed, all_ in clouds]
     assert find_seat(walls) is None
     assert find_seat([]) is None
+
+
+@pytest.mark.parametrize("angles", [(0, 1, 0), (-0.8, 0.5, 0)])
+def test_a_wrong_mount_is_measured_in_the_frame_of_the_sensor(
+    angles: tuple[float, float, float],
+) -> None:
+    clouds = drive_turning(posed_by=turn(*angles))
+    tilts = measure_tilts(clouds, find_ground(clouds))
+
+    assert tilts
+    assert tilts.is_mount
+    assert np.degrees(tilts.sensor) == pytest.approx(-np.array(angles), abs=0.2)
+
+
+def test_a_wrong_up_is_measured_in_the_map_though_the_ground_is_made_of_the_same() -> None:
+    clouds = drive_turning(up=turn(0, 1, 0))
+    tilts = measure_tilts(clouds, find_ground(clouds))
+
+    assert tilts
+    assert not tilts.is_mount
+    assert np.degrees(tilts.upright) == pytest.approx((0, -1, 0), abs=0.1)
+
+
+def test_right_poses_are_not_blamed() -> None:
+    clouds = drive_turning()
+    ground = find_ground(clouds)
+    tilts = measure_tilts(clouds, ground)
+
+    assert tilts
+    assert abs(np.degrees([*tilts.sensor, *tilts.upright])).max() < 0.1
+    assert measure_slope(ground) == pytest.approx((0, 0), abs=0.002)

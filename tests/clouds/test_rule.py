@@ -12,12 +12,14 @@ from tests.clouds.reference import SlowEngine
 from tests.clouds.simulation import (
     ROOM,
     Room,
+    change_points,
     classify,
     count,
     drive,
     find_cells,
     find_ground,
     observe,
+    read_points,
     turn,
 )
 
@@ -142,10 +144,7 @@ def test_however_the_sensor_sits_the_map_is_the_same(mounts: list[Float64]) -> N
 
 
 def shuffle(posed: PosedScans) -> PosedScans:
-    (cloud,) = posed.batch.clouds or ()
-    order = np.random.default_rng(7).permutation(len(cloud.points))
-    mixed = replace(posed.batch, clouds=(cloud._replace(points=cloud.points[order]),))
-    return replace(posed, batch=mixed)
+    return change_points(posed, np.random.default_rng(7).permutation(read_points(posed)))
 
 
 def test_neither_the_order_of_points_nor_that_of_clouds_counts() -> None:
@@ -194,20 +193,8 @@ def test_the_ground_is_the_same_wherever_in_the_world_a_drive_is() -> None:
 
 
 def test_no_floor_in_view_is_refused_with_what_to_type() -> None:
-    posed = drive(Room(), clouds=4)
-    above = [
-        replace(
-            each,
-            batch=replace(
-                each.batch,
-                clouds=tuple(
-                    c._replace(points=c.points[c.points[:, 2] > 0]) for c in each.batch.clouds or ()
-                ),
-            ),
-        )
-        for each in posed
-    ]
-
+    clouds = [(posed, read_points(posed)) for posed in drive(Room(), clouds=4)]
+    above = [change_points(posed, points[points[:, 2] > 0]) for posed, points in clouds]
     with pytest.raises(MapError, match="sensor_height"):
         find_ground(above)
 

@@ -1,37 +1,31 @@
 """Whether parts of a map fit each other: by hand on a few cells, and on drives that were moved."""
 
-import math
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import occmap
 from occmap.evidence import Fit, list_misfit, measure_fit
-from occmap.grid import Lattice
-from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
+from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.sensor.models import CountingModel, QuadraticModel
 from tests.evidence.saving import DRIVE, MIDDLE_S
+from tests.grid.scans import make_grid
 from tests.samples import DRIVES
+from tests.tuning.simulated import write_parts
 
 RULE = CountingModel(spread=0.0)
 ELSEWHERE = (3.0, 1.0, 0.4)
 
 
-def make_grid(kind: EvidenceKind = EvidenceKind.COUNTS, **numbers: list[int]) -> TileGrid:
-    """Make a grid of one tile, of which the first cells have these hits and misses."""
-    tile = np.zeros((2, TILE, TILE), np.int32)
-    for layer, name in zip(tile, ("hits", "misses"), strict=True):
-        layer[0, : len(numbers[name])] = numbers[name]
-    grid = TileGrid(Lattice(0.05), kind)
-    grid.add({(0, 0): tile}, int(tile.max()))
-    return grid
+def lay(*cells: tuple[int, int], kind: EvidenceKind = EvidenceKind.COUNTS) -> TileGrid:
+    """Cells beside each other, with these hits and misses."""
+    return make_grid({(0, col): pair for col, pair in enumerate(cells)}, 0.05, kind)
 
 
 def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
     """A cell is occupied from one hit for two misses on; the last one only one part saw."""
-    one = make_grid(hits=[400, 0, 7000], misses=[0, 8000, 0])
-    other = make_grid(hits=[300, 300], misses=[3, 3])
+    one = lay((400, 0), (0, 8000), (7000, 0))
+    other = lay((300, 3), (300, 3))
     # Alone all hits agree. Together those in the second cell do not: half of the other's.
     assert measure_fit(one, other.tiles, RULE) == Fit(1.0, (1 + 0.5) / 2)
     (note,) = list_misfit(one, other.tiles, RULE, "it")
@@ -40,19 +34,19 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
 
 
 def test_parts_that_fit_are_no_news() -> None:
-    one = make_grid(hits=[400, 0], misses=[0, 8000])
+    one = lay((400, 0), (0, 8000))
     assert measure_fit(one, one.tiles, RULE) == Fit(1.0, 1.0)
     assert not list(list_misfit(one, one.tiles, RULE, "it"))
 
 
 def test_little_is_not_judged() -> None:
-    one = make_grid(hits=[199], misses=[1])
+    one = lay((199, 1))
     assert measure_fit(one, one.tiles, RULE) is None
     assert measure_fit(one, {}, RULE) is None
 
 
 def test_sums_of_log_odds_know_no_hits() -> None:
-    one = make_grid(EvidenceKind.LOG_ODDS, hits=[400], misses=[400])
+    one = lay((400, 400), kind=EvidenceKind.LOG_ODDS)
     assert measure_fit(one, one.tiles, QuadraticModel()) is None
 
 
@@ -86,16 +80,6 @@ def test_a_build_does_not_fit_what_it_is_added_to(parts: Path) -> None:
 def test_a_log_that_does_not_fit_those_before_it_is_named(tmp_path: Path) -> None:
     """The second log has a frame of its own, turned by a right angle."""
     assert not keep_misfits(occmap.build_map(*DRIVES[:2]))
-    head, *rows = DRIVE.read_text().splitlines()
-    moved = tmp_path / "moved.csv"
-    moved.write_text("\n".join([head, *map(turn, rows)]))
+    (moved,) = write_parts(tmp_path, [0.0], scans=414)
     (note,) = keep_misfits(occmap.build_map(DRIVE, moved))
     assert note.startswith(f"{moved}: does not fit the logs before it")
-
-
-def turn(row: str) -> str:
-    """Turn the pose in a row by a right angle; rows of comments and names stay."""
-    if not row[0].isdigit():
-        return row
-    stamp, x, y, yaw, ranges = row.split(",", 4)
-    return ",".join([stamp, str(-float(y)), x, str(float(yaw) + math.pi / 2), ranges])

@@ -1,69 +1,68 @@
 """Why a cell is what it is: the scans that are named add up to what the evidence holds."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from occmap.cells import Evidence
-from occmap.errors import MapError, UsageError
 from occmap.evidence import keep_lasting, render, to_grid
 from occmap.explanation import Explanation, Question, explain
 from occmap.explanation.history import add_up
+from occmap.grid.tiles import EvidenceKind
 from occmap.options import BuildOptions, Selection
-from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
-from occmap.sensor.models import (
-    CountingModel,
-    QuadraticModel,
-    SensorModel,
-    SimpleModel,
-    parse_model,
-)
+from occmap.sensor import models
 from occmap.store.merging import merge, subtract
 from occmap.store.publishing import RenderOptions, render_kept
 from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import MapMode, WriteOptions
-from occmap.writers.npz import read_evidence
-from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
+from tests.csv_logs import write_poses, write_scans
+from tests.evidence.saving import DRIVE, choose, each_combination, save
+from tests.samples import PLAIN, REAL_LOGS, Planar, write_csv
 
-DRIVE = SAMPLE_LOGS / "drive.csv"
-each_combination = pytest.mark.parametrize(
-    ("update", "model"), list(product(BEAM_UPDATES, ["simple", "quadratic", "counting"]))
-)
 TENTH = replace(PLAIN, resolution=0.1)
 """Cells of 0.1 m"""
+AHEAD: Planar = (0.05, 0.05, 0.0)
+"""From here a beam of 0.32 m crosses cells 0, 1 and 2 and ends in cell 3, at x = 0.37 m"""
+END = (0.35, 0.05)
+"""In cell 3"""
+CROSSED, HIT, NOTHING = (0, 1), (1, 0), (0, 0)
 
 
-def save(folder: Path, log: Path, options: BuildOptions = TENTH, name: str = "m") -> Evidence:
-    build([log], options, [folder / f"{name}.npz"])
-    return read_evidence(folder / f"{name}.npz")
+def observe(
+    folder: Path, poses: Sequence[Planar], options: BuildOptions = TENTH, name: str = "log"
+) -> Evidence:
+    """Evidence of a log of scans a second apart, each with one beam of 0.32 m."""
+    log = write_csv(folder / f"{name}.csv", poses, [0.32])
+    return save(folder / f"{name}.npz", options, log)
+
+
+def ask(evidence: Evidence, point: tuple[float, float], *logs: Path, **more: Any) -> Explanation:
+    return explain(evidence, Question(*point, logs, **more))
 
 
 def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
     """Middles of observed cells: the one with the most of each number, and some at random."""
     size = evidence.manifest.resolution
     grid = render_kept(evidence, RenderOptions()).map
-    rng = np.random.default_rng(1)
     observed = np.argwhere(grid.observed)
-    peaks = [
-        np.unravel_index(int(each), grid.shape)
-        for each in (grid.log_odds.argmax(), grid.log_odds.argmin())
-    ]
-    rows = [*peaks, *observed[rng.integers(0, len(observed), amount)]]
+    peaks = [np.unravel_index(each(grid.log_odds), grid.shape) for each in (np.argmax, np.argmin)]
+    rows = [*peaks, *np.random.default_rng(1).choice(observed, amount)]
     low_x, low_y = grid.origin
     return [(low_x + (col + 0.5) * size, low_y + (row + 0.5) * size) for row, col in rows]
 
 
 @each_combination
 def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -> None:
-    options = BuildOptions(update=update, model=parse_model(model), jobs=1)
-    evidence = save(tmp_path, DRIVE, options)
-    for x, y in choose_points(evidence, 4):
-        found = explain(evidence, Question(x, y, (DRIVE,)))
+    evidence = save(tmp_path / "m.npz", choose(update, model))
+    for point in choose_points(evidence, 4):
+        found = ask(evidence, point, DRIVE)
         assert found.seen.observations
         assert add_up(found.scans) == found.seen.numbers
         assert found.scans_used == 414
@@ -71,21 +70,19 @@ def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -
 
 
 def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
-    evidence = save(tmp_path, DRIVE, BuildOptions())
-    models: list[SensorModel] = [
-        SimpleModel(0.9, 0.25, 0.3),
-        CountingModel(0.4, cut=0.2),
-        SimpleModel(spread=0.0),
+    evidence = save(tmp_path / "m.npz", BuildOptions())
+    judges: list[models.SensorModel] = [
+        models.SimpleModel(0.9, 0.25, 0.3),
+        models.CountingModel(0.4, cut=0.2),
+        models.SimpleModel(spread=0.0),
     ]
-    for model, min_passes in product(models, (None, 2)):
+    for model, min_passes in product(judges, (None, 2)):
         lasting = keep_lasting(to_grid(evidence), evidence.slices, min_passes)
         grid = render(lasting, model, 10**9)
         rng = np.random.default_rng(2)
         for row, col in rng.integers(0, grid.shape, (20, 2)):
-            x, y = (
-                edge + (at + 0.5) * 0.05 for edge, at in zip(grid.origin, (col, row), strict=True)
-            )
-            found = explain(evidence, Question(x, y, model=model, min_passes=min_passes))
+            point = grid.origin[0] + (col + 0.5) * 0.05, grid.origin[1] + (row + 0.5) * 0.05
+            found = ask(evidence, point, model=model, min_passes=min_passes)
             assert found.probability == grid.probability[row, col]
             assert (found.verdict == "unknown") == (not grid.observed[row, col])
             assert (found.verdict == "occupied") == grid.occupied[row, col]
@@ -97,37 +94,34 @@ def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
 @pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
 def test_scans_of_a_real_log_add_up(tmp_path: Path) -> None:
     log = REAL_LOGS / "carmen" / "freiburg-079-corrected.log.gz"
-    evidence = save(tmp_path, log, BuildOptions(jobs=2))
-    point = choose_points(evidence, 0)[0]
-    found = explain(evidence, Question(*point, (log,)))
+    evidence = save(tmp_path / "m.npz", BuildOptions(jobs=2), log)
+    found = ask(evidence, choose_points(evidence, 0)[0], log)
     assert add_up(found.scans) == found.seen.numbers
     assert found.seen.numbers[0] > 20
 
 
-def ask(folder: Path, poses: list[Planar], point: tuple[float, float]) -> Explanation:
-    """Ask who saw a point; each scan has one beam of 0.32 m, straight ahead."""
-    log = write_csv(folder / "log.csv", poses, [0.32])
-    return explain(save(folder, log), Question(*point, (log,)))
-
-
-def test_one_beam(tmp_path: Path) -> None:
-    pose = (0.05, 0.05, 0.0)  # across cells 0, 1 and 2 to x = 0.37
-    found = ask(tmp_path, [pose], (0.37, 0.05))
-    (scan,) = found.scans
-    assert (scan.stamp_ns, scan.topic, scan.build, scan.seen.numbers) == (0, "scan", 0, (1, 0))
-    assert (scan.log, scan.x, scan.y) == (str(tmp_path / "log.csv"), 0.05, 0.05)
+def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None:
+    evidence, log = observe(tmp_path, [AHEAD]), tmp_path / "log.csv"
+    found = [ask(evidence, (x, 0.05), log) for x in (0.05, 0.15, 0.25, 0.35, 0.45)]
+    assert [each.seen.numbers for each in found] == [(0, 1), (0, 1), (0, 1), (1, 0), (0, 0)]
+    assert [each.seen.observations for each in found] == [1, 1, 1, 1, 0]
+    assert [each.verdict for each in found] == ["free"] * 3 + ["occupied", "unknown"]
+    assert [each.probability for each in found] == pytest.approx([0.4] * 3 + [0.7, 0.5])
+    assert [[scan.seen for scan in each.scans] for each in found[:4]] == [
+        [each.seen] for each in found[:4]
+    ]
+    hit = found[3]
+    assert (hit.cell.row, hit.cell.column, hit.seen.kind) == (0, 3, EvidenceKind.COUNTS)
+    assert hit.cell.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
+    (scan,) = hit.scans
+    assert (scan.stamp_ns, scan.topic, scan.build) == (0, "scan", 0)
+    assert (scan.log, scan.x, scan.y) == (str(log), 0.05, 0.05)
     assert scan.distance == pytest.approx(0.3)  # to the middle of the cell, x = 0.35
-    assert found.verdict == "occupied"
-    assert found.probability == pytest.approx(0.7)
-    on_the_way = ask(tmp_path, [pose], (0.15, 0.05))
-    assert [each.seen.numbers for each in on_the_way.scans] == [(0, 1)]
-    assert on_the_way.verdict == "free"
-    assert on_the_way.probability == pytest.approx(0.4)
 
 
 def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
-    poses = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (5, 5, 0.0), (0.25, 0.05, 0.0)]
-    found = ask(tmp_path, poses, (0.35, 0.05))
+    poses = [AHEAD, (0.65, 0.05, math.pi), (5, 5, 0.0), (0.25, 0.05, 0.0)]
+    found = ask(observe(tmp_path, poses), END, tmp_path / "log.csv")
     seconds = [each.stamp_ns / 1e9 for each in found.scans]
     assert seconds == [0, 1, 3]  # the scan at 2 s was elsewhere
     assert [each.seen.numbers for each in found.scans] == [(1, 0), (1, 0), (0, 1)]
@@ -138,88 +132,120 @@ def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
 
 
 def test_a_cell_that_nothing_observed(tmp_path: Path) -> None:
-    found = ask(tmp_path, [(0.05, 0.05, 0.0), (0.05, 0.25, 0.0)], (0.15, 0.15))
-    assert (found.verdict, found.probability, found.scans) == ("unknown", 0.5, ())
+    evidence = observe(tmp_path, [AHEAD, (0.05, 0.25, 0.0)])
+    found = ask(evidence, (0.15, 0.15), tmp_path / "log.csv")
+    assert (found.verdict, found.scans, found.notes) == ("unknown", (), ())
     assert found.map_extent == pytest.approx((0, 0, 0.4, 0.3))
-    assert found.notes == ()
+    assert ask(subtract(evidence, evidence), END).map_extent is None
+
+
+@pytest.mark.parametrize(
+    ("yaw", "point", "around"),
+    [
+        (0, (0.3, 0.099), [[NOTHING] * 3, [CROSSED, HIT, NOTHING], [NOTHING] * 3]),
+        (math.pi / 2, (0.05, 0.25), [[NOTHING, each, NOTHING] for each in (HIT, CROSSED, CROSSED)]),
+        (0, (-1e6, 1e6), [[NOTHING] * 3] * 3),
+    ],
+)
+def test_neighbours_lie_around_the_cell_and_those_above_come_first(
+    yaw: float, point: tuple[float, float], around: list[list[tuple[int, int]]], tmp_path: Path
+) -> None:
+    found = ask(observe(tmp_path, [(0.05, 0.05, yaw)]), point).around
+    assert [[each.numbers for each in row] for row in found] == around
+
+
+def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
+    evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
+    assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
+    found = ask(evidence, (-6.45, -6.15))
+    assert (found.cell.row, found.cell.column) == (-62, -65)
+    assert found.seen.numbers == (1, 0)
+    assert ask(evidence, (-6.45, -6.45)).seen.misses == 1
+
+
+def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]:
+    """Of each build: its number, since when and until when (s), and on how many visits."""
+    found = ask(evidence, (x, y)).builds
+    spans = [(each.build, each.since_ns // 10**9, each.until_ns // 10**9) for each in found]
+    visits = [(each.hit_visits or 0, each.seen_visits) for each in found]
+    return [span + visit for span, visit in zip(spans, visits, strict=True)]
+
+
+def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
+    """A scan a second; slices of ten seconds are of 10 scans each, and 30 s lie between visits."""
+    once = observe(tmp_path, [AHEAD])
+    long = observe(tmp_path, [*[AHEAD] * 12, *[(0.05, 9.05, 0.0)] * 30, AHEAD])
+    both = merge([once, long])
+    assert list_visits(once, *END) == [(0, 0, 10, 1, 1)]
+    assert list_visits(both, *END) == [(0, 0, 10, 1, 1), (1, 0, 50, 2, 2)]
+    assert list_visits(both, 0.05, 0.05)[1] == (1, 0, 50, 0, 2)
+    assert list_visits(both, 0.35, 9.05) == [(1, 10, 50, 1, 1)]
+    assert list_visits(both, 50.0, 9.05) == []
+    together = ask(both, END).visits
+    assert together
+    assert (together.since_ns, together.until_ns) == (0, 50 * 10**9)
+    assert (together.hit_visits, together.seen_visits) == (2, 2)
+    assert ask(both, (50.0, 9.05)).visits is None
 
 
 def test_scans_come_by_time_whatever_the_order_of_the_file(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 3, [0.32])
+    log = write_csv(tmp_path / "log.csv", [AHEAD] * 3, [0.32])
     lines = log.read_text().splitlines()
     log.write_text("\n".join([*lines[:-3], lines[-1], lines[-3], lines[-2], ""]))
-    found = explain(save(tmp_path, log), Question(0.35, 0.05, (log,)))
+    found = ask(save(tmp_path / "m.npz", TENTH, log), END, log)
     assert [each.stamp_ns / 1e9 for each in found.scans] == [0, 1, 2]
 
 
 def test_only_the_scans_that_a_build_used_are_named(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 10, [0.32])
-    early = save(tmp_path, log, replace(TENTH, selection=Selection(end_s=2.5)), "early")
-    third = save(tmp_path, log, replace(TENTH, selection=Selection(start_s=4, stride=3)), "third")
-    found = explain(merge([early, third]), Question(0.35, 0.05, (log,)))
-    assert [(each.build, each.stamp_ns / 1e9) for each in found.scans] == [
-        *((0, 0), (0, 1), (0, 2)),
-        *((1, 4), (1, 7)),
-    ]
-    assert found.scans_used == 3 + 2
-    assert found.notes == ()
+    early, third = (
+        observe(tmp_path, [AHEAD] * 10, replace(TENTH, selection=selection))
+        for selection in (Selection(end_s=2.5), Selection(start_s=4, stride=3))
+    )
+    found = ask(merge([early, third]), END, tmp_path / "log.csv")
+    used = [(each.build, each.stamp_ns / 1e9) for each in found.scans]
+    assert used == [(0, 0), (0, 1), (0, 2), (1, 4), (1, 7)]
+    assert (found.scans_used, found.notes) == (3 + 2, ())
 
 
 def test_what_the_logs_at_hand_do_not_explain_is_said(tmp_path: Path) -> None:
-    a, b = (
-        write_csv(tmp_path / f"{n}.csv", [(x, 0.05, 0.0)], [0.32])
-        for n, x in (("a", 0.05), ("b", 0.15))
-    )
-    both = merge([save(tmp_path, a, name="a"), save(tmp_path, b, name="b")])
-    found = explain(both, Question(0.35, 0.05, (a,)))
-    assert found.notes == (
-        "these logs explain 1 hit and 0 misses of 1 hit and 1 miss; the rest is in b.csv",
-    )
-    assert explain(both, Question(0.35, 0.05, (a, b))).notes == ()
-    assert explain(both, Question(0.35, 0.05)).notes == ()
-    assert explain(both, Question(0.05, 0.05, (a,))).notes == ()  # all of that cell is in a.csv
+    a, b = tmp_path / "a.csv", tmp_path / "b.csv"
+    parts = [
+        observe(tmp_path, [(x, 0.05, 0.0)], name=name) for x, name in ((0.05, "a"), (0.15, "b"))
+    ]
+    both = merge(parts)
+    (note,) = ask(both, END, a).notes
+    assert "explain 1 hit and 0 misses of 1 hit and 1 miss" in note
+    assert "b.csv" in note
+    for logs in ((a, b), ()):
+        assert ask(both, END, *logs).notes == ()
+    assert ask(both, (0.05, 0.05), a).notes == ()  # all of that cell is in a.csv
 
 
 def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 4, [0.32])
-    part = save(tmp_path, log, replace(TENTH, selection=Selection(end_s=0.5)), "part")
-    rest = subtract(save(tmp_path, log), part)
-    found = explain(rest, Question(0.35, 0.05, (log,)))
-    bounds, note = found.notes
-    assert bounds.endswith("so numbers of visits are upper bounds")
-    explained = "the scans explain 4 hits and 0 misses of 3 hits and 0 misses"
-    assert note == f"{explained}; other evidence was subtracted"
+    part = observe(tmp_path, [AHEAD] * 4, replace(TENTH, selection=Selection(end_s=0.5)))
+    rest = subtract(observe(tmp_path, [AHEAD] * 4), part)
+    bounds, note = ask(rest, END, tmp_path / "log.csv").notes
+    assert "upper bounds" in bounds
+    assert "explain 4 hits and 0 misses of 3 hits and 0 misses" in note
+    assert "subtracted" in note
 
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 @pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_deskewed_scans_add_up(tmp_path: Path, update: Update, model: str) -> None:
-    log = tmp_path / "turning.csv"
-    ranges = ",".join(["1.0"] * 8)
-    log.write_text(
-        "# angle_min: -0.4\n# angle_increment: 0.1\n# time_increment: 0.1\nstamp,"
-        + ",".join(f"r{beam}" for beam in range(8))
-        + f"\n0,{ranges}\n0.8,{ranges}\n"
-    )
-    path = tmp_path / "path.csv"
-    path.write_text("stamp,x,y,yaw\n0,0,0,0\n1,0.5,0.1,1\n2,1,0.5,2\n")
+    shape = {"angle_min": -0.4, "angle_increment": 0.1, "time_increment": 0.1}
+    log = write_scans(tmp_path / "turning.csv", [0, 0.8], np.ones((2, 8)), **shape)
+    path = write_poses(tmp_path / "path.csv", [0, 1, 2], [(0, 0, 0), (0.5, 0.1, 1), (1, 0.5, 2)])
     posing = PosingOptions(poses=str(path), deskew=Deskew.ON)
-    options = replace(TENTH, update=update, model=parse_model(model), posing=posing)
-    evidence = save(tmp_path, log, options)
-    for x, y in choose_points(evidence, 8):
-        found = explain(evidence, Question(x, y, (log,), (path,)))
+    options = replace(TENTH, update=update, model=models.parse_model(model), posing=posing)
+    evidence = save(tmp_path / "m.npz", options, log)
+    for point in choose_points(evidence, 8):
+        found = ask(evidence, point, log, poses=(path,))
         assert add_up(found.scans) == found.seen.numbers
 
 
-def test_evidence_that_holds_nothing_has_no_extent(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)], [0.32])
-    evidence = save(tmp_path, log)
-    assert explain(subtract(evidence, evidence), Question(0.35, 0.05)).map_extent is None
-
-
 def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)], [0.32])
-    evidence = save(tmp_path, log)
+    evidence = observe(tmp_path, [AHEAD])
     for thresholds, verdict in (
         ((0.69, 0.1), "occupied"),
         ((0.71, 0.1), "undecided"),
@@ -227,16 +253,17 @@ def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
         ((0.8, 0.71), "free"),
     ):
         writing = WriteOptions(MapMode.TRINARY, *thresholds)
-        assert explain(evidence, Question(0.35, 0.05, writing=writing)).verdict == verdict
+        assert ask(evidence, END, writing=writing).verdict == verdict
 
 
 def test_json_says_it_all(tmp_path: Path) -> None:
-    found = ask(tmp_path, [(0.05, 0.05, 0.0)], (0.35, 0.05)).to_json()
+    evidence = observe(tmp_path, [AHEAD])
+    found = ask(evidence, END, tmp_path / "log.csv").to_json()
     assert found["cell"] == {"row": 0, "column": 3, "extent": pytest.approx([0.3, 0, 0.4, 0.1])}
     assert found["class"] == "occupied"
-    hit, miss, nothing = (
+    miss, hit, nothing = (
         {"hits": hits, "misses": misses, "log_odds": None, "observations": hits + misses}
-        for hits, misses in ((1, 0), (0, 1), (0, 0))
+        for hits, misses in (CROSSED, HIT, NOTHING)
     )
     assert found["seen"] == hit
     assert found["around"] == [[nothing] * 3, [miss, hit, nothing], [nothing] * 3]
@@ -244,19 +271,12 @@ def test_json_says_it_all(tmp_path: Path) -> None:
     assert (scan["stamp_ns"], scan["topic"], scan["seen"]) == (0, "scan", hit)
 
 
-def test_the_numbers_of_a_radial_model_are_log_odds(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)], [0.32])
-    evidence = save(tmp_path, log, replace(TENTH, model=QuadraticModel(p_min=0.2)))
-    seen = explain(evidence, Question(0.05, 0.05)).to_json()["seen"]
-    # p = 0.2 near the sensor, and log-odds are kept to 1/65536.
-    assert seen.pop("log_odds") == pytest.approx(math.log(0.2 / 0.8), abs=1e-5)
-    assert seen == {"hits": None, "misses": None, "observations": 1}
-
-
-def test_the_wrong_model_is_refused(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)], [0.32])
-    evidence = save(tmp_path, log)
-    with pytest.raises(MapError, match="which quadratic cannot read"):
-        explain(evidence, Question(0, 0, model=QuadraticModel()))
-    with pytest.raises(UsageError, match="`poses` goes with a log"):
-        explain(evidence, Question(0, 0, poses=(log,)))
+def test_the_numbers_of_a_radial_model_are_log_odds_and_observations(tmp_path: Path) -> None:
+    for scans in (1, 2):
+        options = replace(TENTH, model=models.QuadraticModel(p_min=0.2))
+        found = ask(observe(tmp_path, [AHEAD] * scans, options), (0.05, 0.05))
+        assert found.seen.kind is EvidenceKind.LOG_ODDS
+        seen = found.to_json()["seen"]
+        # p = 0.2 near the sensor, and log-odds are kept to 1/65536.
+        assert seen.pop("log_odds") == pytest.approx(scans * math.log(0.2 / 0.8), abs=1e-4)
+        assert seen == {"hits": None, "misses": None, "observations": scans}

@@ -1,116 +1,144 @@
-"""A point in a map: which cell it is in, and what that cell holds."""
+"""Which builds a log went into: by its hash, wherever it lies and whatever it is called."""
 
-import math
+import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from occmap.cells import Evidence
-from occmap.errors import UsageError
-from occmap.explanation import Explanation, Question, explain
-from occmap.grid.tiles import EvidenceKind
+from occmap.errors import LogError, PoseError
+from occmap.explanation.history import Use, find_uses, list_logs, list_missing
+from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.sensor.models import parse_model
+from occmap.posing import PosingOptions
 from occmap.store.merging import merge
 from occmap.writers.npz import read_evidence
-from tests.samples import PLAIN, Planar, write_csv
+from tests.samples import SAMPLE_LOGS, write_csv
+
+SELECTED = BuildOptions(selection=Selection(end_s=0.5), jobs=1)
 
 
-def observe(folder: Path, poses: list[Planar], model: str = "simple") -> Evidence:
-    """Build evidence of scans with one beam of 0.32 m each, in cells of 0.1 m."""
-    log = write_csv(folder / "log.csv", poses, [0.32])
-    options = replace(PLAIN, resolution=0.1, model=parse_model(model))
-    build([log], options, [folder / "m.npz"])
-    return read_evidence(folder / "m.npz")
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Work in a folder with three logs, of which the third states no poses, and a trajectory."""
+    monkeypatch.chdir(tmp_path)
+    for name, reach in (("a", 0.3), ("b", 0.4)):
+        write_csv(tmp_path / f"{name}.csv", [(0.0, 0.0, 0.0)], [reach])
+    head = "# angle_min: 0\n# angle_increment: 0\nstamp,r0,r1\n"
+    Path("bare.csv").write_text(head + "0.5,0.3,0.3\n")
+    Path("path.txt").write_text("0 0 0 0 0 0 0 1\n1 0.1 0 0 0 0 0 1\n")
+    return tmp_path
 
 
-SECOND = 10**9
+def save(*logs: str, options: BuildOptions = SELECTED, into: str = "m.npz") -> Evidence:
+    build([Path(log) for log in logs], options, [Path(into)])
+    return read_evidence(Path(into))
 
 
-def look_at(evidence: Evidence, x: float, y: float) -> Explanation:
-    return explain(evidence, Question(x, y))
+def name_uses(uses: Sequence[Use]) -> list[tuple[str, int]]:
+    return [(str(use.log), use.build) for use in uses]
 
 
-def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]:
-    """Of each build: its number, since when and until when (s), and on how many visits."""
-    return [
-        (
-            each.build,
-            each.since_ns // 10**9,
-            each.until_ns // 10**9,
-            each.hit_visits or 0,
-            each.seen_visits,
-        )
-        for each in look_at(evidence, x, y).builds
-    ]
+def find(evidence: Evidence, *logs: str, poses: Sequence[str] = ()) -> list[Use]:
+    return find_uses(evidence, [Path(log) for log in logs], [Path(path) for path in poses])
 
 
-def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [(0.05, 0.05, 0.0)])
-    seen = [look_at(evidence, x, 0.05) for x in (0.05, 0.15, 0.25, 0.35, 0.45)]
-    assert [each.seen.numbers for each in seen] == [(0, 1), (0, 1), (0, 1), (1, 0), (0, 0)]
-    assert [each.seen.observations for each in seen] == [1, 1, 1, 1, 0]
-    hit = seen[3]
-    assert (hit.cell.row, hit.cell.column, hit.seen.kind) == (0, 3, EvidenceKind.COUNTS)
-    assert hit.cell.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
+def test_a_log_is_found_with_the_options_of_its_build() -> None:
+    (use,) = find(save("a.csv", "b.csv"), "b.csv")
+    assert (use.log, use.build) == (Path("b.csv"), 0)
+    assert use.options == replace(SELECTED, jobs=use.options.jobs)
 
 
-def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
-    """A scan a second; slices of ten seconds are of 10 scans each, and 30 s lie between visits."""
-    step, cell = [(0.05, 0.05, 0.0)], (0.35, 0.05)
-    once = observe(tmp_path, step)
-    long = observe(tmp_path, [*step * 12, *[(0.05, 9.05, 0.0)] * 30, *step])
-    both = merge([once, long])
-    assert list_visits(once, *cell) == [(0, 0, 10, 1, 1)]
-    assert list_visits(both, *cell) == [(0, 0, 10, 1, 1), (1, 0, 50, 2, 2)]
-    assert list_visits(both, 0.05, 0.05)[1] == (1, 0, 50, 0, 2)
-    assert list_visits(both, 0.35, 9.05) == [(1, 10, 50, 1, 1)]
-    assert list_visits(both, 50.0, 9.05) == []
-    together = look_at(both, *cell).visits
-    assert together
-    assert (together.since_ns, together.until_ns) == (0, 50 * SECOND)
-    assert (together.hit_visits, together.seen_visits) == (2, 2)
-    assert look_at(both, 50.0, 9.05).visits is None
+def test_a_log_that_moved_is_found() -> None:
+    evidence = save("a.csv")
+    shutil.move("a.csv", "other.txt")
+    assert name_uses(find(evidence, "other.txt")) == [("other.txt", 0)]
 
 
-CROSSED, HIT, NOTHING = (0, 1), (1, 0), (0, 0)
+def test_every_build_that_used_a_log_is_found_with_its_own_options() -> None:
+    later = BuildOptions(selection=Selection(start_s=-1.0))
+    evidence = merge([save("b.csv"), save("a.csv", "b.csv"), save("b.csv", options=later)])
+    uses = find(evidence, "b.csv", "a.csv")
+    assert name_uses(uses) == [("b.csv", 0), ("b.csv", 1), ("b.csv", 2), ("a.csv", 1)]
+    assert [use.options.selection.start_s for use in uses[:3]] == [-float("inf")] * 2 + [-1.0]
+
+
+def test_a_log_that_counted_twice_is_found_twice_and_given_twice_once() -> None:
+    evidence = save("a.csv", "a.csv")
+    assert name_uses(find(evidence, "a.csv", "a.csv")) == [("a.csv", 0)] * 2
+
+
+def test_copies_of_a_log_are_one() -> None:
+    shutil.copy("a.csv", "copy.csv")
+    assert name_uses(find(save("a.csv"), "copy.csv", "a.csv", "./a.csv")) == [("copy.csv", 0)]
+    both = save("a.csv", "copy.csv")
+    assert name_uses(find(both, "a.csv", "copy.csv")) == [("a.csv", 0)] * 2
+
+
+def test_a_folder_is_known_by_its_files(tmp_path: Path) -> None:
+    shutil.copytree(SAMPLE_LOGS / "drive_ros2", tmp_path / "drive")
+    evidence = save("drive", "a.csv")
+    assert list_logs(evidence.manifest.builds[0]) == ["drive", "a.csv"]
+    shutil.move("drive", "elsewhere")
+    assert name_uses(find(evidence, "elsewhere")) == [("elsewhere", 0)]
+    assert list_missing(evidence, find(evidence, "elsewhere")) == ["a.csv"]
+    assert list_missing(evidence, find(evidence, "a.csv")) == ["drive"]
+    Path("elsewhere", "more.txt").write_text("?")
+    with pytest.raises(LogError, match=r"elsewhere: m.npz was not made of it"):
+        find(evidence, "elsewhere")
+
+
+def test_a_log_that_was_changed_is_refused_as_such() -> None:
+    evidence = save("a.csv")
+    Path("a.csv").write_text(Path("a.csv").read_text() + "1,0,0,0,0.3\n")
+    with pytest.raises(LogError, match=r"a.csv: is not the a.csv that m.npz was made of"):
+        find(evidence, "a.csv")
+
+
+def build_followed() -> Evidence:
+    return save("bare.csv", options=BuildOptions(posing=PosingOptions(poses="path.txt")))
+
+
+def test_a_trajectory_is_found_by_its_hash() -> None:
+    evidence = build_followed()
+    shutil.move("path.txt", "moved.txt")
+    (use,) = find(evidence, "bare.csv", poses=["moved.txt"])
+    assert use.options.posing.poses == "moved.txt"
+    assert list_missing(evidence, [use]) == []
+    assert list_logs(evidence.manifest.builds[0]) == ["bare.csv"]
+
+
+def test_each_build_gets_its_own_trajectory() -> None:
+    first = build_followed()
+    Path("second.txt").write_text("0 1 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
+    posing = PosingOptions(poses="second.txt")
+    second = save("bare.csv", options=BuildOptions(posing=posing), into="n.npz")
+    uses = find(merge([first, second]), "bare.csv", poses=["second.txt", "path.txt"])
+    assert [use.options.posing.poses for use in uses] == ["path.txt", "second.txt"]
 
 
 @pytest.mark.parametrize(
-    ("yaw", "point", "around"),
+    ("log", "poses", "found"),
     [
-        (0, (0.3, 0.099), [[NOTHING] * 3, [CROSSED, HIT, NOTHING], [NOTHING] * 3]),
-        (math.pi / 2, (0.05, 0.25), [[NOTHING, each, NOTHING] for each in (HIT, CROSSED, CROSSED)]),
-        (0, (-1e6, 1e6), [[NOTHING] * 3] * 3),
+        ("bare.csv", [], "bare.csv: its poses came from path.txt"),
+        ("bare.csv", ["a.csv"], "SHA-256 of a.csv is another); add `poses=path"),
+        ("bare.csv", ["path.txt", "a.csv"], "a.csv: is not a trajectory"),
+        ("a.csv", ["path.txt"], "path.txt: is not a trajectory"),
     ],
 )
-def test_neighbours_lie_around_the_cell_and_those_above_come_first(
-    yaw: float, point: tuple[float, float], around: list[list[tuple[int, int]]], tmp_path: Path
+def test_a_trajectory_too_few_or_too_many_is_refused(
+    log: str, poses: list[str], found: str
 ) -> None:
-    found = look_at(observe(tmp_path, [(0.05, 0.05, yaw)]), *point).around
-    assert [[each.numbers for each in row] for row in found] == around
+    evidence = merge([build_followed(), save("a.csv", into="n.npz")])
+    with pytest.raises(PoseError) as caught:
+        find(evidence, log, poses=poses)
+    assert found in str(caught.value)
 
 
-def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
-    assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
-    found = look_at(evidence, -6.45, -6.15)
-    assert (found.cell.row, found.cell.column) == (-62, -65)
-    assert found.seen.numbers == (1, 0)
-    assert look_at(evidence, -6.45, -6.45).seen.misses == 1
-
-
-def test_log_odds_come_with_observations(tmp_path: Path) -> None:
-    pose = (0.05, 0.05, 0.0)
-    once = look_at(observe(tmp_path, [pose], "quadratic"), 0.15, 0.05)
-    twice = look_at(observe(tmp_path, [pose, pose], "quadratic"), 0.15, 0.05)
-    assert once.seen.kind is EvidenceKind.LOG_ODDS
-    assert once.seen.numbers[0] < 0
-    assert twice.seen.numbers == (2 * once.seen.numbers[0], 2)
-
-
-@pytest.mark.parametrize("point", [(math.nan, 0), (0, math.inf), (1e30, 0)])
-def test_a_point_in_no_map_is_refused(tmp_path: Path, point: tuple[float, float]) -> None:
-    with pytest.raises(UsageError, match="is in no map; give x and y in metres"):
-        look_at(observe(tmp_path, [(0.05, 0.05, 0.0)]), *point)
+def test_what_is_no_log_of_the_evidence_is_refused_with_what_it_was_made_of() -> None:
+    with pytest.raises(LogError, match=r"b.csv: m.npz was not made of it; .* a.csv: .*`logs`"):
+        find(save("a.csv"), "b.csv")
+    with pytest.raises(LogError, match=r"path.txt: m.npz was not made of it; .* bare.csv"):
+        find(build_followed(), "path.txt")

@@ -76,7 +76,7 @@ def set_up(folder: Path, command: str) -> Scene:
     for name in ("b", "a"):
         files = [f"-o {stem}{suffix}" for stem in (name, "m") for suffix in (".npz", ".pgm")]
         line = f"build {name}.csv --jobs 1 -o m.png {' '.join(files)}"
-        assert occmap(*line.split()).code == 0
+        assert occmap(line).code == 0
         if name == "b":  # m is what was made of b
             older = {path.name: path.read_bytes() for path in folder.glob("m.*")}
     before = read_folder(folder) | older

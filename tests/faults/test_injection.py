@@ -17,17 +17,11 @@ from tests.faults.scene import COMMANDS, Scene, set_up
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 
 
-@pytest.fixture
-def scene(
-    command: str, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> Scene:
-    folder = tmp_path_factory.mktemp("scene")
-    monkeypatch.chdir(folder)
-    return set_up(folder, command)
-
-
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_fault_anywhere_leaves_each_file_as_it_was_or_as_it_should_be(scene: Scene) -> None:
+def test_a_fault_anywhere_leaves_each_file_as_it_was_or_as_it_should_be(
+    command: str, here: Path
+) -> None:
+    scene = set_up(here, command)
     trial = Injector(scene.folder)
     with inject(trial):
         assert occmap(*scene.words).code == 0

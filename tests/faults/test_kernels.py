@@ -24,30 +24,22 @@ def double(value: float) -> float:
     return 2 * value
 
 
-def cut_to_nothing(file: Path) -> None:
-    file.write_bytes(b"")
-
-
-def cut_in_half(file: Path) -> None:
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
-
-
-def flip_a_bit(file: Path) -> None:
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
-    file.write_bytes(content)
-
-
-def put_zeros(file: Path) -> None:
-    file.write_bytes(bytes(file.stat().st_size))
-
-
-def put_what_is_no_code(file: Path) -> None:
+def put_what_is_no_code(_code: bytes) -> bytes:
     content = pickle.dumps(("of", "another", "make"))
-    file.write_bytes(hashlib.sha256(content).digest() + content)
+    return hashlib.sha256(content).digest() + content
 
 
-DAMAGE = [cut_to_nothing, cut_in_half, flip_a_bit, put_zeros, put_what_is_no_code]
+def flip_bit(code: bytes, place: int) -> bytes:
+    return code[: place // 8] + bytes([code[place // 8] ^ 1 << place % 8]) + code[place // 8 + 1 :]
+
+
+DAMAGE: dict[str, Callable[[bytes], bytes]] = {
+    "nothing is left": lambda _: b"",
+    "half is left": lambda code: code[: len(code) // 2],
+    "a bit is flipped": lambda code: flip_bit(code, 4 * len(code)),
+    "zeros are left": lambda code: bytes(len(code)),
+    "other things are there": put_what_is_no_code,
+}
 
 
 @pytest.fixture
@@ -68,13 +60,11 @@ def run_anew() -> tuple[float, bool]:
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_code_is_compiled_anew_and_replaced(
-    folder: Path, damage: Callable[[Path], None]
-) -> None:
+def test_damaged_code_is_compiled_anew_and_replaced(folder: Path, damage: str) -> None:
     assert run_anew() == (42.0, False)
     assert run_anew() == (42.0, True)
     (file,) = folder.iterdir()
-    damage(file)
+    file.write_bytes(DAMAGE[damage](file.read_bytes()))
     assert run_anew() == (42.0, False)
     assert run_anew() == (42.0, True)
 
@@ -83,10 +73,8 @@ def test_no_flipped_bit_is_ever_run(folder: Path) -> None:
     run_anew()
     (file,) = folder.iterdir()
     whole = file.read_bytes()
-    for place in np.linspace(0, 8 * len(whole) - 1, 300).astype(int):
-        content = bytearray(whole)
-        content[place // 8] ^= 1 << place % 8
-        file.write_bytes(content)
+    for place in np.linspace(0, 8 * len(whole) - 1, 300).astype(int).tolist():
+        file.write_bytes(flip_bit(whole, place))
         assert load() is None
     file.write_bytes(whole)
     assert load() is not None
@@ -139,10 +127,8 @@ def test_code_is_loaded_from_a_folder_that_cannot_be_written(
 
 
 def test_only_what_was_kept_long_ago_makes_room_for_a_new_folder(folder: Path) -> None:
-    old, other, users = (
-        folder.with_name(f"occmap-{name}")
-        for name in ("0123456789abcdef", "fedcba9876543210", "demo")
-    )
+    names = "occmap-0123456789abcdef", "occmap-fedcba9876543210", "occmap-demo"
+    old, other, users = map(folder.with_name, names)
     for each in (old, other, users):
         each.mkdir()
         (each / "a.code").touch()
@@ -191,7 +177,7 @@ def test_a_build_loads_its_kernels_and_mends_them(tmp_path: Path) -> None:
         numbers.append(len(files))
         if len(said) == 2:
             (file,) = folder.rglob("*.project_ends-*")
-            cut_in_half(file)
+            file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert said == ["0 True\n", "0 False\n", "0 True\n"]
     assert numbers[0] > 3
     assert numbers == [numbers[0]] * 3

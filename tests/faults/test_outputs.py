@@ -1,6 +1,7 @@
 """What may stand where an output is to go, and what a command makes of it."""
 
 import os
+import shutil
 import stat
 import subprocess
 import sys
@@ -18,14 +19,13 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="modes, links an
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    write_csv(tmp_path / "a.csv", [(0.0, 0.0, 0.0)] * 10, [0.3])
-    return tmp_path
+def folder(here: Path) -> Path:
+    write_csv(here / "a.csv", [(0.0, 0.0, 0.0)] * 10, [0.3])
+    return here
 
 
 def build(*outputs: str) -> None:
-    assert occmap("build", "a.csv", *(word for name in outputs for word in ("-o", name))).code == 0
+    assert occmap("build a.csv" + "".join(f" -o {name}" for name in outputs)).code == 0
 
 
 def read_mode(name: str) -> int:
@@ -81,15 +81,15 @@ def test_a_symbolic_link_is_written_through(folder: Path) -> None:
 )
 def test_a_link_that_leads_to_no_file_is_refused(folder: Path, target: str, found: str) -> None:
     Path("m.png").symlink_to(target)
-    error = read_error(occmap("build", "a.csv", "-o", "m.png"), 1)
+    error = read_error(occmap("build a.csv -o m.png"), 1)
     assert error.startswith(f"m.png: {found.format(folder=folder)}")
     assert Path("m.png").is_symlink()
 
 
 def test_a_pipe_is_refused_and_left() -> None:
     os.mkfifo("m.png")
-    error = read_error(occmap("build", "a.csv", "-o", "m.png"), 1)
-    assert error == "m.png: is a device or a pipe, not a file; give a file name"
+    error = read_error(occmap("build a.csv -o m.png"), 1)
+    assert error.startswith("m.png: is a device or a pipe, not a file")
     assert Path("m.png").is_fifo()
 
 
@@ -100,20 +100,13 @@ def test_names_as_long_as_names_can_be(length: int) -> None:
     assert Path(name).stat().st_size > 0
 
 
-def test_a_name_that_is_too_long_is_one_line_before_anything_is_read() -> None:
-    name = "m" * 251 + ".pgm"  # its YAML has a letter more
-    for path in (name, "m" * 300 + ".png"):
-        error = read_error(occmap("build", "none.csv", "-o", path), 1)
-        assert error.endswith(": cannot be written (File name too long)")
-
-
 @pytest.mark.parametrize("other", ["./m.png", "sub/../m.png", "link/m.png", "linked.png"])
 def test_two_spellings_of_one_output_are_refused(folder: Path, other: str) -> None:
     (folder / "sub").mkdir()
     Path("link").symlink_to(folder)
     Path("linked.png").symlink_to("m.png")
-    error = read_error(occmap("build", "a.csv", "-o", "m.png", "-o", other), 2)
-    assert error == "m.png: would be written twice; give each output its own name"
+    error = read_error(occmap(f"build a.csv -o m.png -o {other}"), 2)
+    assert error.startswith("m.png: would be written twice")
     assert not Path("m.png").exists()
 
 
@@ -144,18 +137,16 @@ def test_an_input_is_never_overwritten(folder: Path, line: str) -> None:
     Path("link.npz").symlink_to("m.npz")
     os.link("m.npz", "hard.npz")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    error = read_error(occmap(*line.split()), 2)
-    assert error.endswith(": is an input: it would be overwritten; give another name")
+    assert ": is an input: it would be overwritten" in read_error(occmap(line), 2)
     assert before == {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_a_map_may_be_written_into_a_folder_that_is_read_and_again(folder: Path) -> None:
-    bag = folder / "bag"
-    bag.mkdir()
-    (bag / "a.csv").write_bytes(Path("a.csv").read_bytes())
+    (folder / "bag").mkdir()
+    shutil.copy("a.csv", "bag")
     for _ in range(2):
-        assert occmap("build", "bag/a.csv", "-o", "bag/m.pgm", "-o", "bag/m.npz").code == 0
-        assert occmap("build", "a.csv", "--resume", "bag/m.npz", "-o", "./bag/m.npz").code == 0
+        assert occmap("build bag/a.csv -o bag/m.pgm -o bag/m.npz").code == 0
+        assert occmap("build a.csv --resume bag/m.npz -o ./bag/m.npz").code == 0
 
 
 def test_two_that_add_to_one_file_add_both(folder: Path) -> None:
@@ -180,4 +171,4 @@ def test_two_that_add_to_one_file_add_both(folder: Path) -> None:
 def test_a_build_that_only_reads_evidence_waits_for_nobody(folder: Path) -> None:
     build("m.npz")
     with hold_alone(folder / "m.npz", [folder / "m.npz"]):
-        assert occmap("build", "a.csv", "--resume", "m.npz", "-o", "n.npz").code == 0
+        assert occmap("build a.csv --resume m.npz -o n.npz").code == 0

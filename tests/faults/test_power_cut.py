@@ -46,11 +46,9 @@ class Disk:
 
 @pytest.mark.parametrize("command", ["build resume", "build pgm", "merge"])
 def test_no_power_cut_takes_a_file_and_none_takes_what_is_done(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    command: str, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    scene = set_up(tmp_path, command)
-    disk = Disk(tmp_path)
+    scene, disk = set_up(here, command), Disk(here)
     plain_fsync, plain_replace = os.fsync, os.replace
 
     def fsync(descriptor: int) -> None:
@@ -74,5 +72,5 @@ def test_no_power_cut_takes_a_file_and_none_takes_what_is_done(
         for state in states:
             for name in targets:
                 assert state[name] in (scene.before[name], scene.after[name])
-    assert disk.history[-1] == [read_folder(tmp_path)] * 2
+    assert disk.history[-1] == [read_folder(here)] * 2
     assert len(disk.history) > 4

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from occmap.cli import Signals, run
+from tests.faults.kills import ANSWERED, LINE
 from tests.faults.scene import Scene, set_up
 
 # A file that was being opened is left to its destructor, where Python drops a signal.
@@ -22,7 +23,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
 ]
-LINE = "error: interrupted: nothing more is written\n"
 
 
 class Bomb:
@@ -51,17 +51,16 @@ class Bomb:
 @pytest.fixture
 def signals() -> Iterator[Signals]:
     """Signals that listen; a background job ignores some."""
-    names = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = [signal.signal(each, signal.SIG_DFL) for each in names]
+    before = {each: signal.signal(each, signal.SIG_DFL) for each in ANSWERED}
     yield Signals()
-    for each, handler in zip(names, before, strict=True):
+    for each, handler in before.items():
         signal.signal(each, handler)
 
 
 def run_with_bomb(scene: Scene, number: int) -> tuple[int, int]:
     """Run a command; return its exit code, and how many lines the writing has come to."""
     scene.reset()
-    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for each in ANSWERED:
         signal.signal(each, signal.SIG_DFL)
     signals = Signals()
     signals.listen()
@@ -80,13 +79,9 @@ def run_with_bomb(scene: Scene, number: int) -> tuple[int, int]:
 @pytest.mark.usefixtures("signals")
 @pytest.mark.parametrize("command", ["build npz", "build pgm", "build png"])
 def test_a_signal_anywhere_while_files_are_written(
-    command: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    command: str, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    scene = set_up(tmp_path, command)
+    scene = set_up(here, command)
     code, lines = run_with_bomb(scene, 0)
     assert code == 0
     step = 1 if "OCCMAP_FAULTS" in os.environ else max(1, lines // 60)

@@ -23,9 +23,10 @@ from occmap.fleet.tasks import Job, Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.report.results import Report
 from occmap.scans.tracing import Keep, ignore_progress
 from occmap.store import open_store, read_all
-from tests.cli.runner import occmap
+from tests.cli.runner import occmap, spawn
 from tests.samples import DRIVES
 from tests.store.test_store import digest_evidence, read_digest
 
@@ -33,6 +34,7 @@ resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL n
 LOGS = [DRIVES[0], DRIVES[4]]
 OPTIONS = BuildOptions(jobs=1)
 PATIENCE_S = 60
+JOB = Job(Setting(OPTIONS, Keep(), Path(), 1, 0, 0), "log", "drive.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +42,12 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("alone") / "map.npz"
     build(LOGS, OPTIONS, [path])
     return path.read_bytes()
+
+
+def build_by(address: str, folder: Path, options: BuildOptions = OPTIONS) -> Report:
+    """Build `map.npz` in a folder by workers, whose scratch folder lies beside it."""
+    observe = Fleet(address, folder / "scratch").observe
+    return build(LOGS, options, [folder / "map.npz"], observe=observe).report
 
 
 def wait_for(folder: Path, pattern: str) -> list[Path]:
@@ -70,17 +78,14 @@ def kill_worker(address: str, folder: Path, pattern: str) -> Iterator[None]:
 
 @pytest.mark.parametrize("phase", ["*/*.survey_log", "*/*.trace_log", "*/*.reduce_block"])
 def test_a_worker_is_killed(address: str, tmp_path: Path, expected: bytes, phase: str) -> None:
-    scratch = tmp_path / "scratch"
-    with kill_worker(address, scratch, phase):
-        observe = Fleet(address, scratch).observe
-        build(LOGS, OPTIONS, [tmp_path / "map.npz"], observe=observe)
+    with kill_worker(address, tmp_path / "scratch", phase):
+        build_by(address, tmp_path)
     assert (tmp_path / "map.npz").read_bytes() == expected
 
 
 def test_a_map_that_is_too_large_names_the_log(address: str, tmp_path: Path) -> None:
-    fleet = Fleet(address, tmp_path / "scratch")
     with pytest.raises(MapError) as caught:
-        build(LOGS, replace(OPTIONS, max_cells=1000), observe=fleet.observe)
+        build_by(address, tmp_path, replace(OPTIONS, max_cells=1000))
     assert caught.value.where == str(LOGS[0])
 
 
@@ -117,8 +122,7 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
         first.kill()
     assert not output.exists()
     monkeypatch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
-    observe = Fleet(address, scratch).observe
-    build(LOGS, OPTIONS, [output], observe=observe)
+    build_by(address, tmp_path)
     assert output.read_bytes() == expected
     assert {path: path.stat().st_mtime_ns for path in done} == done
 
@@ -163,7 +167,9 @@ def start_apart(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
         known.unlink(missing_ok=True)
 
 
-def test_a_scheduler_is_killed(tmp_path: Path, expected: bytes) -> None:
+def test_a_scheduler_is_killed(
+    tmp_path: Path, expected: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What is done by then is done for the next scheduler, too."""
     folder, scratch, output = tmp_path / "dask", tmp_path / "scratch", tmp_path / "map.npz"
     folder.mkdir()
@@ -179,34 +185,32 @@ def test_a_scheduler_is_killed(tmp_path: Path, expected: bytes) -> None:
     for part in (f"{address}: the scheduler is gone", "of 2 tasks", "same command", found.parent):
         assert str(part) in told
     done = found.stat().st_mtime_ns
-    with start_apart(folder) as (address, _), pytest.MonkeyPatch.context() as patch:
-        patch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
-        build(LOGS, OPTIONS, [output], observe=Fleet(address, scratch).observe)
+    monkeypatch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
+    with start_apart(folder) as (address, _):
+        build_by(address, tmp_path)
     assert output.read_bytes() == expected
     assert found.stat().st_mtime_ns == done
 
 
 def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path: Path) -> None:
-    job = Job(Setting(OPTIONS, Keep(), tmp_path, 1, 0, 0), "log", "drive.mcap")
     with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, print) as found:
         scheduler.kill()
         time.sleep(1)  # by then, the client knows
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
-            found.run("trace", die, [job])
+            found.run("trace", die, [JOB])
 
 
 @pytest.mark.parametrize("error", [CommClosedError, CancelledError])
 def test_a_connection_that_closes_while_jobs_run_is_a_scheduler_that_is_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+    monkeypatch: pytest.MonkeyPatch, error: type[Exception]
 ) -> None:
     def close(*_: object, **__: object) -> None:
         raise error
 
-    job = Job(Setting(OPTIONS, Keep(), tmp_path, 1, 0, 0), "log", "drive.mcap")
     with open_cluster("local", 1, print) as found:
         monkeypatch.setattr(found._client, "map", close)
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
-            found.run("trace", die, [job])
+            found.run("trace", die, [JOB])
 
 
 def test_jobs_do_nothing_with_workers_that_are_there(
@@ -226,15 +230,8 @@ def limit_files() -> None:
 
 def test_a_full_disk_is_one_line_and_nothing_is_published(tmp_path: Path) -> None:
     output = tmp_path / "map.npz"
-    line = [sys.executable, "-m", "occmap", "build", str(DRIVES[0]), "-o", str(output)]
-    done = subprocess.run(
-        [*line, "--dask", "local", "--jobs", "1"],
-        capture_output=True,
-        text=True,
-        preexec_fn=limit_files,
-        check=False,
-        timeout=PATIENCE_S,
-    )
+    words = ["build", DRIVES[0], "-o", output, "--dask", "local", "--jobs", "1"]
+    done = spawn(*words, preexec_fn=limit_files)
     assert done.returncode == 1
     (told,) = done.stderr.splitlines()
     assert "cannot be written (File too large)" in told
@@ -247,19 +244,17 @@ def die(_job: Job) -> int:
 
 
 def test_a_task_that_kills_its_workers_is_named(address: str) -> None:
-    job = Job(Setting(OPTIONS, Keep(), Path(), 1, 0, 0), "log", "drive.mcap")
     with (
         open_cluster(address, 2, lambda _: None) as found,
         pytest.raises(FleetError, match=r"drive.mcap: killed its workers 2 times, which had \d+ M"),
     ):
-        found.run("trace", die, [job])
+        found.run("trace", die, [JOB])
 
 
 def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
-    observe = Fleet("tcp://127.0.0.1:9", tmp_path / "scratch").observe
     with pytest.raises(FleetError, match="no scheduler answers"):
-        build(DRIVES[:1], OPTIONS, [tmp_path / "map.pgm"], observe=observe)
+        build_by("tcp://127.0.0.1:9", tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -304,12 +299,7 @@ def test_the_first_log_that_fails_is_named(address: str, tmp_path: Path) -> None
 def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match=r"install it: pip install '.\[dask\]'"):
-        build(
-            DRIVES[:1],
-            OPTIONS,
-            [tmp_path / "map.pgm"],
-            observe=Fleet("local", tmp_path / "scratch").observe,
-        )
+        build_by("local", tmp_path)
 
 
 def interrupt(fleet: Fleet, options: BuildOptions) -> Path:
@@ -336,6 +326,6 @@ def test_a_build_goes_on_only_where_its_trajectory_is_the_same(tmp_path: Path) -
 def test_what_another_build_left_is_named_and_kept(address: str, tmp_path: Path) -> None:
     fleet = Fleet(address, tmp_path / "scratch")
     left = interrupt(fleet, replace(OPTIONS, resolution=0.2))
-    report = build(LOGS, OPTIONS, [tmp_path / "map.pgm"], observe=fleet.observe).report
+    report = build_by(address, tmp_path)
     assert [note for note in report.notes if note.startswith(f"{left}: of a build with another")]
     assert [*fleet.scratch.iterdir()] == [left]

@@ -9,28 +9,26 @@ from occmap.fleet import Fleet
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.scans.tracing import ignore_progress
-from occmap.sensor.models import parse_model
+from occmap.sensor.models import QuadraticModel
 from occmap.store import open_store
 from occmap.types import Update
 from tests.samples import DRIVES, SAMPLE_LOGS
+from tests.store.test_store import list_files
 
 TWICE = [DRIVES[0], DRIVES[4], DRIVES[0]]
 """One log is given twice"""
+
+
+EVERY_SCAN = Selection(end_s=1e6)
+"""It leaves nothing out, which is a note"""
+RADIAL = BuildOptions(update=Update.BEAM, model=QuadraticModel(), selection=EVERY_SCAN, jobs=1)
 
 
 @pytest.mark.parametrize(
     ("logs", "options"),
     [
         (TWICE, BuildOptions(jobs=1, resolution=0.02)),  # more than a block, with hits at its edges
-        (
-            TWICE,
-            BuildOptions(
-                jobs=1,
-                update=Update.BEAM,
-                model=parse_model("quadratic"),
-                selection=Selection(end_s=1e6),  # leaves nothing out, which is a note
-            ),
-        ),
+        (TWICE, RADIAL),
         ([SAMPLE_LOGS / "hall.mcap"], BuildOptions(jobs=1)),  # clouds, over a ground
     ],
 )
@@ -45,9 +43,3 @@ def test_it_holds_what_one_process_writes(
     assert written[0] == written[1]
     assert open_store(tmp_path / "fleet.zarr").blocks
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "fleet.zarr"]
-
-
-def list_files(store: Path) -> dict[str, bytes]:
-    """All that is in the folder of a store."""
-    files = filter(Path.is_file, store.rglob("*"))
-    return {str(file.relative_to(store)): file.read_bytes() for file in files}

@@ -13,7 +13,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
 
@@ -30,32 +29,21 @@ def main(words: list[str]) -> int:
     seconds = float(words[0]) if words else SECONDS
     names = words[1:] or list(TARGETS)
     failed = [name for name in names if not fuzz(TARGETS[name], seconds)]
-    if not words[1:]:
-        part = seconds / SECONDS
-        cases, seed = str(max(round(5000 * part), 1)), str(time.time_ns() % 10**9)
-        failed += run("damage", part, "pytest", "-q", "-n", "2", "tests/test_damage.py")
-        failed += run("typed", part, "tests.fuzz.typed", cases, seed)
-    return 1 if failed else 0
+    return 1 if failed or (not words[1:] and not spoil(seconds / SECONDS)) else 0
 
 
-def run(name: str, part: float, *module: str) -> list[str]:
-    """Run a module whose kernels check every index, or a part of what it does; name what failed."""
+def spoil(part: float) -> bool:
+    """Run a part of the tests of damage, with kernels that check every index; say if all passed."""
     settings = {"OCCMAP_FUZZ": str(part), "NUMBA_BOUNDSCHECK": "1"}
-    done = subprocess.run([sys.executable, "-m", *module], env=os.environ | settings, check=False)
-    return [name] if done.returncode else []
+    tests = "tests/test_damage.py", "tests/readers/test_typed.py"
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "2", *tests]
+    return subprocess.run(command, env=os.environ | settings, check=False).returncode == 0
 
 
 def fuzz(target: Target, seconds: float) -> bool:
-    """Fuzz one reader; say whether nothing escaped."""
+    """Read mutations of the seeds until the time is over; keep the first that crashes."""
     with tempfile.TemporaryDirectory(prefix="occmap-seeds-") as folder:
         seeds = target.seeds(Path(folder))
-        if find_spec("atheris") is not None:
-            return fuzz_by_coverage(target, seeds, Path(folder), seconds)
-    return fuzz_at_random(target, seeds, seconds)
-
-
-def fuzz_at_random(target: Target, seeds: list[bytes], seconds: float) -> bool:
-    """Read mutations of the seeds until the time is over; keep the first that crashes."""
     dice = random.Random(time.time_ns())
     end = time.monotonic() + seconds
     count = 0
@@ -73,20 +61,6 @@ def fuzz_at_random(target: Target, seeds: list[bytes], seconds: float) -> bool:
             return False
     tell(f"{target.name}: {count} inputs in {seconds:g} s, nothing escaped")
     return True
-
-
-def fuzz_by_coverage(target: Target, seeds: list[bytes], folder: Path, seconds: float) -> bool:
-    """Let atheris choose the inputs; it needs a process for each target, and ends it."""
-    corpus = folder / "corpus"
-    corpus.mkdir()
-    for index, seed in enumerate(seeds):
-        (corpus / str(index)).write_bytes(seed)
-    KEPT.mkdir(exist_ok=True)
-    limits = [f"-max_total_time={seconds:g}", f"-timeout={HANG_S}", "-max_len=65536"]
-    kept = f"-artifact_prefix={KEPT}/{target.name}-"
-    script = "from tests.fuzz.guided import run; run()"
-    command = [sys.executable, "-c", script, target.name, *limits, kept, str(corpus)]
-    return subprocess.run(command, check=False).returncode == 0
 
 
 @contextmanager

@@ -1,17 +1,13 @@
 """Typed fuzzing: one field of one message takes a nasty value, or a type that it should not have.
 
-`python -m tests.fuzz.typed [CASES] [FIRST]` runs more cases than the tests do. A case is known by
-its number: it is made from that alone.
+A case is known by its number: it is made from that alone.
 """
 
 import json
 import random
 import struct
-import sys
-import tempfile
 import time
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from copy import deepcopy
@@ -35,15 +31,16 @@ from occmap.pipeline import build
 from occmap.readers import HoldingClouds, Role, open_log
 from occmap.types import Cloud, Scan
 from tests.readers import foxglove_logs as foxglove
-from tests.readers.ros import ROS1, ROS2, SCAN, SECOND, TF, header, pose, scan, transforms
+from tests.readers.clouds import CLOUD, ECHO, cloud, echoes
+from tests.readers.ros import POSED, ROS1, ROS2, SCAN, SECOND, TF, header, posed, scan, transforms
 from tests.readers.runs import list_fields
-from tests.readers.test_flatten import CLOUD, ECHO, cloud, echoes
 
 MESSAGES = 5
 SPOILT = 2
 """Which of the messages is the nasty one."""
 ALL = frozenset(range(MESSAGES))
 MOST_SECONDS = 5.0
+PATH = "nav_msgs/msg/Path"
 DEEP = "@deep"
 """Stands in a JSON message for lists within lists."""
 
@@ -52,17 +49,8 @@ NUMBERS = (
 )  # fmt: skip
 INTEGERS = (0, 1, -1, 7, 255, 2**16, 2**31 - 1, -(2**31), 2**32 - 1, 2**62, 2**63 - 1, -(2**63))
 TEXTS = (
-    "",
-    "/",
-    "laser",
-    "a" * 70_000,
-    "\x1b[31m",
-    "x\0y",
-    "::error::",
-    "../../x",
-    "ü\u2028",
-    "{}",
-)
+    "", "/", "laser", "a" * 70_000, "\x1b[31m", "x\0y", "::error::", "../../x", "ü\u2028", "{}",
+)  # fmt: skip
 ANYTHING: Sequence[Any] = (
     None, True, "abc", "NaN", "Infinity", "1e999", 10**400, -(10**400), 2**62, 2**63, 2**64, 1.5,
     np.nan, np.inf, 1e308, [], [[1, 2], [3, 4]], [[1], [2, 3]], [None], ["x"], [{}], {}, {"x": {}},
@@ -96,52 +84,47 @@ class Case:
         with path.open("wb") as file:
             writer = Writer(file, compression=CompressionType.NONE)
             writer.start(profile="")
-            schemas = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
-            form = schemas.get(self.encoding, "protobuf")
-            number = writer.register_schema(self.kind, form, self.schema)
-            channel = writer.register_channel(self.topic, self.encoding, number)
-            text = ROS2.generate_msgdef(SCAN, ros_version=2)[0].encode()
-            sound = writer.register_channel(
-                "/sound", "cdr", writer.register_schema(SCAN, "ros2msg", text)
-            )
-            text = ROS2.generate_msgdef(TF, ros_version=2)[0].encode()
-            tf = writer.register_channel(
-                "/tf_static", "cdr", writer.register_schema(TF, "ros2msg", text)
-            )
+            forms = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
+
+            def add_channel(topic: str, encoding: str, kind: str, schema: bytes) -> int:
+                number = writer.register_schema(kind, forms.get(encoding, "protobuf"), schema)
+                return writer.register_channel(topic, encoding, number)
+
+            channel = add_channel(self.topic, self.encoding, self.kind, self.schema)
+            sound = add_channel("/sound", "cdr", SCAN, define(ROS2, SCAN))
+            tf = add_channel("/tf_static", "cdr", TF, define(ROS2, TF))
             mount = transforms(ROS2, SECOND, [("odom", "laser", 0.5), ("odom", "lidar", 0.5)])
-            writer.add_message(tf, 1, bytes(ROS2.serialize_cdr(mount, TF)), 1)
+            writer.add_message(tf, 1, serialise(ROS2, mount, TF), 1)
             for i, data in enumerate(self.messages):
                 writer.add_message(channel, i, data, i)
-                at = bytes(ROS2.serialize_cdr(scan(ROS2, (100 + i) * SECOND), SCAN))
+                at = serialise(ROS2, scan(ROS2, (100 + i) * SECOND), SCAN)
                 writer.add_message(sound, i, at, i)
             writer.finish()  # type: ignore[no-untyped-call]
         return path
 
 
+def define(store: Typestore, kind: str) -> bytes:
+    """The definition of a type of messages, as files hold it."""
+    text, _ = store.generate_msgdef(kind, ros_version=1 if store is ROS1 else 2)
+    return text.encode()
+
+
 def make_ros_message(store: Typestore, kind: str, index: int) -> Any:
     """A sound message."""
     stamp_ns = (100 + index) * SECOND
+    if kind in POSED:
+        return posed(store, kind, stamp_ns, ("map", "laser", 0.1 * index))
     makers: dict[str, Callable[[], Any]] = {
         SCAN: lambda: scan(store, stamp_ns),
         ECHO: lambda: echoes(store, [[1.0, 1.5], [3.0], [], [2.0, 4.0]]),
         CLOUD: lambda: cloud(store, [(3.0, 0.1, 0.0), (2.0, 1.0, 0.1), (0.0, -5.0, -0.1)]),
         TF: lambda: transforms(store, stamp_ns, [("map", "odom", 0.1 * index), ("odom", "b", 1.0)]),
+        PATH: lambda: store.types[PATH](
+            header(store, stamp_ns, "map"),
+            [posed(store, POSED[0], stamp_ns, ("map", "", x)) for x in (1.0, 2.0)],
+        ),
     }
-    if kind in makers:
-        return makers[kind]()
-    types, head = store.types, header(store, stamp_ns, "map")
-    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    twist = types["geometry_msgs/msg/Twist"](zero, zero)
-    moving = types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36))
-    uncertain = types["geometry_msgs/msg/PoseWithCovariance"](pose(store, 1.0), np.zeros(36))
-    stamped = types["geometry_msgs/msg/PoseStamped"]
-    fields: dict[str, tuple[Any, ...]] = {
-        "geometry_msgs/msg/PoseStamped": (pose(store, 0.1 * index),),
-        "geometry_msgs/msg/PoseWithCovarianceStamped": (uncertain,),
-        "nav_msgs/msg/Odometry": ("laser", uncertain, moving),
-        "nav_msgs/msg/Path": ([stamped(head, pose(store, x)) for x in (1.0, 2.0)],),
-    }
-    return types[kind](head, *fields[kind])
+    return makers[kind]()
 
 
 def serialise(store: Typestore, message: Any, kind: str) -> bytes:
@@ -179,7 +162,6 @@ def spoil_value(value: Any, dice: random.Random) -> Any:
 def make_ros_value(dice: random.Random, name: str, store: Typestore, kind: str) -> Case:
     """One field takes another value of its type."""
     sound = [serialise(store, make_ros_message(store, kind, i), kind) for i in range(MESSAGES)]
-    text, _ = store.generate_msgdef(kind, ros_version=1 if store is ROS1 else 2)
     while True:
         message = deepcopy(make_ros_message(store, kind, SPOILT))
         put, value = dice.choice(list(list_leaves(message)))
@@ -191,20 +173,17 @@ def make_ros_value(dice: random.Random, name: str, store: Typestore, kind: str) 
             continue
         if dice.random() < 0.1:  # a string that is no UTF-8
             sound[SPOILT] = sound[SPOILT].replace(b"la", b"\xff\xfe").replace(b"odom", b"od\xc3m")
-        return Case(name, _encoding(store), kind, text.encode(), sound, frozenset({SPOILT}))
+        return Case(name, _encoding(store), kind, define(store, kind), sound, frozenset({SPOILT}))
 
 
 def make_ros_type(dice: random.Random, name: str, store: Typestore, kind: str) -> Case:
     """One field has another type; the messages are written by that, where anybody can."""
-    text, _ = store.generate_msgdef(kind, ros_version=1 if store is ROS1 else 2)
-    lines = text.splitlines()
-    at = dice.choice(
-        [i for i, line in enumerate(lines) if len(line.split()) == 2 and ":" not in line]
-    )
+    lines = define(store, kind).decode().splitlines()
+    fields = [i for i, line in enumerate(lines) if len(line.split()) == 2 and ":" not in line]
+    at = dice.choice(fields)
     field = lines[at].split()[1]
-    lines[at] = dice.choice(
-        [f"{kind_} {field}" for kind_ in (*ROS_TYPES, kind)] + ["", f"{field} x"]
-    )
+    others = [f"{other} {field}" for other in (*ROS_TYPES, kind)]
+    lines[at] = dice.choice([*others, "", f"{field} x"])
     odd = "\n".join(lines) + "\n"
     sound = [serialise(store, make_ros_message(store, kind, i), kind) for i in range(MESSAGES)]
     if dice.random() < 0.7 and "0000000" not in odd and "1e999" not in odd:
@@ -273,9 +252,8 @@ def make_json(dice: random.Random, name: str, kind: str) -> Case:
     sound = [json.dumps(message).encode() for message in messages]
     sound[SPOILT] = sound[SPOILT].replace(b'"@deep"', b"[" * 100_000)
     if dice.random() < 0.05:
-        sound[SPOILT] = dice.choice(
-            (b"", b"7", b"null", b"[]", b'"x"', b"{", b"\xff", b"9" * 10_000)
-        )
+        nonsense = (b"", b"7", b"null", b"[]", b'"x"', b"{", b"\xff", b"9" * 10_000)
+        sound[SPOILT] = dice.choice(nonsense)
     return Case(name, "json", kind, b"{}", sound, frozenset({SPOILT}))
 
 
@@ -309,9 +287,8 @@ def make_protobuf_type(dice: random.Random, name: str, kind: str) -> Case:
         field.type = FieldDescriptorProto.TYPE_MESSAGE
         field.type_name = f".foxglove.{dice.choice(list(foxglove.SCHEMA))}"
     else:
-        field.type = FieldDescriptorProto.Type.Value(
-            f"TYPE_{dice.choice(('STRING', 'BYTES', 'BOOL', 'INT64', 'UINT64', 'FLOAT', 'SINT32'))}"
-        )
+        other = dice.choice(("STRING", "BYTES", "BOOL", "INT64", "UINT64", "FLOAT", "SINT32"))
+        field.type = FieldDescriptorProto.Type.Value(f"TYPE_{other}")
         field.ClearField("type_name")
     sound = [foxglove.encode_protobuf(kind, make_foxglove_fields(kind, i)) for i in range(MESSAGES)]
     with suppress(TypeError):  # the types do not fit together: sound messages lie under them
@@ -349,10 +326,7 @@ def _fill_fields(message: Any, dice: random.Random, depth: int) -> None:
                 continue
 
 
-ROS_KINDS = (
-    SCAN, ECHO, CLOUD, TF, "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Path",
-)  # fmt: skip
+ROS_KINDS = (SCAN, ECHO, CLOUD, TF, *POSED, PATH)
 FOXGLOVE_KINDS = tuple(
     f"foxglove.{name}"
     for name in ("LaserScan", "FrameTransform", "FrameTransforms", "PoseInFrame", "PosesInFrame")
@@ -421,33 +395,3 @@ def check_scans(case: Case, scans: Sequence[Scan | Cloud], damaged: bool) -> Non
         ]
         assert len(rows) == MESSAGES - 1, case.name
         assert "foxglove" in case.kind or all(row == rows[0] for row in rows), case.name
-
-
-def main(words: list[str]) -> int:
-    """Run so many cases, and count how they ended."""
-    cases, first = (
-        (int(word) for word in (*words, "5000", "0")[:2]) if len(words) != 1 else (int(words[0]), 0)
-    )
-    warnings.simplefilter("error")
-    ends: Counter[str] = Counter()
-    slowest = 0.0
-    with tempfile.TemporaryDirectory(prefix="occmap-typed-") as folder:
-        sound = [serialise(ROS2, make_ros_message(ROS2, SCAN, i), SCAN) for i in range(MESSAGES)]
-        text, _ = ROS2.generate_msgdef(SCAN, ros_version=2)
-        case = Case("sound", "cdr", SCAN, text.encode(), sound, ALL)
-        with suppress(AssertionError):  # kernels are compiled at their first use
-            run_case(case, Path(folder))
-        for number in range(first, first + cases):
-            case, start = make_case(number), time.monotonic()
-            try:
-                ends[run_case(case, Path(folder))] += 1
-            except Exception as error:  # noqa: BLE001  any that escapes is what is looked for
-                ends["escaped"] += 1
-                sys.stdout.write(f"{case.name}: {type(error).__name__}: {str(error)[:200]}\n")
-            slowest = max(slowest, time.monotonic() - start)
-    sys.stdout.write(f"{cases} cases, the slowest {slowest:.2f} s: {dict(ends)}\n")
-    return 1 if ends["escaped"] else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

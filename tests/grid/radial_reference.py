@@ -9,17 +9,9 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass, field
 
-from occmap.types import Kind, Rays
-from tests.grid.reference import (
-    Cell,
-    Point,
-    all_beams,
-    bresenham,
-    cell_of,
-    list_beams,
-    point,
-    reach,
-)
+from occmap.grid.kernels.projection import join_viewpoints
+from occmap.types import Kind, Rays, Update
+from tests.grid.reference import Cell, Point, bresenham, cell_of, list_beams, point, range_on_map
 
 MILLIONTH = 1e-6
 """A distance this near to a limit, as a share of it, may fall on either side."""
@@ -73,39 +65,25 @@ def centre_from(sensor: Point, cell: Cell, resolution: float) -> tuple[float, fl
     return x * resolution / 256, y * resolution / 256
 
 
-def range_on_map(rays: Rays, s: int, b: int) -> float:
-    """How far away a beam's end lies on the map (m): nothing for one straight up."""
-    return float(rays.distance[s, b]) * math.hypot(*rays.direction[s, b])
+def trace_radial(update: Update, rays: Rays, resolution: float, model: Quadratic) -> Observed:
+    """What an update observes.
 
-
-def trace_radial_beams(rays: Rays, resolution: float, model: Quadratic) -> Observed:
-    """Along each beam: to its range, or where it hit something to its range + depth."""
+    A cell is observed once a scan by polygon; else along each beam that is drawn, to its range, or
+    where it hit something to its range + depth, as often as it weighs. A scan of a single beam has
+    no neighbour that would say how wide it is: it is a line.
+    """
+    if update is Update.POLYGON:
+        rays = join_viewpoints(rays)
+        if rays.kind.shape[1] > 1:
+            return trace_radial_polygons(rays, resolution, model)
     observed = Observed()
-    for s, b in all_beams(rays):
-        kind, r = Kind(int(rays.kind[s, b])), range_on_map(rays, s, b)
-        if kind == Kind.SKIP:
-            continue
-        sensor = point(rays, s, b, 0.0, resolution)
-        end = point(rays, s, b, reach(rays, s, b, model.depth), resolution)
-        for cell in bresenham(cell_of(sensor), cell_of(end)):
-            d = math.hypot(*centre_from(sensor, cell, resolution))
-            observed.note(cell, model.observe(d, r, kind))
-            if model.is_on_limit(d, r):
+    for beam in list_beams(update, rays, resolution, depth=model.depth):
+        for cell in bresenham(cell_of(beam.start), cell_of(beam.end)):
+            d = math.hypot(*centre_from(beam.sensor, cell, resolution))
+            for _ in range(beam.weight):
+                observed.note(cell, model.observe(d, beam.range, beam.kind))
+            if model.is_on_limit(d, beam.range):
                 observed.doubtful.add(cell)
-    return observed
-
-
-def trace_radial_surfaces(rays: Rays, resolution: float, model: Quadratic) -> Observed:
-    """As along each beam, for those drawn between neighbours, too; each as often as it weighs."""
-    observed = Observed()
-    for s in range(rays.kind.shape[0]):
-        for beam in list_beams(rays, s, resolution, 0.1, model.depth):
-            for cell in bresenham(cell_of(beam.start), cell_of(beam.end)):
-                d = math.hypot(*centre_from(beam.sensor, cell, resolution))
-                for _ in range(beam.weight):
-                    observed.note(cell, model.observe(d, beam.range, beam.kind))
-                if model.is_on_limit(d, beam.range):
-                    observed.doubtful.add(cell)
     return observed
 
 
@@ -132,11 +110,8 @@ class Sector:
 def trace_radial_polygons(rays: Rays, resolution: float, model: Quadratic) -> Observed:
     """Each cell once a scan, with the range of the beam that covers its bearing.
 
-    Where a scan goes more than once round, the later beam counts. A single beam has no neighbour
-    that would say how wide it is: it is a line.
+    Where a scan goes more than once round, the later beam counts.
     """
-    if rays.kind.shape[1] == 1:
-        return trace_radial_beams(rays, resolution, model)
     observed = Observed()
     for s in range(rays.kind.shape[0]):
         sectors = find_sectors(rays, s)

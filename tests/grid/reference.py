@@ -9,7 +9,9 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from occmap.types import Kind, Rays
+from occmap.grid.kernels.projection import join_viewpoints
+from occmap.grid.tiles import GridSpec
+from occmap.types import Kind, Rays, Update
 
 Cell = tuple[int, int]
 Point = tuple[int, int]
@@ -57,20 +59,6 @@ def bresenham(start: Cell, end: Cell) -> list[Cell]:
     return [(at(i, start[0], end[0]), at(i, start[1], end[1])) for i in range(n + 1)]
 
 
-def trace_beams(rays: Rays, resolution: float) -> tuple[Counter[Cell], Counter[Cell]]:
-    """Hits and misses of the beam update."""
-    hits: Counter[Cell] = Counter()
-    misses: Counter[Cell] = Counter()
-    for s, b in all_beams(rays):
-        if rays.kind[s, b] == Kind.SKIP:
-            continue
-        start = cell_of(point(rays, s, b, 0.0, resolution))
-        end = cell_of(point(rays, s, b, float(rays.distance[s, b]), resolution))
-        misses.update(bresenham(start, end)[:-1])
-        (hits if rays.kind[s, b] == Kind.HIT else misses)[end] += 1
-    return hits, misses
-
-
 class Beam(NamedTuple):
     """A beam as the surface update draws it."""
 
@@ -84,58 +72,76 @@ class Beam(NamedTuple):
     weight: int
 
 
-def trace_surfaces(
-    rays: Rays, resolution: float, jump: float = 0.1
-) -> tuple[Counter[Cell], Counter[Cell]]:
-    """Hits and misses of the surface update."""
+def trace(spec: GridSpec, rays: Rays) -> tuple[Counter[Cell], Counter[Cell]]:
+    """Hits and misses of an update that counts."""
+    resolution = spec.lattice.resolution
+    if spec.update is Update.POLYGON:
+        return trace_polygons(join_viewpoints(rays), resolution, spec.jump, spec.border_gap)
     hits: Counter[Cell] = Counter()
     misses: Counter[Cell] = Counter()
-    for s in range(rays.kind.shape[0]):
-        for beam in list_beams(rays, s, resolution, jump):
-            for cell in bresenham(cell_of(beam.start), cell_of(beam.end))[:-1]:
-                misses[cell] += beam.weight
-            (hits if beam.kind == Kind.HIT else misses)[cell_of(beam.end)] += beam.weight
+    for beam in list_beams(spec.update, rays, resolution, spec.jump):
+        *crossed, end = bresenham(cell_of(beam.start), cell_of(beam.end))
+        for cell in crossed:
+            misses[cell] += beam.weight
+        (hits if beam.kind == Kind.HIT else misses)[end] += beam.weight
     return hits, misses
 
 
 def list_beams(
-    rays: Rays, s: int, resolution: float, jump: float, depth: float = 0.0
+    update: Update, rays: Rays, resolution: float, jump: float = 0.1, depth: float = 0.0
 ) -> Iterator[Beam]:
-    """A scan's beams, and those that a denser laser would have sent between neighbours.
+    """What the beam or the surface update draws; a hit is followed to `depth` (m) behind it."""
+    for s in range(rays.kind.shape[0]):
+        if update is Update.SURFACE:
+            yield from list_surface_beams(rays, s, resolution, jump, depth)
+        else:
+            yield from list_measured_beams(rays, s, resolution, depth).values()
 
-    A hit is followed to `depth` (m) behind its range.
-    """
-    beams = rays.kind.shape[1]
-    kinds = [Kind(kind) for kind in rays.kind[s].tolist()]
-    distance = [float(each) for each in rays.distance[s]]
-    sensors = [point(rays, s, b, 0.0, resolution) for b in range(beams)]
-    ends = [point(rays, s, b, reach(rays, s, b, depth), resolution) for b in range(beams)]
-    weights = [2] * beams
-    for a in range(beams if rays.full_circle and beams > 1 else beams - 1):
-        b = (a + 1) % beams
-        (x, y), (to_x, to_y) = ends[a], ends[b]
+
+def list_measured_beams(rays: Rays, s: int, resolution: float, depth: float) -> dict[int, Beam]:
+    """The beams of a scan that are not SKIP, each by itself."""
+    beams = {}
+    for b, kind in enumerate(map(Kind, rays.kind[s].tolist())):
+        if kind != Kind.SKIP:
+            sensor = point(rays, s, b, 0.0, resolution)
+            end = point(rays, s, b, reach(rays, s, b, depth), resolution)
+            beams[b] = Beam(sensor, sensor, end, range_on_map(rays, s, b), kind, 1)
+    return beams
+
+
+def range_on_map(rays: Rays, s: int, b: int) -> float:
+    """How far away a beam's end lies on the map (m): nothing for one straight up."""
+    return float(rays.distance[s, b]) * math.hypot(*rays.direction[s, b])
+
+
+def list_surface_beams(
+    rays: Rays, s: int, resolution: float, jump: float, depth: float
+) -> Iterator[Beam]:
+    """A scan's beams, and those that a denser laser would have sent between neighbours."""
+    measured = list_measured_beams(rays, s, resolution, depth)
+    weights = dict.fromkeys(measured, 2)
+    for a, b in neighbours(rays):
+        if a not in measured or b not in measured:
+            continue
+        one, other = measured[a], measured[b]
+        (x, y), (to_x, to_y) = one.end, other.end
         apart = max(abs(to_x - x), abs(to_y - y)) // 256
-        near = min(distance[a], distance[b])
-        one_surface = abs(distance[a] - distance[b]) <= max(jump, near * 0.1) and apart <= 12
+        far_a, far_b = (float(rays.distance[s, each]) for each in (a, b))
+        one_surface = abs(far_a - far_b) <= max(jump, min(far_a, far_b) * 0.1) and apart <= 12
         drawn = 0
-        if kinds[a] == kinds[b] == Kind.HIT and one_surface:
+        if one.kind == other.kind == Kind.HIT and one_surface:
             drawn = min(apart, 3)
             for i in range(1, drawn + 1):
                 end = x + i * ((to_x - x) // (drawn + 1)), y + i * ((to_y - y) // (drawn + 1))
-                start = (
-                    (3 * sensors[a][0] + 5 * end[0]) // 8,
-                    (3 * sensors[a][1] + 5 * end[1]) // 8,
-                )
-                r = max(math.dist(sensors[a], end) * resolution / 256 - depth, 0.0)
-                yield Beam(sensors[a], start, end, r, Kind.HIT, 2)
-        elif not kinds[a] == kinds[b] == Kind.FREE:
+                start = (3 * one.sensor[0] + 5 * end[0]) // 8, (3 * one.sensor[1] + 5 * end[1]) // 8
+                r = max(math.dist(one.sensor, end) * resolution / 256 - depth, 0.0)
+                yield Beam(one.sensor, start, end, r, Kind.HIT, 2)
+        elif not one.kind == other.kind == Kind.FREE:
             continue
         weights[a] += 3 - drawn
         weights[b] += 3 - drawn
-    for b, kind in enumerate(kinds):
-        if kind != Kind.SKIP:
-            on_map = distance[b] * math.hypot(*rays.direction[s, b])
-            yield Beam(sensors[b], sensors[b], ends[b], on_map, kind, weights[b])
+    for b, beam in measured.items():
+        yield beam._replace(weight=weights[b])
 
 
 def trace_polygons(
@@ -156,16 +162,11 @@ def trace_polygons(
     return hits, misses
 
 
-def all_beams(rays: Rays) -> Iterator[tuple[int, int]]:
-    scans, beams = rays.kind.shape
-    return ((s, b) for s in range(scans) for b in range(beams))
-
-
 def neighbours(rays: Rays) -> list[tuple[int, int]]:
     """Pairs of beams that lie side by side."""
     beams = rays.kind.shape[1]
     pairs = [(b, b + 1) for b in range(beams - 1)]
-    return [*pairs, (beams - 1, 0)] if rays.full_circle else pairs
+    return [*pairs, (beams - 1, 0)] if rays.full_circle and beams > 1 else pairs
 
 
 def find_border(rays: Rays, s: int, resolution: float, jump: float, border_gap: int) -> set[Cell]:

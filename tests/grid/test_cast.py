@@ -10,21 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.grid.kernels.cast import BINS, CERTAIN, FOLLOWED, UNIFORM, Chart, cast_beam, cast_beams
-from occmap.types import Bool, Float32, Float64, Kind, Rays
-from tests.grid.scans import FEW
+from occmap.types import Float32, Float64, Kind, Rays
+from tests.grid.scans import FEW, make_rays
 
 UNKNOWN_COST = math.log(2)
 
 
-def draw(occupied: Bool, probability: Float32, resolution: float = 1.0) -> Chart:
+def draw(probability: Float32, resolution: float = 1.0, cut: float = 0.5) -> Chart:
     cost = np.asarray(-np.log(np.maximum(1 - probability, CERTAIN)), np.float32)
-    bins = np.zeros(probability.shape, np.uint8)
+    bins, occupied = np.zeros(probability.shape, np.uint8), probability > np.float32(cut)
     return Chart(occupied, probability, cost, bins, (-1.0, -1.0), resolution)
-
-
-def call_occupied(probability: Float32) -> Bool:
-    above: Bool = probability > 0.5
-    return above
 
 
 class Cast(NamedTuple):
@@ -35,21 +30,13 @@ class Cast(NamedTuple):
     end: float
 
 
-def cast(probability: Float32, x: float, y: float, angle: float, reach: float) -> Cast:
-    along = math.cos(angle), math.sin(angle)
-    return cast_through(call_occupied(probability), probability, x, y, along, reach)
-
-
-def cast_through(
-    occupied: Bool,
-    probability: Float32,
-    x: float,
-    y: float,
-    along: tuple[float, float],
-    reach: float,
+def cast(
+    probability: Float32, x: float, y: float, angle: float, reach: float, cut: float = 0.5
 ) -> Cast:
-    tally = np.zeros((BINS + 1, 3))
-    return Cast(*cast_beam(draw(occupied, probability), (x, y), along, reach, True, tally))
+    """Of a beam through a map that calls cells occupied above a cut."""
+    along, tally = (math.cos(angle), math.sin(angle)), np.zeros((BINS + 1, 3))
+    chart = draw(probability, cut=cut)
+    return Cast(*cast_beam(chart, (x, y), along, reach, True, tally))
 
 
 def cast_slowly(probability: Float32, x: float, y: float, angle: float, reach: float) -> Cast:
@@ -120,14 +107,13 @@ def test_the_likelihood_of_a_wall_behind_half_free_cells() -> None:
     assert beam.cost == pytest.approx(sum(costs), rel=1e-6)
 
 
-@pytest.mark.parametrize(("occupied_above", "found"), [(0.5, 0), (0.32, 1)])
+@pytest.mark.parametrize(("cut", "found"), [(0.5, 0), (0.32, 1)])
 def test_what_the_map_calls_occupied_is_found_however_probable_it_is(
-    occupied_above: float, found: int
+    cut: float, found: int
 ) -> None:
     """A wall at 0.4, from 7 to 8."""
     probability = np.array([[0.0, 0, 0, 0, 0, 0, 0, 0.4, 0, 0]], np.float32)
-    occupied = probability > np.float32(occupied_above)
-    beam = cast_through(occupied, probability, 0.0, 0.5, (1.0, 0.0), 7.5)
+    beam = cast(probability, 0.0, 0.5, 0.0, 7.5, cut)
     assert beam.found == found
     assert beam.stopped == pytest.approx(0.4)  # the likelihood asks only how probable
 
@@ -143,31 +129,21 @@ def test_beyond_the_map_all_is_unknown_and_costs_no_time(cells: int) -> None:
 
 def total(rays: Rays, probability: Float32, resolution: float = 1.0) -> Float64:
     totals = np.zeros((len(rays.kind), 6))
-    chart = draw(call_occupied(probability), probability, resolution)
-    cast_beams(rays, chart, totals, np.zeros((BINS + 1, 3)))
+    cast_beams(rays, draw(probability, resolution), totals, np.zeros((BINS + 1, 3)))
     by_kind: Float64 = totals.sum(axis=0)
     return by_kind
 
 
-def make_rays(kinds: list[Kind], tilt: float = 1.0) -> Rays:
-    """All from (0, 0.25) along x; where tilted, that much longer than what they cross."""
-    direction = np.tile([1 / tilt, 0.0], (1, len(kinds), 1))
-    distance = np.full((1, len(kinds)), 1.8 * tilt, np.float32)
-    return Rays.along(
-        np.array([[[0, 0.25]]]),
-        direction,
-        distance,
-        np.array([kinds], np.uint8),
-        np.zeros(1, np.int64),
-        full_circle=False,
-    )
+def look_along_x(kinds: list[Kind], tilt: float = 1.0) -> Rays:
+    """All from (0, 0.25); where tilted, that much longer than what they cross."""
+    return make_rays((0, 0.25), (1 / tilt, 0), 1.8 * tilt, kinds)
 
 
 @pytest.mark.parametrize("tilt", [1.0, 1.25])
 def test_totals_are_sums_over_beams_in_metres_and_in_the_plane(tilt: float) -> None:
     probability = np.full((8, 12), 0.01, np.float32)
     probability[:, 5] = 0.8  # x from 1.5 to 2.0
-    rays = make_rays([Kind.HIT, Kind.SKIP, Kind.FREE, Kind.HIT], tilt)
+    rays = look_along_x([Kind.HIT, Kind.SKIP, Kind.FREE, Kind.HIT], tilt)
     beams, near, likelihood, occupied, free, cost = total(rays, probability, 0.5)
     stopped = 0.99**2 * (0.01 + 0.99 * (0.8 + 0.2 * (0.01 + 0.99 * 0.01)))
     assert (beams, near, free) == (2, 2, 3 * 3 + 1)
@@ -177,13 +153,13 @@ def test_totals_are_sums_over_beams_in_metres_and_in_the_plane(tilt: float) -> N
 
 
 def test_a_beam_straight_up_scores_nothing() -> None:
-    rays = make_rays([Kind.HIT])
+    rays = look_along_x([Kind.HIT])
     rays.turn[...] = 0
     assert not total(rays, np.full((4, 4), 0.9, np.float32)).any()
 
 
 def test_no_cell_costs_more_than_certain() -> None:
     probability = np.zeros((8, 12), np.float32)
-    totals = total(make_rays([Kind.HIT, Kind.FREE]), probability)
+    totals = total(look_along_x([Kind.HIT, Kind.FREE]), probability)
     assert totals[3] == pytest.approx(-math.log(CERTAIN))
     assert totals[2] == pytest.approx(math.log(UNIFORM**2))

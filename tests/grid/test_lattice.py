@@ -1,16 +1,19 @@
-"""Cells and lattice units, worked out by hand."""
+"""Cells and lattice units, worked out by hand, and the lines between them."""
 
 import math
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from occmap.errors import UsageError
 from occmap.grid import CellBox, Lattice
+from occmap.grid.kernels.lines import Line, count_steps, draw_line, find_step, steps_after
 from occmap.grid.kernels.projection import project
 from occmap.grid.tiles import GridSpec
 from occmap.types import Kind, Update
-from tests.grid.scans import make_scan, shift
+from tests.grid.scans import MANY, make_scan, shift
 
 
 @pytest.mark.parametrize(
@@ -69,7 +72,7 @@ def test_the_corner_of_a_cell_is_in_it() -> None:
             assert lattice.to_cell(lattice.to_metres(n), 0.0) == (0, n)
 
 
-@pytest.mark.parametrize("resolution", [0.0, -0.05, math.nan, math.inf])
+@pytest.mark.parametrize("resolution", [0.0, -0.05, 9e-10, 5e-324, math.nan, math.inf])
 def test_a_resolution_that_makes_no_cells_is_refused(resolution: float) -> None:
     with pytest.raises(UsageError, match=r"`resolution=0\.05`"):
         Lattice(resolution)
@@ -99,3 +102,29 @@ def test_points_lie_in_the_box_that_encloses_them_and_so_does_what_is_near() -> 
     assert Lattice(1.0).enclose(points) == CellBox(-1, 0, 4, 3)
     assert Lattice(1.0).enclose(points, around=0.6) == CellBox(-1, -1, 5, 3)
     assert Lattice(0.5).enclose(points[:1]) == CellBox.at(-1, 1)
+
+
+LONGEST = 1 << 22
+
+
+@st.composite
+def draw_places(draw: st.DrawFn) -> tuple[int, int, int]:
+    """Steps m and cells n of a line, and one of its cells."""
+    n = draw(st.integers(1, LONGEST))
+    return n, draw(st.integers(0, n)), draw(st.integers(0, n))
+
+
+@MANY
+@given(draw_places())
+@example((LONGEST, LONGEST - 1, LONGEST // 2))
+@example((LONGEST - 1, LONGEST - 2, LONGEST // 2 - 1))
+@example((12, 7, 6))  # a half, of which a float product is a little less
+@example((1, 1, 1))
+def test_steps_are_rounded_halves_up(place: tuple[int, int, int]) -> None:
+    n, m, i = place
+    line = Line(*draw_line(0, 0, n, m))
+    made = (2 * i * m + n) // (2 * n)
+    assert steps_after(line, float(i)) == count_steps(line, i) == made
+    first = find_step(line, made)
+    assert (2 * first * m + n) // (2 * n) == made
+    assert first == 0 or (2 * (first - 1) * m + n) // (2 * n) == made - 1

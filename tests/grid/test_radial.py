@@ -1,6 +1,7 @@
 """Models that look at distances: the engine against the rule, written the slow way."""
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,24 +11,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.grid import Lattice
-from occmap.grid.kernels.projection import join_viewpoints
 from occmap.grid.kernels.units import TABLE_STEPS
 from occmap.grid.tiles import LOG_ODDS_UNIT, WINDOW_CELLS, GridSpec, tabulate
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from tests.bench.workloads import Sensor, make_office
-from tests.grid import radial_reference
-from tests.grid.radial_reference import Observed, Quadratic
-from tests.grid.scans import FEW, Drive, Evidence, aim, drives, observe, upright_drives
-
-Trace = Callable[[Rays, float, Quadratic], Observed]
-
-TRACES: dict[Update, Trace] = {
-    Update.BEAM: radial_reference.trace_radial_beams,
-    Update.POLYGON: radial_reference.trace_radial_polygons,
-    Update.SURFACE: radial_reference.trace_radial_surfaces,
-}
+from tests.grid.radial_reference import Observed, Quadratic, trace_radial
+from tests.grid.reference import Cell
+from tests.grid.scans import (
+    FEW,
+    MIDDLE,
+    Drive,
+    Evidence,
+    aim,
+    drives,
+    make_rays,
+    observe,
+    upright_drives,
+)
 
 
 def tolerance(model: Quadratic) -> float:
@@ -62,73 +64,62 @@ def check(evidence: Evidence, expected: Observed, model: Quadratic) -> None:
 
 
 @pytest.mark.parametrize("update", BEAM_UPDATES)
+@pytest.mark.parametrize("scene", [drives, upright_drives])
 @FEW
 @given(
-    drive=drives(),
+    data=st.data(),
     cells_deep=st.sampled_from([0.5, 1.0, 3.3]),
     p_min=st.sampled_from([0.1, 0.4]),
     window_cells=st.sampled_from([400, WINDOW_CELLS]),
 )
-def test_random_scans_follow_the_rule(
-    update: Update, drive: Drive, cells_deep: float, p_min: float, window_cells: int
+def test_every_update_follows_its_rule(
+    update: Update,
+    scene: Callable[[], st.SearchStrategy[Drive]],
+    data: st.DataObject,
+    cells_deep: float,
+    p_min: float,
+    window_cells: int,
 ) -> None:
-    rays, resolution = drive
+    """Also with beams straight up and down."""
+    rays, resolution = data.draw(scene())
     model = Quadratic(cells_deep * resolution, p_min)
-    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
-    expected = TRACES[update](seen, resolution, model)
-    spec = make_spec(update, resolution, model)
-    check(observe(spec, [rays], window_cells), expected, model)
-
-
-@pytest.mark.parametrize("update", BEAM_UPDATES)
-@FEW
-@given(drive=upright_drives(), cells_deep=st.sampled_from([0.5, 3.3]))
-def test_beams_straight_up_and_down_follow_the_rule(
-    update: Update, drive: Drive, cells_deep: float
-) -> None:
-    rays, resolution = drive
-    model = Quadratic(cells_deep * resolution, 0.1)
-    seen = join_viewpoints(rays) if update is Update.POLYGON else rays
-    expected = TRACES[update](seen, resolution, model)
-    check(observe(make_spec(update, resolution, model), [rays]), expected, model)
+    evidence = observe(make_spec(update, resolution, model), [rays], window_cells)
+    check(evidence, trace_radial(update, rays, resolution, model), model)
 
 
 def look_around(distance: list[float], degrees: float) -> Rays:
     """One scan from the middle of cell (0, 0) of cells of a metre, its first beam along x."""
     beams = len(distance)
-    return Rays.along(
-        np.full((1, 1, 2), 0.5),
-        aim(0.0, math.radians(degrees), beams)[None],
-        np.array([distance], np.float32),
-        np.full((1, beams), Kind.HIT, np.uint8),
-        np.zeros(1, np.int64),
-        full_circle=beams * degrees >= 360,
-    )
+    directions = aim(0.0, math.radians(degrees), beams)
+    return make_rays(MIDDLE, directions, distance, full_circle=beams * degrees >= 360)
 
 
-@pytest.mark.parametrize("update", BEAM_UPDATES)
-def test_the_cells_of_one_beam_worked_out_by_hand(update: Update) -> None:
+@pytest.mark.parametrize(
+    ("update", "beams"),
+    [(Update.BEAM, 1), (Update.SURFACE, 1), (Update.POLYGON, 1), (Update.POLYGON, 36)],
+)
+def test_the_cells_of_one_beam_worked_out_by_hand(update: Update, beams: int) -> None:
     """Range 4, depth 1: free before 3 with p = (d / 3)^2 / 2, the hit from 3 to 5."""
     model = Quadratic(depth=1.0, p_min=0.1)
-    rays = look_around([4.0] * 36, 10.0) if update is Update.POLYGON else look_around([4.0], 10.0)
-    evidence = observe(make_spec(update, 1.0, model), [rays])
+    evidence = observe(make_spec(update, 1.0, model), [look_around([4.0] * beams, 10.0)])
     ahead = [(0, col) for col in range(6)]
     weight = 2 if update is Update.SURFACE else 1
     assert [evidence.second[cell] for cell in ahead] == [weight] * 6
+    assert beams > 1 or evidence.second.keys() == set(ahead)
     p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
     log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT / weight
     np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
 
 
-def test_a_sensor_of_one_beam_observes_the_cells_along_it_by_polygon() -> None:
-    """Range 4, depth 1, as for any beam: p = (d / 3)^2 / 2 before 3, the hit from 3 to 5."""
-    model = Quadratic(depth=1.0, p_min=0.1)
-    evidence = observe(make_spec(Update.POLYGON, 1.0, model), [look_around([4.0], 10.0)])
-    ahead = [(0, col) for col in range(6)]
-    assert evidence.second == dict.fromkeys(ahead, 1)
-    p = np.array([0.1, 0.1, 2 / 9, 0.5, 0.9, 0.5])
-    log_odds = np.array([evidence.first[cell] for cell in ahead]) * LOG_ODDS_UNIT
-    np.testing.assert_allclose(log_odds, np.log(p / (1 - p)), atol=tolerance(model))
+def count_by_polygon(rays: Rays) -> Counter[Cell]:
+    """How many scans observed each cell."""
+    return observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+
+
+def find_cell(away: float, bearing: float) -> Cell:
+    """The cell so far from the sensor, at a bearing in degrees."""
+    x, y = away * aim(math.radians(bearing), 0, 1)[0] + MIDDLE
+    return Lattice(1.0).to_cell(x, y)
 
 
 def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
@@ -141,10 +132,9 @@ def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
 @pytest.mark.parametrize("beams", [360, 361, 400, 720])
 def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beams: int) -> None:
     """Nine metres ahead, three behind; the last beam does not speak for the whole turn."""
-    model = Quadratic(0.5, 0.1)
     ahead = [math.cos(math.radians(b)) > 0 for b in range(beams)]
     rays = look_around([9.0 if far else 3.0 for far in ahead], 1.0)
-    observed = observe(make_spec(Update.POLYGON, 1.0, model), [rays]).second
+    observed = count_by_polygon(rays)
     assert all(observed[0, col] == 1 for col in range(-3, 10))
     assert observed[0, -4] == observed[0, 10] == 0
 
@@ -153,18 +143,12 @@ def test_a_full_circle_leaves_no_cell_out_where_it_closes() -> None:
     """A cell half-way between the last beam and the first belongs to one of them."""
     rng = np.random.default_rng(7)
     scans, beams, near = 2000, 48, 30
-    headings = (
-        rng.integers(0, 4, scans) * math.pi / 2 + math.pi / beams + rng.normal(0, 1e-4, scans)
-    )
-    rays = Rays.along(
-        np.full((scans, 1, 2), 0.5),
-        np.stack([aim(heading, 2 * math.pi / beams, beams) for heading in headings]),
-        rng.uniform(near + 1, near + 4, (scans, beams)).astype(np.float32),
-        np.full((scans, beams), Kind.HIT, np.uint8),
-        np.zeros(scans, np.int64),
-        full_circle=True,
-    )
-    observed = observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+    noise = math.pi / beams + rng.normal(0, 1e-4, scans)
+    headings = rng.integers(0, 4, scans) * math.pi / 2 + noise
+    directions = np.stack([aim(heading, math.tau / beams, beams) for heading in headings])
+    reach = rng.uniform(near + 1, near + 4, (scans, beams))
+    rays = make_rays(MIDDLE, directions, reach, full_circle=True)
+    observed = count_by_polygon(rays)
     disc = [(row, col) for row in range(-near, near) for col in range(-near, near)]
     assert {observed[cell] for cell in disc if math.hypot(*cell) < near} == {scans}
 
@@ -172,37 +156,20 @@ def test_a_full_circle_leaves_no_cell_out_where_it_closes() -> None:
 def test_a_gap_in_the_scan_is_not_observed() -> None:
     """Three beams 140 degrees apart: each speaks for 60 degrees to each side and no more."""
     rays = look_around([6.0] * 3, 140.0)
-    observed = observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
-    for bearing, count in (
-        (0, 1),
-        (50, 1),
-        (65, 0),
-        (75, 0),
-        (90, 1),
-        (205, 0),
-        (215, 0),
-        (280, 1),
-    ):
-        at = 0.5 + 4 * math.cos(math.radians(bearing)), 0.5 + 4 * math.sin(math.radians(bearing))
-        assert observed[Lattice(1.0).to_cell(*at)] == count, bearing
+    observed = count_by_polygon(rays)
+    seen = [observed[find_cell(4, bearing)] for bearing in (0, 50, 65, 75, 90, 205, 215, 280)]
+    assert seen == [1, 1, 0, 0, 1, 0, 0, 1]
 
 
 def test_a_beam_that_points_back_speaks_for_what_others_cover_too() -> None:
     """Nineteen beams reach 12 m; a last one, which points between two of them, reaches 2 m."""
     bearings = np.radians([*range(-120, 61, 10), -105])
-    rays = Rays.along(
-        np.full((1, 1, 2), 0.5),
-        np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)[None],
-        np.array([[12.0] * 19 + [2.0]], np.float32),
-        np.array([[Kind.HIT] * 18 + [Kind.SKIP, Kind.HIT]], np.uint8),
-        np.zeros(1, np.int64),
-        full_circle=False,
-    )
-    observed = observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    kinds = [Kind.HIT] * 18 + [Kind.SKIP, Kind.HIT]
+    observed = count_by_polygon(make_rays(MIDDLE, directions, [12.0] * 19 + [2.0], kinds))
     # It covers 60 degrees to each side, as the one before it points 165 degrees away.
-    for bearing, count in ((-105, 0), (-60, 0), (-35, 1), (0, 1), (40, 1)):
-        at = 0.5 + 5 * math.cos(math.radians(bearing)), 0.5 + 5 * math.sin(math.radians(bearing))
-        assert observed[Lattice(1.0).to_cell(*at)] == count, bearing
+    seen = [observed[find_cell(5, bearing)] for bearing in (-105, -60, -35, 0, 40)]
+    assert seen == [0, 0, 1, 1, 1]
 
 
 def test_no_model_is_so_sure_that_its_sums_overflow() -> None:

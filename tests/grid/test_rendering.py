@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from occmap.cells import OccupancyMap
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid import CellBox, Lattice
@@ -21,7 +20,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
 from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
-from tests.grid.scans import FEW, MANY, Drive, add_cell, aim, drives
+from tests.grid.scans import FEW, MANY, MIDDLE, Drive, aim, drives, make_grid, make_rays, make_scan
 
 Cell = tuple[int, int]
 Numbers = dict[Cell, tuple[int, int]]
@@ -32,13 +31,6 @@ PLACES = st.tuples(st.sampled_from(EDGES), st.sampled_from(EDGES))
 OBSERVED = st.dictionaries(
     PLACES, st.tuples(st.integers(0, 9), st.integers(0, 9)).filter(any), min_size=1, max_size=12
 )
-
-
-def make_grid(numbers: Numbers, unit: int = 1) -> TileGrid:
-    grid = TileGrid(Lattice(1.0), EvidenceKind.COUNTS, unit)
-    for (row, col), (hits, misses) in numbers.items():
-        add_cell(grid, row, col, hits, misses)
-    return grid
 
 
 def spread_slowly(numbers: Numbers, share: float, unit: int) -> dict[Cell, tuple[float, float]]:
@@ -57,7 +49,7 @@ def spread_slowly(numbers: Numbers, share: float, unit: int) -> dict[Cell, tuple
 def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, unit: int) -> None:
     """On the edges and corners of tiles, and beyond, where there is no tile."""
     expected = spread_slowly(numbers, share, unit)
-    tiles = SpreadHits(make_grid(numbers, unit), share)
+    tiles = SpreadHits(make_grid(numbers, unit=unit), share)
     rows, cols = zip(*expected, strict=True)
     box = find_bounds(tiles)
     assert box == CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
@@ -69,16 +61,6 @@ def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, u
         }
         assert found == pytest.approx({cell: pair[layer] for cell, pair in expected.items()})
         assert (painted[~observed] == -1).all()
-
-
-@pytest.mark.parametrize("row", [5, 0, TILE - 1])
-@pytest.mark.parametrize("col", [5, 0, TILE - 1])
-def test_a_hit_reaches_the_cells_around_it_in_other_tiles_too_and_a_miss_none(
-    row: int, col: int
-) -> None:
-    hit, miss = (SpreadHits(make_grid({(row, col): pair}), 0.1) for pair in ((1, 0), (0, 1)))
-    assert find_bounds(hit) == CellBox(row - 1, col - 1, row + 2, col + 2)
-    assert find_bounds(miss) == CellBox.at(row, col)
 
 
 def test_a_lone_hit_in_the_corner_of_a_tile_by_hand() -> None:
@@ -93,8 +75,9 @@ def test_a_lone_hit_in_the_corner_of_a_tile_by_hand() -> None:
 
 
 def test_nothing_observed_has_no_bounds_whatever_is_spread() -> None:
-    with pytest.raises(MapError, match="no beam of any scan observed a cell"):
-        find_bounds(SpreadHits(make_grid({}), 0.1))
+    for nothing in (make_grid(), SpreadHits(make_grid(), 0.1)):
+        with pytest.raises(MapError, match="no beam of any scan observed a cell"):
+            find_bounds(nothing)
 
 
 @FEW
@@ -133,8 +116,7 @@ def test_agreement_counts_hits_where_they_are_and_not_what_they_say_of_others() 
 
 def test_agreement_is_not_known_without_hits() -> None:
     assert render(make_grid({(0, 0): (0, 4)}), SimpleModel(), 100).agreement is None
-    grid = TileGrid(Lattice(1.0), EvidenceKind.LOG_ODDS)
-    add_cell(grid, 0, 0, 9, 1)
+    grid = make_grid({(0, 0): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
     assert render(grid, QuadraticModel(), 100).agreement is None
     box = CellBox(0, 0, 1, 1)
     assert count_agreeing(grid, np.ones((1, 1), np.bool_), box) == (0, 0)
@@ -146,47 +128,29 @@ def test_where_two_scans_tell_of_walls_that_cross_each_other_agreement_is_low(
 ) -> None:
     """Three scans agree on a wall at 3 m; a fourth, turned by a wrong pose, is alone."""
     model = CountingModel(spread=0.0)
-    true, wrong = one_beam(3.5, scans=3), one_beam(1.5)
     engine = GridEngine(GridSpec(update, Lattice(1.0)))
-    engine.add(true)
+    for _ in range(3):
+        engine.add(make_scan((3.5, Kind.HIT)))
     assert render(engine.finish(), model, 100).agreement == 1
-    engine.add(wrong)
+    engine.add(make_scan((1.5, Kind.HIT)))
     expected = 3 / 4 if update is not Update.POLYGON else 1.0
-    found = render(engine.finish(), model, 100).agreement
-    assert found == expected
+    assert render(engine.finish(), model, 100).agreement == expected
 
 
-def one_beam(reach: float, scans: int = 1) -> Rays:
-    """Hits along x from the middle of cell (0, 0), in cells of a metre."""
-    return Rays.along(
-        np.full((scans, 1, 2), 0.5),
-        np.repeat(aim(0.0, 0.1, 1)[None], scans, axis=0),
-        np.full((scans, 1), reach, np.float32),
-        np.full((scans, 1), Kind.HIT, np.uint8),
-        np.zeros(scans, np.int64),
-        full_circle=False,
-    )
-
-
-def build_map(rays: Rays, model: SensorModel) -> OccupancyMap:
-    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(1.0)))
+def trace_surfaces(rays: Rays, resolution: float = 1.0) -> TileGrid:
+    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(resolution)))
     engine.add(rays)
-    return render(engine.finish(), model, 1000)
+    return engine.finish()
 
 
 def test_a_lone_beam_of_the_surface_update_counts_a_quarter_of_one_among_others() -> None:
     """Its weight is 2 of 8: as observations 0.25, beside which the prior weighs 0.02."""
-    grid = build_map(one_beam(3.0), CountingModel(spread=0.0, ceiling=1.0, doubt=0.0))
+    lone = trace_surfaces(make_scan((3.0, Kind.HIT)))
+    grid = render(lone, CountingModel(spread=0.0, ceiling=1.0, doubt=0.0), 1000)
     hit, missed = (0.25 + 0.01) / (0.25 + 0.02), 0.01 / (0.25 + 0.02)
     np.testing.assert_allclose(grid.probability, [[missed] * 3 + [hit]], rtol=1e-5)
-    simple = build_map(one_beam(3.0), SimpleModel(0.75, 0.25, spread=0.0))
-    third = math.log(3) / 4
+    simple, third = render(lone, SimpleModel(0.75, 0.25, spread=0.0), 1000), math.log(3) / 4
     np.testing.assert_allclose(simple.log_odds, [[-third] * 3 + [third]], rtol=1e-5)
-
-
-def test_four_lone_beams_are_one_observation() -> None:
-    grid = build_map(one_beam(3.0, scans=4), SimpleModel(0.75, 0.25, spread=0.0))
-    np.testing.assert_allclose(grid.log_odds, [[-math.log(3)] * 3 + [math.log(3)]], rtol=1e-5)
 
 
 @pytest.mark.parametrize("model", [CountingModel(), SimpleModel(), CountingModel(spread=0.0)])
@@ -196,9 +160,7 @@ def test_a_map_does_not_depend_on_the_unit_of_weights(
     model: SensorModel, drive: Drive, factor: int
 ) -> None:
     rays, resolution = drive
-    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(resolution)))
-    engine.add(rays)
-    evidence = engine.finish()
+    evidence = trace_surfaces(rays, resolution)
     assert evidence.unit == find_unit(Update.SURFACE) == 8
     finer = TileGrid(evidence.lattice, evidence.kind, evidence.unit * factor)
     finer.tiles = {key: tile * factor for key, tile in evidence.tiles.items()}
@@ -212,17 +174,8 @@ def test_a_map_does_not_depend_on_the_unit_of_weights(
 
 def test_the_ratio_of_hits_is_that_of_beams_among_their_neighbours() -> None:
     """On a wall seen by many beams each pair of neighbours weighs the same: 8 a beam inside."""
-    rays = Rays.along(
-        np.full((1, 1, 2), 0.5),
-        aim(-0.01, 0.001, 21)[None],
-        np.full((1, 21), 3.0, np.float32),
-        np.full((1, 21), Kind.HIT, np.uint8),
-        np.zeros(1, np.int64),
-        full_circle=False,
-    )
-    engine = GridEngine(GridSpec(Update.SURFACE, Lattice(1.0)))
-    engine.add(rays)
-    (tile,) = engine.finish().tiles.values()
+    rays = make_rays(MIDDLE, aim(-0.01, 0.001, 21), 3.0)
+    (tile,) = trace_surfaces(rays).tiles.values()
     layers: list[Float64] = [layer / 8 for layer in tile]
     # 19 beams weigh 2 + 3 + 3, and those at both ends 2 + 3.
     assert layers[0][0, 3] == pytest.approx(19 + 2 * 5 / 8)

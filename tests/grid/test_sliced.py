@@ -1,9 +1,10 @@
 """Slices of time and visits: an engine that keeps slices against a fresh one for every scan."""
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from itertools import islice, permutations
-from threading import Thread
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,43 +15,49 @@ from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack
-from occmap.types import Kind, Rays
+from occmap.types import Rays
 from tests.grid.reference import Cell
-from tests.grid.scans import FEW, Drive, aim, aligned_drives, drives, read_cells, take
+from tests.grid.scans import (
+    FEW,
+    MIDDLE,
+    Drive,
+    aligned_drives,
+    assert_same_slices,
+    draw_scans,
+    drives,
+    make_rays,
+    observe,
+    read_cells,
+    take,
+)
 from tests.grid.test_engine import KINDS_OF_MAP, WINDOWS, all_specs
 
 SLICE = 10
 LIMITS = np.iinfo(np.int64)
 
 
-@dataclass
-class Seen:
+class Seen(NamedTuple):
     """The slices of time that hit one cell, and those that saw it."""
 
-    hit: set[int] = field(default_factory=set)
-    seen: set[int] = field(default_factory=set)
+    hit: set[int]
+    seen: set[int]
 
-    @property
-    def visits(self) -> tuple[int, int]:
-        """How many hit the cell, and how many saw it."""
-        visits = list_runs(self.seen)
-        return sum(1 for visit in visits if visit & self.hit), len(visits)
-
-
-def list_runs(slices: set[int]) -> list[set[int]]:
-    runs: list[set[int]] = []
-    for slice_ in sorted(slices):
-        if slice_ - 1 not in slices:
-            runs.append(set())
-        runs[-1].add(slice_)
-    return runs
+    def count_visits(self) -> tuple[int, int]:
+        """How many hit the cell, and how many saw it: a visit is a run of slices."""
+        starts = sorted(self.seen - {number + 1 for number in self.seen})
+        hits = {max(start for start in starts if start <= number) for number in self.hit}
+        return len(hits), len(starts)
 
 
 Expected = dict[Cell, Seen]
 
 
+def expect_nothing() -> Expected:
+    return defaultdict(lambda: Seen(set(), set()))
+
+
 def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expected:
-    cells: Expected = defaultdict(Seen)
+    cells = expect_nothing()
     for s, stamp in enumerate(rays.stamp_ns.tolist()):
         engine = GridEngine(spec)
         engine.add(take(rays, [s]))
@@ -64,7 +71,7 @@ def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expe
 
 
 def spread(slices: Slices) -> Expected:
-    cells: Expected = defaultdict(Seen)
+    cells = expect_nothing()
     tiles, numbers = (slices.tiles * TILE).tolist(), slices.numbers.tolist()
     for k, layer, row, col in np.argwhere(np.unpackbits(unpack(slices), axis=-1)).tolist():
         seen = cells[tiles[k][0] + row, tiles[k][1] + col]
@@ -97,33 +104,22 @@ def keep(
 
 
 @KINDS_OF_MAP
+@pytest.mark.parametrize("scene", [drives, aligned_drives])
 @FEW
-@given(drive=drives(), window_cells=WINDOWS, slice_ns=st.sampled_from([1, 7, SLICE, 1000]))
+@given(data=st.data(), window_cells=WINDOWS, slice_ns=st.sampled_from([1, 7, SLICE, 1000]))
 def test_slices_are_those_of_the_scans_that_observed_a_cell(
-    kind_of_map: int, drive: Drive, window_cells: int, slice_ns: int
+    kind_of_map: int,
+    scene: Callable[[], st.SearchStrategy[Drive]],
+    data: st.DataObject,
+    window_cells: int,
+    slice_ns: int,
 ) -> None:
-    rays, resolution = drive
+    rays, resolution = data.draw(scene())
     spec = all_specs(resolution)[kind_of_map]
     slices = keep(spec, [rays], window_cells, slice_ns)
     expected = look_scan_by_scan(spec, rays, slice_ns)
     assert spread(slices) == expected
-    assert spread_visits(slices) == {cell: seen.visits for cell, seen in expected.items()}
-
-
-@KINDS_OF_MAP
-@FEW
-@given(drive=aligned_drives(), window_cells=WINDOWS)
-def test_centres_that_lie_on_edges_are_in_the_slices_of_their_counts(
-    kind_of_map: int, drive: Drive, window_cells: int
-) -> None:
-    rays, resolution = drive
-    spec = all_specs(resolution)[kind_of_map]
-    assert spread(keep(spec, [rays], window_cells)) == look_scan_by_scan(spec, rays)
-
-
-def assert_equal(one: Slices, other: Slices) -> None:
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert spread_visits(slices) == {cell: seen.count_visits() for cell, seen in expected.items()}
 
 
 @KINDS_OF_MAP
@@ -137,40 +133,23 @@ def test_batches_windows_and_order_change_no_byte(
     whole = keep(spec, [rays])
     scans = range(len(rays.kind))
     for order in islice(permutations(scans), 0, None, 5):
-        assert_equal(keep(spec, [take(rays, list(order))], window_cells), whole)
-        assert_equal(keep(spec, [take(rays, [s]) for s in order], window_cells), whole)
+        assert_same_slices(keep(spec, [take(rays, list(order))], window_cells), whole)
+        assert_same_slices(keep(spec, [take(rays, [s]) for s in order], window_cells), whole)
 
 
-def drive_about(scans: int) -> Rays:
-    """Two metres about zero, a scan every 3 ns, and a pause of 40 after every fifth."""
-    rng = np.random.default_rng(5)
-    return Rays.along(
-        rng.uniform(-2, 2, (scans, 1, 2)),
-        np.repeat(aim(-1.0, 0.02, 100)[None], scans, axis=0),
-        rng.uniform(0.5, 8, (scans, 100)).astype(np.float32),
-        rng.choice(np.array(Kind, np.uint8), (scans, 100)),
-        np.array([3 * s + 40 * (s // 5) - 100 for s in range(scans)]),
-        full_circle=False,
-    )
-
-
+@pytest.mark.parametrize("slice_ns", [None, SLICE])
 @KINDS_OF_MAP
-def test_threads_give_the_same_slices(kind_of_map: int) -> None:
-    rays, spec = drive_about(24), all_specs(0.05)[kind_of_map]
-    engine = GridEngine(spec, window_cells=1 << 16, slice_ns=SLICE)
-
-    def work(mine: int) -> None:
-        for s in range(mine, 24, 4):
-            engine.add(take(rays, [s]))
-
-    threads = [Thread(target=work, args=(i,)) for i in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    engine.finish()
-    (slices,) = engine.read_slices()
-    assert spread(slices) == look_scan_by_scan(spec, rays)
+def test_threads_give_the_same_sums_and_slices(kind_of_map: int, slice_ns: int | None) -> None:
+    """A scan every 3 ns, and a pause of 40 after every fifth."""
+    stamps = np.array([3 * s + 40 * (s // 5) - 100 for s in range(24)])
+    rays = draw_scans(np.random.default_rng(5), 24, 0.02, 100)._replace(stamp_ns=stamps)
+    scans, spec = [take(rays, [s]) for s in range(24)], all_specs(0.05)[kind_of_map]
+    engine = GridEngine(spec, window_cells=1 << 16, slice_ns=slice_ns)
+    with ThreadPoolExecutor(4) as threads:
+        list(threads.map(engine.add, scans))
+    assert read_cells(engine.finish()) == observe(spec, scans)
+    for slices in engine.read_slices():
+        assert spread(slices) == look_scan_by_scan(spec, rays)
 
 
 def test_a_map_that_slices_make_too_large_is_refused() -> None:
@@ -185,15 +164,7 @@ def test_a_map_that_slices_make_too_large_is_refused() -> None:
 
 def one_beam(stamps: list[int]) -> Rays:
     """Along x, from cell 0 to a hit in cell 2, at each of these times."""
-    scans = len(stamps)
-    return Rays.along(
-        np.full((scans, 1, 2), 0.5),
-        np.tile([1.0, 0.0], (scans, 1, 1)),
-        np.full((scans, 1), 2.0, np.float32),
-        np.full((scans, 1), Kind.HIT, np.uint8),
-        np.array(stamps),
-        full_circle=False,
-    )
+    return make_rays(MIDDLE, (1, 0), np.full((len(stamps), 1), 2.0), stamp_ns=stamps)
 
 
 @pytest.mark.parametrize(
@@ -213,20 +184,6 @@ def test_two_visits_are_a_slice_apart(stamps: list[int], visits: int) -> None:
     assert found == {(0, 0): (0, visits), (0, 1): (0, visits), (0, 2): (visits, visits)}
 
 
-def look_both_ways(stamps: list[int], hits: list[int]) -> Rays:
-    """As `one_beam`, that at some of the times goes on through cell 2 and hits cell 4."""
-    rays = one_beam(stamps)
-    reach = np.where(np.isin(stamps, hits), 2.0, 4.0).astype(np.float32)
-    return Rays.along(
-        np.full((len(stamps), 1, 2), 0.5),
-        np.tile([1.0, 0.0], (len(stamps), 1, 1)),
-        reach[:, None],
-        rays.kind,
-        rays.stamp_ns,
-        full_circle=False,
-    )
-
-
 @pytest.mark.parametrize(
     ("hits", "visits"),
     [
@@ -239,8 +196,10 @@ def look_both_ways(stamps: list[int], hits: list[int]) -> Rays:
     ],
 )
 def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) -> None:
-    stamps = [0, 10, 20, 30, 40, 100, 110]
-    slices = keep(all_specs(1.0)[0], [look_both_ways(stamps, hits)])
+    """Seven scans along x, some of which go on through cell 2 and hit cell 4."""
+    rays = one_beam([0, 10, 20, 30, 40, 100, 110])
+    rays.distance[~np.isin(rays.stamp_ns, hits)] = 4
+    slices = keep(all_specs(1.0)[0], [rays])
     assert spread_visits(slices)[0, 2] == (visits, 2)
 
 

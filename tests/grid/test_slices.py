@@ -7,20 +7,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from occmap.cells import Slices
-from occmap.grid import Lattice
 from occmap.grid import tiles as module
-from occmap.grid.tiles import (
-    TILE,
-    EvidenceKind,
-    TileGrid,
-    pack,
-    restrict,
-    split_tiles,
-    take,
-    unite,
-    unpack,
-)
-from tests.grid.scans import FEW
+from occmap.grid.tiles import TILE, pack, restrict, split_tiles, take, unite, unpack
+from tests.grid.scans import FEW, assert_same_slices, make_grid
 
 CELLS = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 63), st.integers(0, 63)), max_size=9)
 KEYS = st.tuples(st.integers(-1, 1), st.integers(-1, 1), st.integers(-2, 2))
@@ -97,8 +86,7 @@ def test_a_union_has_what_any_part_has_in_order(
         again = unite([pack_tables(third), unite(map(pack_tables, (other, one)))])
     assert_equal(read_tables(united), expected)
     assert list(read_tables(united)) == sorted(expected)
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(united, name), getattr(again, name)), name
+    assert_same_slices(united, again)
 
 
 @FEW
@@ -117,9 +105,7 @@ def test_what_is_not_observed_any_more_is_forgotten() -> None:
     for number, (row, col) in enumerate(cells):
         table = tables.setdefault((row // TILE, col // TILE, number), draw([], full=False))
         table[:, row % TILE, col % TILE] = True
-    grid = TileGrid(Lattice(1.0), EvidenceKind.COUNTS)
-    tile = grid.tiles[-1, 0] = np.zeros((2, TILE, TILE), np.int64)
-    tile[1, 63, 5] = 1
+    grid = make_grid({(-1, 5): (0, 1)})
     rest = restrict(pack_tables(tables), grid)
     assert_equal(read_tables(rest), {(-1, 0, 1): tables[-1, 0, 1]})
     assert len(restrict(Slices.join([]), grid).tiles) == 0

@@ -1,5 +1,7 @@
 """The sparse tiles: what fits where, when they widen, and the map that they make."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -12,19 +14,12 @@ from occmap.grid.tiles import (
     LOG_ODDS_UNIT,
     TILE,
     EvidenceKind,
-    TileGrid,
     add_stack,
     refuse_large,
 )
 from occmap.sensor.models import CountingModel
-from occmap.types import Float64, Kind, Rays
-from tests.grid.scans import add_cell, read_cells
-
-HITS, MISSES = 2, 1
-
-
-def make_grid(kind: EvidenceKind = EvidenceKind.COUNTS, resolution: float = 0.5) -> TileGrid:
-    return TileGrid(Lattice(resolution), kind)
+from occmap.types import Float64
+from tests.grid.scans import MIDDLE, add_cell, make_grid, make_rays, read_cells, take
 
 
 def difference(first: Float64, second: Float64) -> Float64:
@@ -36,8 +31,7 @@ def scale(log_odds: Float64, _observations: Float64) -> Float64:
 
 
 def test_a_tile_widens_before_a_sum_can_overflow() -> None:
-    grid = make_grid()
-    add_cell(grid, 0, 0, INT32_LIMIT, 0)
+    grid = make_grid({(0, 0): (INT32_LIMIT, 0)})
     assert grid.tiles[0, 0].dtype == np.int32
     add_cell(grid, 0, 0, 1, 5)
     assert grid.tiles[0, 0].dtype == np.int64
@@ -57,8 +51,7 @@ def test_a_sum_that_was_widened_is_never_narrowed() -> None:
 
 def test_a_tile_does_not_keep_the_window_that_it_is_a_part_of() -> None:
     """Of three tiles of a window only two are new: the third need not stay in memory with them."""
-    grid, window = make_grid(), np.ones((3, 2, TILE, TILE), np.int32)
-    add_cell(grid, 0, 0, 1, 0)
+    grid, window = make_grid({(0, 0): (1, 0)}), np.ones((3, 2, TILE, TILE), np.int32)
     grid.add(dict(zip([(0, 0), (0, 1), (0, 2)], window, strict=True)), 1)
     assert grid.tiles[0, 0][:, 0, 0].tolist() == [2, 1]
     assert not any(np.shares_memory(tile, window) for tile in grid.tiles.values())
@@ -67,8 +60,7 @@ def test_a_tile_does_not_keep_the_window_that_it_is_a_part_of() -> None:
 def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, 0, 0, 0] = 3_000_000_000
-    mine, other = make_grid(), make_grid()
-    add_cell(mine, 0, 0, 5, 0)
+    mine, other = make_grid({(0, 0): (5, 0)}), make_grid()
     add_stack(other, np.zeros((1, 2), np.int64), cells)
     mine.merge(other)
     assert read_cells(mine).first == {(0, 0): 3_000_000_005}
@@ -77,7 +69,7 @@ def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
 def test_a_robot_that_stands_still_for_ten_hours() -> None:
     """40 scans a second of 1081 beams, all through one cell at p = 0.1: exact, not overflowed."""
     scans, log_odds = 10 * 3600 * 40, round(-2.1972245773362196 / LOG_ODDS_UNIT)
-    grid = make_grid(EvidenceKind.LOG_ODDS)
+    grid = make_grid(kind=EvidenceKind.LOG_ODDS)
     per_minute = 60 * 40 * 1081
     for _ in range(scans // 2400):
         add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
@@ -88,21 +80,12 @@ def test_a_robot_that_stands_still_for_ten_hours() -> None:
 
 
 def test_bounds_are_those_of_the_observed_cells() -> None:
-    grid = make_grid()
-    for row, col in ((5, -200), (70, 3), (-1, 40)):
-        add_cell(grid, row, col, HITS, MISSES)
+    grid = make_grid(dict.fromkeys([(5, -200), (70, 3), (-1, 40)], (2, 1)))
     assert find_bounds(grid) == CellBox(-1, -200, 71, 41)
 
 
-def test_without_observations_there_is_no_map() -> None:
-    with pytest.raises(MapError, match="no beam of any scan observed a cell"):
-        find_bounds(make_grid())
-
-
 def test_a_map_has_every_cell_where_it_was_observed() -> None:
-    grid = make_grid(resolution=0.5)
-    add_cell(grid, -1, 62, 5, 1)
-    add_cell(grid, 1, 65, 0, 3)
+    grid = make_grid({(-1, 62): (5, 1), (1, 65): (0, 3)})
     box = find_bounds(grid)
     assert box == CellBox(-1, 62, 2, 66)
     log_odds, observed = paint(grid, difference, -0.7, box)
@@ -113,27 +96,19 @@ def test_a_map_has_every_cell_where_it_was_observed() -> None:
 
 
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
-    grid = make_grid(EvidenceKind.LOG_ODDS)
-    add_cell(grid, 0, 0, 0, 2)
-    add_cell(grid, 0, 2, 9, 1)
+    grid = make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
     _, observed = paint(grid, difference, 0.0, find_bounds(grid))
     assert observed.tolist() == [[True, False, True]]
 
 
 def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
-    grid = make_grid(resolution=0.25)
-    add_cell(grid, -3, -5, 1, 0)
-    add_cell(grid, 6, 14, 1, 0)
+    grid = make_grid({(-3, -5): (1, 0), (6, 14): (1, 0)}, 0.25)
     box = find_bounds(grid)
     assert (box.rows, box.cols) == (10, 20)
     refuse_large(box, grid.lattice, 200)
-    with pytest.raises(MapError) as caught:
+    found = re.escape("from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells")
+    with pytest.raises(MapError, match=f"{found}.*max_cells=199.*start_s.*resolution.*max_range"):
         refuse_large(box, grid.lattice, 199)
-    assert str(caught.value) == (
-        "the map would reach at least from (-1.25, -0.75) to (3.75, 1.75) m: 20 x 10 cells, more "
-        "than `max_cells=199`; if a pose is wrong, leave it out with `start_s` and `end_s`; else "
-        "use a coarser `resolution`, a shorter `max_range`, or raise `max_cells`"
-    )
 
 
 @pytest.mark.parametrize(
@@ -148,31 +123,23 @@ def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
 def test_what_is_surely_too_large_is_refused_while_it_grows(
     cells: list[tuple[int, int]], most: int
 ) -> None:
-    grid = make_grid()
-    for row, col in cells:
-        add_cell(grid, row, col, 1, 0)
+    grid = make_grid(dict.fromkeys(cells, (1, 0)))
     grid.refuse_outgrown(most)
     with pytest.raises(MapError, match="more than `max_cells="):
         grid.refuse_outgrown(most - 1)
 
 
 def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
-    grid = make_grid(resolution=0.05)
-    add_cell(grid, 0, 0, 1, 0)
-    add_cell(grid, 2 * 10**8, 2 * 10**8, 1, 0)
+    grid = make_grid(dict.fromkeys([(0, 0), (2 * 10**8, 2 * 10**8)], (1, 0)), 0.05)
     with pytest.raises(MapError, match=r"to \(10000000.1, 10000000.1\) m"):
         render(grid, CountingModel(), 10**9)
 
 
 def test_the_ends_of_hits_say_how_large_a_map_is_at_least() -> None:
     """Hits in cells (0, 2) and (300, 302): 301 x 301 cells, or some fewer, as hits are rounded."""
-    origin = np.array([[[0.5, 0.5]], [[300.5, 300.5]]])
-    ahead = np.tile([1.0, 0.0], (2, 1, 1))
-    kind = np.full((2, 1), Kind.HIT, np.uint8)
-    distance = np.full((2, 1), 2.0, np.float32)
-    rays = Rays.along(origin, ahead, distance, kind, np.zeros(2, np.int64), full_circle=False)
+    rays = make_rays([[MIDDLE], [(300.5, 300.5)]], (1, 0), 2.0)
     Reach(Lattice(1.0), max_cells=301 * 301 - 1).stretch(rays)
     reach = Reach(Lattice(1.0), max_cells=160 * 160)
-    reach.stretch(rays.take(slice(0, 1)))
+    reach.stretch(take(rays, [0]))
     with pytest.raises(MapError, match=r"from \(2, 0\) to \(303, 301\) m: 301 x 301 cells"):
-        reach.stretch(rays.take(slice(1, 2)))
+        reach.stretch(take(rays, [1]))

@@ -72,6 +72,14 @@ class Shown:
     def click(self, selector: str) -> None:
         self.browser.find_element(By.CSS_SELECTOR, selector).click()
 
+    def choose(self, name: str, value: str | int, event: str) -> None:
+        """Set what a control holds, as a hand would."""
+        script = (
+            "const [name, value, event] = arguments, control = document.getElementById(name);"
+            "control.value = value; control.dispatchEvent(new Event(event))"
+        )
+        self.browser.execute_script(script, name, value, event)
+
     def text(self, selector: str) -> str:
         return self.browser.find_element(By.CSS_SELECTOR, selector).text
 

@@ -13,11 +13,13 @@ from typing import Any
 import pytest
 
 from occmap import api
-from occmap.cli import run
 from occmap.inspection.findings import LogFindings
 from occmap.page import Block, Page, Section, compose, tell_notes, to_script
+from tests.cli.runner import ask, occmap, read_error
+from tests.samples import SAMPLE_LOGS
 
-DRIVE = Path("sample_logs/drive.csv")
+pytestmark = pytest.mark.usefixtures("here")
+DRIVE = SAMPLE_LOGS / "drive.csv"
 HOSTILE = "<img src=x onerror=alert(1)> & \"'"
 
 
@@ -40,19 +42,13 @@ class Reader(HTMLParser):
             self.texts.append(data.strip())
 
 
-def read(path: Path) -> Reader:
-    return Reader(path.read_text(encoding="utf-8"))
+def read(name: str) -> Reader:
+    return Reader(Path(name).read_text(encoding="utf-8"))
 
 
-def run_json(capsys: pytest.CaptureFixture[str], *words: object) -> Any:
-    assert run([*map(str, words), "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
-
-
-def test_a_map_says_what_the_json_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "m.html"
-    found = run_json(capsys, "build", DRIVE, "--resolution", 0.1, "-o", path)
-    grid, texts = found["map"], read(path).texts
+def test_a_map_says_what_the_json_says() -> None:
+    found = ask("build", DRIVE, "--resolution", 0.1, "-o", "m.html")
+    grid, texts = found["map"], read("m.html").texts
     size = f"{grid['columns']:,} x {grid['rows']:,} cells of 0.1 m, x "
     assert any(text.startswith(size) for text in texts)
     assert f"{grid['agreement']:.1%} of the hits lie in occupied cells" in texts
@@ -61,39 +57,31 @@ def test_a_map_says_what_the_json_says(tmp_path: Path, capsys: pytest.CaptureFix
     beams = f"{sum(found['beams'].values()):,}: {found['beams']['hit']:,} hit"
     assert any(text.startswith(beams) for text in texts)
     assert hashlib.sha256(DRIVE.read_bytes()).hexdigest() in texts
-    assert found["files"] == [str(path)]
+    assert found["files"] == ["m.html"]
 
 
-def test_what_check_and_build_say_is_there(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "m.html"
+def test_what_check_and_build_say_is_there() -> None:
     words = "--resolution", 0.2, "--no-return", "clear", "--jump", 0.3
-    found = run_json(capsys, "build", "beam", DRIVE, *words, "-o", path)
-    texts = read(path).texts
+    found = ask("build", "beam", DRIVE, *words, "-o", "m.html")
+    texts = read("m.html").texts
     assert found["notes"]
     assert set(found["notes"]) <= set(texts)
     assert {"What check finds", "No problems, no warnings."} <= set(texts)
     assert any(text.startswith("+inf ") for text in texts)
 
 
-def test_evidence_has_no_way_and_the_page_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run_json(capsys, "build", DRIVE, "--resolution", 0.2, "-o", tmp_path / "m.npz")
-    run_json(capsys, "render", tmp_path / "m.npz", "-o", tmp_path / "m.html")
-    found = read(tmp_path / "m.html")
-    assert any("does not keep where the robot went" in text for text in found.texts)
-    assert "Way of the laser" not in found.texts
-    assert "drive.csv" in found.texts
+def test_evidence_has_no_way_and_the_page_says_so() -> None:
+    assert occmap("build", DRIVE, "--resolution", 0.2, "-o", "m.npz").code == 0
+    assert occmap("render m.npz -o m.html").code == 0
+    texts = read("m.html").texts
+    assert any("does not keep where the robot went" in text for text in texts)
+    assert "Way of the laser" not in texts
+    assert "drive.csv" in texts
 
 
-def test_a_check_says_what_the_json_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "c.html"
-    found = run_json(capsys, "check", DRIVE, "-o", path)
-    texts = read(path).texts
+def test_a_check_says_what_the_json_says() -> None:
+    found = ask("check", DRIVE, "-o", "c.html")
+    texts = read("c.html").texts
     size = f"{found['map']['columns']:,} x {found['map']['rows']:,} cells of 0.05 m, x "
     assert any(text.startswith(size) and text.endswith("at most") for text in texts)
     (log,) = found["logs"]
@@ -115,26 +103,22 @@ def test_options_are_spelled_as_flags_in_facts_lists_and_tables() -> None:
     assert text not in texts
 
 
-def test_a_comparison_says_what_the_json_says_and_what_to_type(tmp_path: Path) -> None:
-    path, log = tmp_path / "c.html", tmp_path / "my room.csv"
-    shutil.copy(DRIVE, log)
-    made = api.compare(log, models=["simple"], resolution=0.2, picture=path)
-    texts = read(path).texts
+def test_a_comparison_says_what_the_json_says_and_what_to_type() -> None:
+    shutil.copy(DRIVE, "my room.csv")
+    made = api.compare("my room.csv", models=["simple"], resolution=0.2, picture="c.html")
+    texts = read("c.html").texts
     assert shlex.join(made.command) in texts
     for each in made.to_json()["variants"]:
         row = texts[texts.index("as good within the error", texts.index("variant")) :]
         assert row[row.index(each["name"]) + 1] == f"{each['share']:.4f}"
 
 
-def test_a_difference_says_what_the_json_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_difference_says_what_the_json_says() -> None:
     for name, end in (("a", 40), ("b", 80)):
-        words = "--resolution", 0.2, "--end", end, "-o", tmp_path / f"{name}.pgm"
-        run_json(capsys, "build", DRIVE, *words)
-    maps = tmp_path / "a.pgm", tmp_path / "b.pgm"
-    found = run_json(capsys, "diff", *maps, "-o", tmp_path / "d.html")
-    texts = read(tmp_path / "d.html").texts
+        line = f"build {DRIVE} --resolution 0.2 --end {end} -o {name}.pgm"
+        assert occmap(line).code == 0
+    found = ask("diff a.pgm b.pgm -o d.html")
+    texts = read("d.html").texts
     head = f"{found['changed']:,} cells changed, {found['share']:.3%} of {found['known']:,} known"
     assert any(text.startswith(head) for text in texts)
     for name, cells in found["by_class"].items():
@@ -142,67 +126,50 @@ def test_a_difference_says_what_the_json_says(
         assert not cells or texts[texts.index(told) + 1] == f"{cells:,}"
 
 
-def test_hostile_names_are_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / f"{HOSTILE}.csv"
-    shutil.copy(DRIVE, log)
-    for command in ("build", "check", "compare"):
-        path = tmp_path / f"{command}.html"
-        run_json(capsys, command, log, "--resolution", 0.4, "-o", path)
-        found = read(path)
-        assert "img" not in found.kinds
-        assert any(HOSTILE in text for text in found.texts)
+@pytest.mark.parametrize("command", ["build", "check", "compare"])
+def test_hostile_names_are_text(command: str) -> None:
+    shutil.copy(DRIVE, f"{HOSTILE}.csv")
+    assert occmap(command, f"{HOSTILE}.csv", "--resolution", 0.4, "-o", "m.html").code == 0
+    found = read("m.html")
+    assert "img" not in found.kinds
+    assert any(HOSTILE in text for text in found.texts)
 
 
 def test_scripts_do_not_end_where_a_name_says_so() -> None:
     value = {"name": "</script><script>alert(1)</script>&"}
     assert "<" not in to_script(value)
     assert json.loads(to_script(value)) == value
-    page = compose(
-        Page(
-            "</title><b>",
-            "",
-            [tell_notes(LogFindings("", notes=("</li><script>",))), Section("<i>", [])],
-        )
-    )
+    sections = [tell_notes(LogFindings("", notes=("</li><script>",))), Section("<i>", [])]
+    page = compose(Page("</title><b>", "", sections))
     assert Reader(page).kinds.isdisjoint({"b", "i"})
 
 
-def test_nothing_is_fetched(tmp_path: Path) -> None:
-    api.build_map(DRIVE, resolution=0.4, outputs=tmp_path / "m.html")
-    html = (tmp_path / "m.html").read_text(encoding="utf-8")
+def test_nothing_is_fetched_and_the_line_of_a_notebook_can_be_typed() -> None:
+    api.build_map(DRIVE, resolution=0.4, align=None, outputs="m.html")
+    html = Path("m.html").read_text(encoding="utf-8")
     assert not re.findall(r"<(?:script|link|img)[^>]*(?:src|href)=", html)
     assert "default-src 'none'" in html
+    (line,) = [text for text in Reader(html).texts if text.startswith("occmap build")]
+    assert "None" not in line
 
 
+@pytest.mark.parametrize(
+    ("program", "is_occmap"),
+    [("/bin/occmap", True), ("/x/occmap/__main__.py", True), ("/x", False)],
+)
 def test_the_command_line_is_there_where_there_is_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch, program: str, is_occmap: bool
 ) -> None:
-    line = ["build", str(DRIVE), "--resolution", "0.4", "-o", str(tmp_path / "a b.html")]
-    for program, is_occmap in (
-        ("/bin/occmap", True),
-        ("/x/occmap/__main__.py", True),
-        ("/x", False),
-    ):
-        monkeypatch.setattr(sys, "argv", [program, *line])
-        assert run(line) == 0
-        told = shlex.join(["occmap", *line])
-        assert (told in read(tmp_path / "a b.html").texts) == is_occmap
+    line = ["build", str(DRIVE), "--resolution", "0.4", "-o", "a b.html"]
+    monkeypatch.setattr(sys, "argv", [program, *line])
+    assert occmap(*line).code == 0
+    assert (shlex.join(["occmap", *line]) in read("a b.html").texts) == is_occmap
 
 
+@pytest.mark.parametrize("command", ["build", "compare", "check"])
 def test_without_bokeh_one_line_says_what_to_type(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
-    for words in (["build", DRIVE], ["compare", DRIVE], ["check", DRIVE]):
-        assert run([*map(str, words), "-o", str(tmp_path / "m.html")]) == 2
-        told = capsys.readouterr().err
-        assert told.count("\n") == 1
-        found = "a page is drawn by Bokeh, which is not installed"
-        assert f"{found}; install it: pip install '.[report]'" in told
-
-
-def test_the_line_on_the_page_of_a_map_that_its_scans_turned_can_be_typed(tmp_path: Path) -> None:
-    path = tmp_path / "m.html"
-    api.build_map(DRIVE, align=None, outputs=path)
-    (line,) = [text for text in read(path).texts if text.startswith("occmap build")]
-    assert "None" not in line
+    told = read_error(occmap(command, DRIVE, "-o", "m.html"), 2)
+    assert "Bokeh, which is not installed; install it: pip install '.[report]'" in told

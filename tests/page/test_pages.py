@@ -67,12 +67,9 @@ def test_the_pointer_says_what_the_map_holds(drive: Drive) -> None:
                 assert said["hits"] == said["probability"] == "–"
                 continue
             assert float(said["probability"]) == pytest.approx(made.probability[row, col], abs=0.01)
-            assert float(said["hits"].replace(",", "")) == pytest.approx(
-                made.hits[row, col], abs=0.051
-            )
-            assert float(said["misses"].replace(",", "")) == pytest.approx(
-                made.misses[row, col], abs=0.051
-            )
+            for counted, counts in (("hits", made.hits), ("misses", made.misses)):
+                number = float(said[counted].replace(",", ""))
+                assert number == pytest.approx(counts[row, col], abs=0.051)
             assert said["visits"] != "0" or made.hits[row, col] + made.misses[row, col] == 0
 
 
@@ -86,9 +83,8 @@ def test_the_picture_is_the_map(drive: Drive) -> None:
     wrong = 0
     for row, col in np.ndindex(*made.shape):
         right, down = page.to_px(*find_middle(made, row, col))
-        wrong += picture[round(down), round(right)].tolist() != to_rgb(
-            CLASS_COLOURS[classes[row, col]]
-        )
+        expected = to_rgb(CLASS_COLOURS[classes[row, col]])
+        wrong += picture[round(down), round(right)].tolist() != expected
     page.click("#way")
     assert wrong <= made.log_odds.size // 1000
 
@@ -110,18 +106,15 @@ def test_each_layer_is_painted_and_named(drive: Drive) -> None:
 
 def test_the_slider_lays_a_scan_over_the_map(drive: Drive) -> None:
     page = drive.page
-    page.run(
-        "const s = document.getElementById('scan'); s.value = 0;s.dispatchEvent(new Event('input'))"
-    )
+    page.choose("scan", 0, "input")
     page.wait("document.body.dataset.scan === '0'")
     page.rest()
     assert page.text("#when").startswith("1700000000.000 s (2023-11-14 22:13:20 UTC)")
-    hits = page.run("return Bokeh.documents[0].get_model_by_name('scan').data_source.data.x.length")
-    assert hits > 100
-    x, y = page.run(
+    hits, x, y = page.run(
         "const d = Bokeh.documents[0].get_model_by_name('scan').data_source.data;"
-        "return [d.x[50], d.y[50]]"
+        "return [d.x.length, d.x[50], d.y[50]]"
     )
+    assert hits > 100
     right, down = page.to_px(x, y)
     painted = page.photograph()[round(down), round(right)].astype(int)
     np.testing.assert_allclose(painted, to_rgb(SCAN_COLOUR), atol=8)  # its edge is smoothed
@@ -137,10 +130,7 @@ def test_shapes_that_are_drawn_over_the_map_are_saved_for_edits(
     page.click("#draw")
     for x, y, clicks in ((1, 1, 1), (3, 1, 1), (3, 2.5, 2)):
         page.click_at(x, y, clicks)
-    page.run(
-        "const s = document.getElementById('change'); s.value = 'unknown';"
-        "s.dispatchEvent(new Event('change'))"
-    )
+    page.choose("change", "unknown", "change")
     for x, y, clicks in ((5, 1, 1), (7, 2, 1), (8, 8, 1)):
         page.click_at(x, y, clicks)
     page.click("#undo")
@@ -228,11 +218,8 @@ def test_a_difference_has_before_and_after_by_a_switch(browser: Chrome, tmp_path
     place = found.place
     x, y = place.x + (col + 0.5) * place.resolution, place.y + (row + 0.5) * place.resolution
     said = page.point(x, y)
-    assert (said["change"], said["before"], said["after"]) == (
-        "unknown to occupied",
-        "unknown",
-        "occupied",
-    )
+    told = [said[key] for key in ("change", "before", "after")]
+    assert told == ["unknown to occupied", "unknown", "occupied"]
     colours = []
     right, down = page.to_px(x, y)
     for key in ("change", "before", "after"):

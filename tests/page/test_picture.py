@@ -34,10 +34,7 @@ def test_red_is_contradiction_and_blue_is_what_not_all_know() -> None:
 
 
 def test_a_large_map_is_shrunk_and_loses_no_wall() -> None:
-    grid = OccupancyMap(
-        np.full((30, 2501), -3, np.float32), np.ones((30, 2501), np.bool_), 0.05, (0.0, 0.0)
-    )
-    grid.log_odds[:, 1300] = 3
+    grid = draw("/".join(["." * 1300 + "#" + "." * 1200] * 30))
     pixels = paint_map(grid, Frame([grid]))
     assert pixels.shape == (10, 834, 3)
     assert (pixels[:, 1300 // 3, 0] == 12).all()

@@ -10,6 +10,7 @@ from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.sources import gather
 from occmap.types import Float64, Pose, PosedScans, PoseSample, ScanBatch
+from tests.samples import make_batch
 
 SECOND = 10**9
 
@@ -34,9 +35,9 @@ def batch_at(
     seconds: Sequence[float], frame: str = "laser", beams: int = 3, time_increment: float = 0.0
 ) -> ScanBatch:
     stamps = np.array([round(t * SECOND) for t in seconds], np.int64)
-    ranges = np.ones((len(stamps), beams), np.float32)
     increments = np.full(len(stamps), time_increment)
-    return ScanBatch(frame, 0.0, 0.1, 0.0, 10.0, stamps, ranges, increments)
+    ranges = np.ones((len(stamps), beams))
+    return make_batch(ranges, frame=frame, stamp_ns=stamps, time_increment=increments)
 
 
 def attach(poser: Poser, *batches: ScanBatch) -> tuple[list[PosedScans], dict[str, int]]:
@@ -74,3 +75,12 @@ def yaw_of(rotation: ArrayLike) -> Float64:
 
 def turned(yaw: float, x: float = 0.0, y: float = 0.0) -> Pose:
     return Pose.planar(x, y, math.radians(yaw))
+
+
+def matrix_of(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Float64:
+    """Rz(yaw) Ry(pitch) Rx(roll), written out: about fixed axes, x first (REP 103)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x, np.float64)

@@ -8,6 +8,7 @@ from occmap.inspection.poses import list_coverage
 from occmap.posing import Deskew, DropReason, PosingOptions, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.frames import Source
+from occmap.sensor import ReturnOptions, interpret
 from occmap.types import Float64, Pose, PoseSample, ScanBatch
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned, yaw_of
 
@@ -180,25 +181,18 @@ def see_wall(start_s: float, beams: int, time_increment: float) -> ScanBatch:
     return ScanBatch("laser", -0.7, step, 0.0, 50.0, stamps, row, np.array([time_increment]))
 
 
-def points(poser: Poser, batch: ScanBatch) -> Float64:
-    """(B, 3) ends of the beams in the map."""
+def find_wall(poser: Poser, batch: ScanBatch) -> Float64:
+    """(B,) x of the ends of the beams in the map."""
     (posed,), _ = attach(poser, batch)
-    ends: Float64
-    bearings = batch.angle_min + batch.angle_increment * np.arange(batch.ranges.shape[1])
-    beams = np.stack([np.cos(bearings), np.sin(bearings), np.zeros_like(bearings)], axis=-1)
-    local = beams * posed.batch.ranges[0, :, None]
-    if posed.rotation.ndim == 3:
-        ends = posed.position[0] + local @ posed.rotation[0].T
-        return ends
-    ends = posed.position[0] + np.einsum("bij,bj->bi", posed.rotation[0], local)
+    ends: Float64 = interpret(posed, ReturnOptions())[0].end[0, :, 0]
     return ends
 
 
 @pytest.mark.parametrize("beams", [2, 33, 34, 360])
 def test_deskewing_straightens_a_wall_seen_in_a_fast_turn(beams: int) -> None:
     batch = see_wall(0.011, beams, 0.1 / beams)
-    skewed = points(build(*spin(), deskew=Deskew.OFF), batch)[:, 0]
-    straight = points(build(*spin(), deskew=Deskew.ON), batch)[:, 0]
+    skewed = find_wall(build(*spin(), deskew=Deskew.OFF), batch)
+    straight = find_wall(build(*spin(), deskew=Deskew.ON), batch)
     assert np.ptp(skewed) > 0.5
     assert np.ptp(straight) < 0.002
     assert abs(straight.mean() - 5) < 0.001
@@ -302,18 +296,10 @@ def test_a_scan_that_ends_after_the_last_pose_is_left_out_when_deskewed() -> Non
 def test_coverage_tells_gaps_and_jumps() -> None:
     log = [*drive("odom", "base_link", seconds=[1, 2, 5]), MOUNT, *drive("map", "", "/pose")]
     mount, odom, pose = list_coverage(build(*log).sources)
-    assert (mount.parent, mount.child, mount.static, mount.moves) == (
-        "base_link",
-        "laser",
-        True,
-        False,
-    )
-    assert (odom.source, odom.samples, odom.largest_gap_s, odom.largest_step_m) == (
-        Source.TF,
-        3,
-        3.0,
-        3.0,
-    )
+    assert (mount.parent, mount.child) == ("base_link", "laser")
+    assert (mount.static, mount.moves) == (True, False)
+    assert (odom.source, odom.samples) == (Source.TF, 3)
+    assert (odom.largest_gap_s, odom.largest_step_m) == (3.0, 3.0)
     assert (odom.start_ns, odom.end_ns) == (SECOND, 5 * SECOND)
     assert (pose.topic, pose.child, pose.source) == ("/pose", "", Source.ODOMETRY)
 

@@ -15,14 +15,18 @@ from occmap.posing.tracks import TrackBuilder
 from occmap.types import Float64, Pose
 from tests.posing.scenes import SECOND, turned, yaw_of
 
+BEFORE, POSED, GAP, AFTER = Status.BEFORE, Status.POSED, Status.GAP, Status.AFTER
 Keyed = Sequence[tuple[float, Pose]]
 """Seconds and poses."""
 
 
 def edge(parent: str, child: str, keyed: Keyed) -> Edge:
+    return edge_ns(parent, child, [(round(seconds * SECOND), pose) for seconds, pose in keyed])
+
+
+def edge_ns(parent: str, child: str, keyed: Sequence[tuple[int, Pose]]) -> Edge:
     builder = TrackBuilder()
-    for seconds, pose in keyed:
-        stamp_ns = round(seconds * SECOND)
+    for stamp_ns, pose in keyed:
         builder.add(stamp_ns, stamp_ns, pose)
     track = builder.build()
     assert track is not None
@@ -45,32 +49,23 @@ def test_halfway_between_two_samples() -> None:
     position, rotation, status = look_up(chain_of(DRIVE), 5)
     assert position.tolist() == [[5, 0, 0]]
     assert math.isclose(float(yaw_of(rotation)[0]), math.radians(45))
-    assert status == [Status.POSED]
+    assert status == [POSED]
 
 
 def test_nothing_is_extrapolated() -> None:
     _, _, status = look_up(chain_of(DRIVE), -1e-9, 0, 10, 10 + 1e-9)
-    assert status == [Status.BEFORE, Status.POSED, Status.POSED, Status.AFTER]
+    assert status == [BEFORE, POSED, POSED, AFTER]
 
 
 def test_nothing_is_interpolated_across_a_long_gap() -> None:
-    chain = chain_of(
-        edge("odom", "base", [(t, turned(0, x=t)) for t in (0, 1, 4, 5)]), max_gap_s=2.0
-    )
-    _, _, status = look_up(chain, 0.5, 1, 1.5, 3.9, 4, 4.5)
-    assert status == [
-        Status.POSED,
-        Status.POSED,
-        Status.GAP,
-        Status.GAP,
-        Status.POSED,
-        Status.POSED,
-    ]
+    driven = edge("odom", "base", [(t, turned(0, x=t)) for t in (0, 1, 4, 5)])
+    _, _, status = look_up(chain_of(driven, max_gap_s=2.0), 0.5, 1, 1.5, 3.9, 4, 4.5)
+    assert status == [POSED, POSED, GAP, GAP, POSED, POSED]
 
 
 def test_a_gap_of_exactly_the_limit_is_bridged() -> None:
     chain = chain_of(edge("odom", "base", [(0, turned(0)), (2, turned(0, x=2))]), max_gap_s=2.0)
-    assert look_up(chain, 1)[2] == [Status.POSED]
+    assert look_up(chain, 1)[2] == [POSED]
 
 
 def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
@@ -135,7 +130,7 @@ def test_an_upside_down_laser_mirrors_its_bearings() -> None:
 def test_a_fixed_transform_sent_late_limits_nothing() -> None:
     mount = edge("base", "laser", [(4, turned(0, y=1)), (5, turned(0, y=1))])
     position, _, status = look_up(chain_of(DRIVE, mount), 0, 10)
-    assert status == [Status.POSED] * 2
+    assert status == [POSED] * 2
     np.testing.assert_allclose(position[:, :2], [[0, 1], [9, 0]], atol=1e-12)
 
 
@@ -143,7 +138,7 @@ def test_where_nothing_moves_the_most_sampled_edge_says_when_the_robot_was_seen(
     standing = edge("odom", "base", [(t, turned(0)) for t in range(5)])
     mount = edge("base", "laser", [(1, turned(0)), (2, turned(0))])
     _, _, status = look_up(chain_of(standing, mount), -1, 0, 4, 5)
-    assert status == [Status.BEFORE, Status.POSED, Status.POSED, Status.AFTER]
+    assert status == [BEFORE, POSED, POSED, AFTER]
 
 
 def odometry(seconds: int) -> Edge:
@@ -254,19 +249,12 @@ TRACKS = MOVING.map(lambda keyed: [(10**18 + t * 10**8, keyed[t]) for t in sorte
 def test_chains_equal_the_slow_reference(
     upper: list[tuple[int, Pose]], lower: list[tuple[int, Pose]], offsets: list[int]
 ) -> None:
-    edges = []
-    for names, keyed in ((("map", "body"), upper), (("body", "laser"), lower)):
-        builder = TrackBuilder()
-        for stamp_ns, pose in keyed:
-            builder.add(stamp_ns, 0, pose)
-        track = builder.build()
-        assert track is not None
-        edges.append(Edge(*names, track, Source.TF))
+    edges = edge_ns("map", "body", upper), edge_ns("body", "laser", lower)
     stamps = np.array(offsets, np.int64) + 10**18
     found = chain_of(*edges).at(stamps)
     for i, stamp_ns in enumerate(stamps.tolist()):
         first, second = reference(upper, stamp_ns), reference(lower, stamp_ns)
-        assert (found.status[i] == Status.POSED) == (first is not None and second is not None)
+        assert (found.status[i] == POSED) == (first is not None and second is not None)
         if first is not None and second is not None:
             expected = first @ second
             np.testing.assert_allclose(found.position[i], expected[:3, 3], atol=1e-9)

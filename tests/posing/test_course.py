@@ -24,32 +24,24 @@ def tell(poser: Poser, max_range: float = math.inf) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("poser", "text"),
+    ("poser", "found"),
     [
         # 0.3 m / sin 5 deg = 3.44 m
-        (
-            mount(pitch=5),
-            "the scan plane is tilted by 5.0 deg (5.0 deg down ahead): 0.3 m over the floor, which "
-            "it meets 3.4 m away; end there with `max_range=3.4`",
-        ),
+        (mount(pitch=5), ["by 5.0 deg (5.0 deg down ahead)", "0.3 m over", "`max_range=3.4`"]),
         (
             mount(roll=4, height=0.5),
-            "the scan plane is tilted by 4.0 deg: 0.5 m over the floor, which it meets 7.1 m away; "
-            "end there with `max_range=7.1`",
+            ["by 4.0 deg: ", "0.5 m over", "7.1 m away", "`max_range=7.1`"],
         ),
-        (mount(pitch=5, height=0.0), "tilted by 5.0 deg (5.0 deg down ahead): it meets the floor"),
-        (
-            mount(pitch=45),
-            "the scan plane is tilted by 45.0 deg (45.0 deg down ahead): the laser looks at the "
-            "floor or the ceiling, not at walls",
-        ),
-        (mount(pitch=-60), "(60.0 deg up ahead): the laser looks at the floor or the ceiling"),
-        (mount(roll=90), "tilted by 90.0 deg: the laser looks at the floor or the ceiling"),
+        (mount(pitch=5, height=0.0), ["by 5.0 deg (5.0 deg down ahead): it meets the floor"]),
+        (mount(pitch=45), ["by 45.0 deg (45.0 deg down ahead)", "the floor or the ceiling, not"]),
+        (mount(pitch=-60), ["(60.0 deg up ahead): the laser looks at the floor or the ceiling"]),
+        (mount(roll=90), ["by 90.0 deg: the laser looks at the floor or the ceiling"]),
     ],
 )
-def test_a_tilted_laser_is_told(poser: Poser, text: str) -> None:
+def test_a_tilted_laser_is_told(poser: Poser, found: list[str]) -> None:
     (told,) = tell(poser)
-    assert text in told
+    for part in found:
+        assert part in told
 
 
 @pytest.mark.parametrize("poser", [mount(), mount(pitch=2.5), mount(roll=180), mount(pitch=178)])

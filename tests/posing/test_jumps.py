@@ -15,17 +15,8 @@ from occmap.posing.attach import Poser
 from occmap.posing.course import find_strides
 from occmap.posing.tracks import Track
 from occmap.types import Pose, PoseSample
-from tests.posing.scenes import (
-    SECOND,
-    at,
-    attach,
-    attach_twice,
-    batch_at,
-    bolted,
-    build,
-    drive,
-    turned,
-)
+from tests.posing.scenes import SECOND, at, attach, attach_twice, batch_at, bolted, drive, turned
+from tests.posing.scenes import build as make_poser
 from tests.samples import write_csv
 
 SECONDS = range(101)
@@ -33,9 +24,14 @@ MOUNT = bolted("base_link", "laser", Pose.planar(0, 0, 0))
 NOWHERE = Pose.planar(0, 0, 0)
 
 
-def correct(pose: Callable[[int], Pose]) -> list[PoseSample]:
+def build(*samples: PoseSample, **options: object) -> Poser:
+    return make_poser(*samples, MOUNT, **options)
+
+
+def correct(pose: Callable[[int], Pose], **options: object) -> Poser:
     """The drive along x in `odom`, with a correction every second."""
-    return [at(second, "map", "odom", pose(second)) for second in SECONDS]
+    corrections = [at(second, "map", "odom", pose(second)) for second in SECONDS]
+    return build(*drive("odom", "base_link", seconds=SECONDS), *corrections, **options)
 
 
 def watch(poser: Poser, first_s: float = 0.0, last_s: float = 100.0) -> list[Concern]:
@@ -46,39 +42,47 @@ def watch(poser: Poser, first_s: float = 0.0, last_s: float = 100.0) -> list[Con
     return [concern for _, concern in poser.list_concerns(0, math.inf)]
 
 
-def test_a_jump_is_told_with_its_time_and_the_option_that_keeps_the_longer_part() -> None:
-    samples = correct(lambda second: turned(100, 11.0) if second >= 12 else NOWHERE)
-    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
-    # The robot is at (12, 0) by then. Turned about the origin and moved, it is at
-    # (11 + 12 cos 100, 12 sin 100).
-    away = math.hypot(11 + 12 * math.cos(math.radians(100)) - 12, 12 * math.sin(math.radians(100)))
-    assert concern.text == (
-        f"map -> odom jumps by {away:.3g} m and 100 deg 12.000 s after the first scan: scans from "
-        "before and after do not fit together; `start_s=12` keeps the longest part, 88% of them"
-    )
-    assert concern.remedy == {"start_s": "12"}
+AWAY = math.hypot(11 + 12 * math.cos(math.radians(100)) - 12, 12 * math.sin(math.radians(100)))
+"""How far a robot at (12, 0) gets that is turned about the origin by 100 degrees, and then moved"""
+JUMPS: dict[str, tuple[Callable[[int], Pose], str, dict[str, str]]] = {
+    "one": (
+        lambda second: turned(100, 11.0) if second >= 12 else NOWHERE,
+        f"by {AWAY:.3g} m and 100 deg 12.000 s after the first scan: ",
+        {"start_s": "12"},
+    ),
+    "two, and the longest part between them": (
+        lambda second: turned(0, 0.0 if second < 20 else 5.0 if second < 90 else 50.0),
+        "by 45 m and 0 deg 90.000 s after the first scan: ",
+        {"start_s": "20", "end_s": "90"},
+    ),
+    "a plateau": (
+        lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE,
+        " 60.000 s after the first scan, and back at 65.000 s: ",
+        {"end_s": "60"},
+    ),
+    "a single wrong one": (
+        lambda second: turned(10) if second == 30 else NOWHERE,
+        " 30.000 s after the first scan, and back at 31.000 s: ",
+        {"start_s": "31"},
+    ),
+}
 
 
-def test_what_is_kept_may_lie_between_two_jumps() -> None:
-    places = {0: 0.0, 20: 5.0, 90: 50.0}
-    samples = correct(
-        lambda second: Pose.planar(max(x for t, x in places.items() if t <= second), 0, 0)
-    )
-    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
-    assert "jumps by 45 m and 0 deg 90.000 s after the first scan: " in concern.text
-    assert concern.remedy == {"start_s": "20", "end_s": "90"}
-
-
-def test_a_plateau_of_wrong_corrections_is_told_with_both_its_ends() -> None:
-    samples = correct(lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE)
-    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
-    assert " 60.000 s after the first scan, and back at 65.000 s: " in concern.text
-    assert concern.remedy == {"end_s": "60"}
+@pytest.mark.parametrize("case", JUMPS)
+def test_a_correction_that_jumps_is_told_with_its_time_and_what_keeps_the_longest_part(
+    case: str,
+) -> None:
+    pose, found, remedy = JUMPS[case]
+    (concern,) = watch(correct(pose))
+    assert concern.text.startswith("map -> odom jumps ")
+    assert found in concern.text
+    assert concern.remedy == remedy
+    for option, value in remedy.items():
+        assert f"`{option}={value}`" in concern.text
 
 
 def test_a_plateau_whose_scans_are_left_out_is_no_jump() -> None:
-    samples = correct(lambda second: turned(0, 300.0) if 60 <= second < 65 else NOWHERE)
-    poser = build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples)
+    poser = correct(lambda second: turned(0, 300.0) if 60 <= second < 65 else NOWHERE)
     posed, dropped = attach_twice(poser, batch_at([half / 2 for half in range(201)]))
     assert dropped == {DropReason.LEAP: 10}
     assert sum(len(each.batch.stamp_ns) for each in posed) == 191
@@ -88,15 +92,11 @@ def test_a_plateau_whose_scans_are_left_out_is_no_jump() -> None:
 
 @pytest.mark.parametrize(("first_s", "last_s"), [(12, 100), (0, 11.5)])
 def test_a_jump_beside_the_scans_that_are_used_is_none(first_s: float, last_s: float) -> None:
-    samples = correct(lambda second: turned(100, 11.0) if second >= 12 else NOWHERE)
-    poser = build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples)
-    assert not watch(poser, first_s, last_s)
+    assert not watch(correct(JUMPS["one"][0]), first_s, last_s)
 
 
 def test_the_options_are_by_the_clock_of_the_scans() -> None:
-    samples = correct(lambda second: Pose.planar(11.0 * (second >= 12), 0, 0))
-    driven = drive("odom", "base_link", seconds=SECONDS)
-    poser = build(*driven, MOUNT, *samples, time_offset_s=2.0)
+    poser = correct(JUMPS["one"][0], time_offset_s=2.0)
     attach(poser, batch_at(range(5, 90)))
     ((_, concern),) = poser.list_concerns(5 * SECOND, math.inf)
     # The jump at 12 s is at 10 s by the scans, 5 s after the first of them.
@@ -104,13 +104,13 @@ def test_the_options_are_by_the_clock_of_the_scans() -> None:
 
 
 def test_a_clock_that_was_set_back_is_told_in_place_of_the_jumps_that_it_makes() -> None:
-    driven = [at(s, "odom", "base_link", Pose.planar(0.1 * s, 0, 0)) for s in SECONDS]
-    again = [at(s, "odom", "base_link", Pose.planar(-9 - 0.1 * s, 0, 0)) for s in range(40)]
+    driven = [at(s, "odom", "base_link", turned(0, 0.1 * s)) for s in SECONDS]
+    again = [at(s, "odom", "base_link", turned(0, -9 - 0.1 * s)) for s in range(40)]
     late = [each._replace(record_ns=each.stamp_ns + 101 * SECOND) for each in again]
-    (concern,) = watch(build(*driven, MOUNT, *late))
+    (concern,) = watch(build(*driven, *late))
     assert "odom -> base_link were set back by 100 s" in concern.text
     assert concern.remedy == {"stamps": "record"}
-    assert not watch(build(*driven, MOUNT, *late, stamps=Stamps.RECORD))
+    assert not watch(build(*driven, *late, stamps=Stamps.RECORD))
 
 
 @pytest.mark.parametrize(
@@ -119,8 +119,8 @@ def test_a_clock_that_was_set_back_is_told_in_place_of_the_jumps_that_it_makes()
 def test_scans_that_were_filtered_and_those_that_were_not_are_told(
     late_s: float, frame: str, told: int
 ) -> None:
-    mounts = MOUNT, bolted("base_link", "rear", NOWHERE)
-    poser = build(*drive("odom", "base_link", seconds=SECONDS), *mounts)
+    rear = bolted("base_link", "rear", NOWHERE)
+    poser = build(*drive("odom", "base_link", seconds=SECONDS), rear)
     raw, filtered = batch_at(range(50)), batch_at([s + late_s for s in range(50)], frame)
     attach(poser, replace(raw, topic="/raw"), replace(filtered, topic="/scan"))
     concerns = list(poser.list_concerns(0, math.inf))
@@ -130,23 +130,18 @@ def test_scans_that_were_filtered_and_those_that_were_not_are_told(
 
 @pytest.mark.parametrize(("apart_m", "is_told"), [(0.11, True), (0.09, False)])
 def test_a_transform_that_two_nodes_send_is_told(apart_m: float, is_told: bool) -> None:
-    one = [at(s, "odom", "base_link", Pose.planar(0.01 * s, 0, 0)) for s in SECONDS]
-    other = [at(s + 0.4, "odom", "base_link", Pose.planar(0.01 * s, apart_m, 0)) for s in SECONDS]
-    concerns = watch(build(*one, *other, MOUNT))
+    one = [at(s, "odom", "base_link", turned(0, 0.01 * s)) for s in SECONDS]
+    other = [at(s + 0.4, "odom", "base_link", turned(0, 0.01 * s, apart_m)) for s in SECONDS]
     # Each sample but the first and the last lies between two of the other node.
-    told = [each.text.partition(":")[0] for each in concerns]
+    told = [each.text.partition(":")[0] for each in watch(build(*one, *other))]
     assert told == ["odom -> base_link jumps to and fro at 99% of its 202 samples"][: int(is_told)]
 
 
 def test_odometry_that_is_carried_elsewhere_is_told() -> None:
-    driven = [
-        at(s, "odom", "base_link", Pose.planar(0.1 * s + 4 * (s >= 30), 0, 0)) for s in SECONDS
-    ]
-    (concern,) = watch(build(*driven, MOUNT))
+    driven = [at(s, "odom", "base_link", turned(0, 0.1 * s + 4 * (s >= 30))) for s in SECONDS]
+    (concern,) = watch(build(*driven))
     # From 2.9 m to 7 m between the samples at 29 and 30 s.
-    assert (
-        "odom -> base_link jumps by 4.1 m and 0 deg 30.000 s after the first scan" in concern.text
-    )
+    assert "odom -> base_link jumps by 4.1 m and 0 deg 30.000 s after the first" in concern.text
     assert concern.remedy == {"start_s": "30"}
 
 
@@ -154,10 +149,7 @@ def test_odometry_that_is_carried_elsewhere_is_told() -> None:
 def test_poses_beside_the_scans_are_watched(tmp_path: Path, every: int, jumps: int) -> None:
     """A robot at 0.2 m a second, carried by 4 m: in 20 s it may have driven there."""
     poses = [(0.2 * every * scan + 4.0 * (scan >= 30), 0.0, 0.0) for scan in range(40)]
-    log = write_csv(tmp_path / "log.csv", poses, [1.0, 1.5, 2.0], step=0.1)
-    head, *rows = log.read_text().rsplit("\n", len(poses) + 1)
-    sparse = [f"{scan * every},{row.partition(',')[2]}" for scan, row in enumerate(rows[:-1])]
-    log.write_text("\n".join([head, *sparse]) + "\n")
+    log = write_csv(tmp_path / "log.csv", poses, [1.0, 1.5, 2.0], step=0.1, every=every)
     warnings = inspect([log], BuildOptions()).warnings
     assert sum("the pose beside the scans jumps by" in text for text in warnings) == jumps
 
@@ -178,13 +170,7 @@ def swing(second: int) -> Pose:
 
 @pytest.mark.parametrize("pose", [lambda _: NOWHERE, drift, close_loop, swing])
 def test_what_corrections_do_every_day_is_no_jump(pose: Callable[[int], Pose]) -> None:
-    assert not watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *correct(pose)))
-
-
-def test_a_single_wrong_correction_turns_back_at_once() -> None:
-    samples = correct(lambda second: turned(10) if second == 30 else NOWHERE)
-    (concern,) = watch(build(*drive("odom", "base_link", seconds=SECONDS), MOUNT, *samples))
-    assert "30.000 s after the first scan, and back at 31.000 s: " in concern.text
+    assert not watch(correct(pose))
 
 
 def list_strides(usual: tuple[float, float], **others: tuple[float, float]) -> list[int]:

@@ -4,6 +4,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,9 @@ from occmap.report.results import Build
 from occmap.scans import stream
 from occmap.scans.stream import stack
 from occmap.types import Pose, Scan, ScanBatch
-from tests.posing.scenes import at, attach_twice, batch_at, bolted, drive
+from tests.posing.scenes import SECOND, at, attach_twice, batch_at, bolted, drive
 from tests.posing.scenes import build as make_poser
-from tests.samples import REAL_LOGS, Planar, write_csv
+from tests.samples import Planar, find_real, write_csv
 
 DRIVE: list[Planar] = [(second / 2, 0.0, 0.0) for second in range(40)]
 LEAP = "further from their neighbours than `max_speed` allows"
@@ -145,21 +146,14 @@ def test_which_scans_are_left_out(way: str, order: int) -> None:
 
 def test_lasers_are_judged_one_by_one() -> None:
     """Two on one topic, 300 m apart; the scans of one of them change their geometry meanwhile."""
-    scans = [
-        Scan(
-            round(second * 1e9),
-            frame,
-            0.0,
-            0.1,
-            np.ones(3 + second % 2, np.float32),
-            0.0,
-            10.0,
-            pose=Pose.planar(4e3 if second in leaps else x + second / 2, 0.0, 0.0),
-            topic="/scan",
-        )
-        for second in range(20)
-        for frame, x, leaps in (("here", 0.0, [7, 8]), ("there", 300.0, [3]))
-    ]
+    lasers = ("here", 0.0, [7, 8]), ("there", 300.0, [3])
+    scan = partial(Scan, angle_min=0.0, angle_increment=0.1, range_min=0.0, range_max=10.0)
+    scans = []
+    for second in range(20):
+        for frame, x, leaps in lasers:
+            pose = Pose.planar(4e3 if second in leaps else x + second / 2, 0.0, 0.0)
+            ranges = np.ones(3 + second % 2, np.float32)
+            scans.append(scan(second * SECOND, frame, ranges=ranges, pose=pose, topic="/scan"))
     poser = make_poser()
     _, dropped = attach_twice(poser, *stack(scans, Stamps.HEADER))
     assert dropped == {LEAP: 3}
@@ -198,8 +192,5 @@ def test_check_sees_the_map_that_build_makes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["carmen/intel-corrected.log.gz", "ros1/test_turtlebot.bag"])
 def test_no_scan_of_a_real_log_leaps(name: str) -> None:
-    path = REAL_LOGS / name
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    report = build([path], BuildOptions(resolution=0.2)).report
+    report = build([find_real(name)], BuildOptions(resolution=0.2)).report
     assert LEAP not in report.scans.dropped

@@ -3,46 +3,26 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from occmap import build_map, explain
+from occmap import OccupancyMap, build_map, explain
 from occmap.errors import PoseError
 from occmap.posing import PosingOptions
 from occmap.readers import open_log
 from occmap.scans.logs import gather_poses
 from occmap.store import open_saved
 from tests.cli.runner import occmap, read_error
-from tests.readers.ros import (
-    ROS1,
-    ROS2,
-    SECOND,
-    Written,
-    drive,
-    header,
-    pose,
-    transforms,
-    write_bag1,
-    write_mcap,
-)
+from tests.readers import ros
+from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, write_bag1, write_mcap
+
+KINDS = {kind.rpartition("/")[2]: kind for kind in ros.POSED}
 
 
 def make(kind: str, stamp_ns: int, x: float) -> Any:
     """A message that says where the robot was."""
-    types = ROS2.types
     if kind == "TransformStamped":
-        return transforms(ROS2, stamp_ns, [("map", "trajectory_0", x)]).transforms[0]
-    head, place = header(ROS2, stamp_ns, "map"), pose(ROS2, x)
-    if kind == "PoseStamped":
-        return types["geometry_msgs/msg/PoseStamped"](head, place)
-    zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    twist = types["geometry_msgs/msg/Twist"](zero, zero)
-    return types["nav_msgs/msg/Odometry"](
-        head,
-        "base",
-        types["geometry_msgs/msg/PoseWithCovariance"](place, np.zeros(36)),
-        types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
-    )
+        return ros.transforms(ROS2, stamp_ns, [("map", "trajectory_0", x)]).transforms[0]
+    return ros.posed(ROS2, KINDS[kind], stamp_ns, ("map", "base", x))
 
 
 @pytest.fixture
@@ -50,6 +30,17 @@ def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A drive that lacks the transform to its base."""
     monkeypatch.chdir(tmp_path)
     return write_bag1(Path("log.bag"), [each for each in drive(ROS1) if each.topic != "/tf"])
+
+
+@pytest.fixture
+def whole(log: Path) -> str:
+    """The evidence of the same drive with its own poses."""
+    return name_evidence(build_map(write_bag1(log.with_name("whole.bag"), drive(ROS1))))
+
+
+def name_evidence(made: OccupancyMap) -> str:
+    assert made.about is not None
+    return made.about.evidence
 
 
 STAMPS = [(k + 1) * SECOND + 5 for k in range(6)]
@@ -66,33 +57,28 @@ def write_poses(kind: str, topic: str) -> Path:
     ("kind", "topic"),
     [("Odometry", "/odom"), ("PoseStamped", "/pose"), ("TransformStamped", "trajectory_0")],
 )
-def test_a_drive_has_the_poses_of_another_recording(kind: str, topic: str, log: Path) -> None:
-    whole = build_map(write_bag1(Path("whole.bag"), drive(ROS1)))
+def test_a_drive_has_the_poses_of_another_recording(
+    kind: str, topic: str, log: Path, whole: str
+) -> None:
     write_poses(kind, topic)
     for poses in ("slam.mcap", f"slam.mcap:{topic}"):
         made = build_map(log, poses=poses)
-        assert made.about is not None
-        assert whole.about is not None
-        assert made.about.evidence == whole.about.evidence
+        assert name_evidence(made) == whole
         note = f"log.bag: poses from slam.mcap:{topic}, taken as those of 'base'"
         assert note in made.report.notes
 
 
-def test_a_path_that_is_sent_again_and_again_is_its_last(log: Path) -> None:
-    whole = build_map(write_bag1(Path("whole.bag"), drive(ROS1)))
+def test_a_path_that_is_sent_again_and_again_is_its_last(log: Path, whole: str) -> None:
     poses = [make("PoseStamped", at, 0.5 * k) for k, at in enumerate(STAMPS)]
     drifted = [make("PoseStamped", at, 0.5 * k + 9) for k, at in enumerate(STAMPS[:3])]
     kind = ROS2.types["nav_msgs/msg/Path"]
     messages = [
-        Written("/path", STAMPS[2], kind(header(ROS2, STAMPS[2], "map"), drifted)),
-        Written("/path", STAMPS[5], kind(header(ROS2, STAMPS[5], "map"), poses)),
+        Written("/path", STAMPS[2], kind(ros.header(ROS2, STAMPS[2], "map"), drifted)),
+        Written("/path", STAMPS[5], kind(ros.header(ROS2, STAMPS[5], "map"), poses)),
         *(Written("/pose", at, make("PoseStamped", at, 0.0)) for at in STAMPS[:2]),
     ]
     write_mcap(Path("slam.mcap"), messages)
-    made = build_map(log, poses="slam.mcap")  # the path has more poses
-    assert made.about is not None
-    assert whole.about is not None
-    assert made.about.evidence == whole.about.evidence
+    assert name_evidence(build_map(log, poses="slam.mcap")) == whole  # the path has more poses
 
 
 def test_the_frames_of_the_other_recording_do_not_mix_with_those_of_the_log(log: Path) -> None:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from occmap.posing.tracks import angle_between, rotate_by, slerp, to_quaternions
 from occmap.types import Float64, Pose
+from tests.posing.scenes import matrix_of
 
 ANGLES = st.floats(-math.pi, math.pi)
 
@@ -15,22 +16,11 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Float64:
     return np.array([Pose.from_xyzrpy((0, 0, 0), (roll, pitch, yaw))[3:]])
 
 
-def matrix_by_hand(roll: float, pitch: float, yaw: float) -> Float64:
-    """Rz(yaw) Ry(pitch) Rx(roll), written out."""
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    cy, sy = math.cos(yaw), math.sin(yaw)
-    rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    product: Float64 = rz @ ry @ rx
-    return product
-
-
 @settings(max_examples=50)
 @given(ANGLES, ANGLES, ANGLES)
 def test_a_quaternion_gives_the_matrix_of_its_angles(roll: float, pitch: float, yaw: float) -> None:
     found = rotate_by(quaternion(roll, pitch, yaw))[0]
-    np.testing.assert_allclose(found, matrix_by_hand(roll, pitch, yaw), atol=1e-12)
+    np.testing.assert_allclose(found, matrix_of(roll, pitch, yaw), atol=1e-12)
 
 
 def test_halfway_to_90_degrees_is_45() -> None:
@@ -43,7 +33,7 @@ def test_the_turn_takes_the_short_way_past_180_degrees(fraction: float) -> None:
     start, end = math.radians(170), math.radians(-170)
     found = slerp(quaternion(0, 0, start), quaternion(0, 0, end), np.array([fraction]))
     yaw = math.radians(170 + 20 * fraction)
-    np.testing.assert_allclose(rotate_by(found)[0], matrix_by_hand(0, 0, yaw), atol=1e-12)
+    np.testing.assert_allclose(rotate_by(found)[0], matrix_of(yaw=yaw), atol=1e-12)
 
 
 @settings(max_examples=50)

@@ -33,24 +33,30 @@ def build(*samples: Sample) -> tuple[Track | None, int]:
     return track, single.unusable
 
 
+def build_all(*samples: Sample) -> Track:
+    """Build a track of samples of which none is left out."""
+    track, unusable = build(*samples)
+    assert track is not None
+    assert unusable == 0
+    return track
+
+
 def stamps_of(track: Track | None) -> list[int]:
     assert track is not None
-    return [int(stamp) for stamp in track.stamp_ns]
+    stamps: list[int] = track.stamp_ns.tolist()
+    return stamps
 
 
 def test_samples_are_sorted_by_stamp() -> None:
-    track, _ = build(sample(30), sample(10), sample(20))
-    assert stamps_of(track) == [10, 20, 30]
+    assert stamps_of(build_all(sample(30), sample(10), sample(20))) == [10, 20, 30]
 
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_of_one_stamp_the_sample_recorded_last_stays(reverse: bool) -> None:
     first = sample(10, HERE, record_ns=100)
     second = sample(10, HERE._replace(x=5), record_ns=101)
-    track, unusable = build(*((second, first) if reverse else (first, second)))
-    assert track is not None
+    track = build_all(*((second, first) if reverse else (first, second)))
     assert track.position.tolist() == [[5, 2, 3]]
-    assert unusable == 0
 
 
 @pytest.mark.parametrize(
@@ -68,14 +74,11 @@ def test_how_far_the_clock_of_a_sender_was_set_back(
 ) -> None:
     second = 10**9
     samples = [sample(stamp * second, record_ns=record * second) for stamp, record in times]
-    track, _ = build(*samples)
-    assert track is not None
-    assert track.set_back_s == set_back_s
+    assert build_all(*samples).set_back_s == set_back_s
 
 
 def test_of_samples_recorded_at_once_the_last_in_the_log_stays() -> None:
-    track, _ = build(sample(10, HERE._replace(x=8)), sample(10, HERE._replace(x=9)))
-    assert track is not None
+    track = build_all(sample(10, HERE._replace(x=8)), sample(10, HERE._replace(x=9)))
     assert track.position[:, 0].tolist() == [9]
 
 
@@ -105,8 +108,7 @@ def test_a_pose_a_light_hour_away_is_the_last_that_is_one() -> None:
 
 @pytest.mark.parametrize("stamp_ns", [2**62, -(2**62)])
 def test_a_stamp_of_2116_is_the_last_that_is_one(stamp_ns: int) -> None:
-    track, unusable = build(sample(stamp_ns, record_ns=stamp_ns))
-    assert (stamps_of(track), unusable) == ([stamp_ns], 0)
+    assert stamps_of(build_all(sample(stamp_ns, record_ns=stamp_ns))) == [stamp_ns]
 
 
 @pytest.mark.parametrize("stamp_ns", [2**62 + 1, -(2**63), 2**63 - 1])
@@ -116,46 +118,39 @@ def test_a_stamp_that_is_damage_is_left_out(stamp_ns: int) -> None:
 
 
 def test_quaternions_get_unit_length() -> None:
-    track, _ = build(sample(0, HERE._replace(qz=3, qw=4)))
-    assert track is not None
+    track = build_all(sample(0, HERE._replace(qz=3, qw=4)))
     np.testing.assert_allclose(track.quaternion, [[0, 0, 0.6, 0.8]])
 
 
 def test_what_is_sent_again_and_again_does_not_move() -> None:
-    still, _ = build(*(sample(t) for t in range(5)))
-    shifted, _ = build(sample(0), sample(1, HERE._replace(y=2.01)))
-    spun, _ = build(sample(0), sample(1, HERE._replace(qz=0.01)))
-    flipped, _ = build(sample(0), sample(1, HERE._replace(qw=-1)))
-    assert [t.moves for t in (still, shifted, spun, flipped) if t] == [False, True, True, False]
+    assert not build_all(*(sample(t) for t in range(5))).moves
+    for pose, moves in (({"y": 2.01}, True), ({"qz": 0.01}, True), ({"qw": -1}, False)):
+        assert build_all(sample(0), sample(1, HERE._replace(**pose))).moves is moves
 
 
 def test_steps_and_intervals_lie_between_samples() -> None:
-    track, _ = build(sample(0), sample(2 * 10**9, Pose.planar(4, 6, math.pi / 2)._replace(z=3)))
-    assert track is not None
+    away = Pose.planar(4, 6, math.pi / 2)._replace(z=3)
+    track = build_all(sample(0), sample(2 * 10**9, away))
     assert track.interval_s.tolist() == [2]
     assert track.step_m.tolist() == [5]
     np.testing.assert_allclose(track.step_rad, [math.pi / 2])
 
 
+TURNED = HERE._replace(qx=1)
+
+
 @pytest.mark.parametrize(
     ("other", "changes"),
     [
-        (HERE, False),
-        (HERE._replace(x=1.01), True),
-        (HERE._replace(qx=1), True),
-        (HERE._replace(qw=2), False),
-        (HERE._replace(x=math.nan), False),
+        (TURNED, False),
+        (TURNED._replace(x=1.01), True),
+        (HERE, True),
+        (TURNED._replace(qx=2, qw=2), False),
+        (TURNED._replace(x=math.nan), False),
     ],
 )
 def test_whether_samples_of_one_stamp_differ(other: Pose, changes: bool) -> None:
     builder = TrackBuilder()
-    for pose in (HERE, other):
+    for pose in (TURNED, other):
         builder.add(*sample(10, pose))
     assert builder.changes is changes
-
-
-def test_a_rotation_that_is_not_of_length_one_is_no_other() -> None:
-    builder = TrackBuilder()
-    for length in (1, 2):
-        builder.add(*sample(10, HERE._replace(qx=length, qw=length)))
-    assert not builder.changes

@@ -1,4 +1,5 @@
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from occmap.types import PoseSample
 
 def read(tmp_path: Path, text: str) -> list[PoseSample]:
     path = tmp_path / "poses.txt"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8", newline="")
     return list(read_trajectory(path, []))
 
 
@@ -26,28 +27,26 @@ def test_tum(tmp_path: Path) -> None:
     assert second.pose == (4, 5, 6, 0, 0, 0, 1)
 
 
-def test_csv_with_a_heading(tmp_path: Path) -> None:
-    (sample,) = read(tmp_path, "Stamp, X, Y, Yaw\n# comment\n3,1,2,1.5707963267948966\n")
-    half = math.sqrt(0.5)
-    assert sample.stamp_ns == 3 * 10**9
-    assert sample.pose == pytest.approx((1, 2, 0, 0, 0, half, half))
+HALF = math.sqrt(0.5)
 
 
-def test_csv_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
-    text = "y,x,name,z,roll,pitch,yaw,stamp\n2,1,run7,3,3.141592653589793,0,0,9\n"
+@pytest.mark.parametrize(
+    ("text", "pose"),
+    [
+        ("Stamp, X, Y, Yaw\n# comment\n3,1,2,1.5707963267948966\n", (1, 2, 0, 0, 0, HALF, HALF)),
+        (
+            "y,x,name,z,roll,pitch,yaw,stamp\n2,1,run7,3,3.141592653589793,0,0,3\n",
+            (1, 2, 3, 1, 0, 0, 0),
+        ),
+        ("stamp,x,y,qx,qy,qz,qw\n3,2,3,0.1,0.2,0.3,0.4\n", (2, 3, 0, 0.1, 0.2, 0.3, 0.4)),
+        ("\ufeffstamp,x,y,yaw\r\n3,1,2,0\r\n", (1, 2, 0, 0, 0, 0, 1)),
+    ],
+    ids=["heading", "columns in any order beside others", "quaternion", "byte order mark"],
+)
+def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
     (sample,) = read(tmp_path, text)
-    assert sample.pose == pytest.approx((1, 2, 3, 1, 0, 0, 0))
-
-
-def test_csv_with_a_quaternion(tmp_path: Path) -> None:
-    (sample,) = read(tmp_path, "stamp,x,y,qx,qy,qz,qw\n1,2,3,0.1,0.2,0.3,0.4\n")
-    assert sample.pose == (2, 3, 0, 0.1, 0.2, 0.3, 0.4)
-
-
-def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
-    path = tmp_path / "poses.csv"
-    path.write_bytes(b"\xef\xbb\xbfstamp,x,y,yaw\r\n1,2,3,0\r\n")
-    assert next(read_trajectory(path, [])).pose[:2] == (2, 3)
+    assert sample.stamp_ns == 3 * 10**9
+    assert sample.pose == pytest.approx(pose)
 
 
 def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
@@ -139,26 +138,26 @@ def read_kitti(tmp_path: Path, poses: list[str], times: str | None) -> list[Pose
     return read(tmp_path, "\n".join(poses) + "\n")
 
 
-def test_kitti_of_a_robot(tmp_path: Path) -> None:
-    turned = "0 -1 0 4 1 0 0 5 0 0 1 0"  # a quarter turn to the left, 4 m ahead and 5 m to the left
-    first, second = read_kitti(tmp_path, [LEVEL.format(0, 0, 0), turned], "0.0\n1.036e-01\n")
+@pytest.mark.parametrize(
+    ("line", "place", "turn"),
+    [
+        # A quarter turn to the left, 4 m ahead and 5 m to the left
+        ("0 -1 0 4 1 0 0 5 0 0 1 0", (4, 5, 0), HALF),
+        # A camera that looks to the right by a quarter turn about its y, which is down; it went
+        # 9 m along its z, 2 m along its x, and lies 1 m higher: against its y.
+        ("0 0 1 2 0 1 0 -1 -1 0 0 9", (9, -2, 1), -HALF),
+    ],
+    ids=["robot", "camera"],
+)
+def test_kitti_of_a_robot_and_of_a_camera_is_in_a_robots_axes(
+    tmp_path: Path, line: str, place: Sequence[float], turn: float
+) -> None:
+    first, second = read_kitti(tmp_path, [LEVEL.format(0, 0, 0), line], "0.0\n1.036e-01\n")
     assert (first.stamp_ns, second.stamp_ns) == (0, 103_600_000)
     assert first.pose == pytest.approx((0, 0, 0, 0, 0, 0, 1))
-    half = math.sqrt(0.5)
     sign = math.copysign(1, second.pose.qw)
-    assert second.pose[:3] == (4, 5, 0)
-    assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, half, half])
-
-
-def test_kitti_of_a_camera_is_turned_to_a_robots_axes(tmp_path: Path) -> None:
-    # A camera that looks to the right by a quarter turn about its y, which is down; it went 9 m
-    # along its z, 2 m along its x, and lies 1 m higher: against its y.
-    turned = "0 0 1 2 0 1 0 -1 -1 0 0 9"
-    _, second = read_kitti(tmp_path, [LEVEL.format(0, 0, 0), turned], "1\n2\n")
-    assert second.pose[:3] == pytest.approx((9, -2, 1))
-    half = math.sqrt(0.5)
-    sign = math.copysign(1, second.pose.qw)
-    assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, -half, half])
+    assert second.pose[:3] == pytest.approx(place)
+    assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, turn, HALF])
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
-from mcap.writer import Writer
+from google.protobuf import descriptor_pb2 as pb2
+from google.protobuf import descriptor_pool, json_format, message_factory, timestamp_pb2
+
+from tests.readers.ros import Encoded, write_encoded
 
 SECOND = 10**9
 NO_POSE: dict[str, Any] = {
@@ -70,11 +71,13 @@ def drive() -> list[Message]:
 
 
 def write_json(path: Path, log: Sequence[Message]) -> Path:
-    return _write(path, log, lambda _, fields: json.dumps(fields).encode(), "json")
+    definition = "jsonschema", b"{}"
+    return _write(path, log, "json", definition, lambda _, fields: json.dumps(fields).encode())
 
 
 def write_protobuf(path: Path, log: Sequence[Message]) -> Path:
-    return _write(path, log, encode_protobuf, "protobuf")
+    definition = "protobuf", make_descriptors().SerializeToString()
+    return _write(path, log, "protobuf", definition, encode_protobuf)
 
 
 WRITERS = {"json": write_json, "protobuf": write_protobuf}
@@ -83,24 +86,15 @@ WRITERS = {"json": write_json, "protobuf": write_protobuf}
 def _write(
     path: Path,
     log: Sequence[Message],
-    encode: Callable[[str, dict[str, Any]], bytes],
     encoding: str,
+    definition: tuple[str, bytes],
+    encode: Callable[[str, dict[str, Any]], bytes],
 ) -> Path:
-    schema_data = (
-        b"{}" if encoding == "json" else b"".join([make_descriptors().SerializeToString()])
-    )
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channels: dict[str, int] = {}
-        for topic, schema, record_ns, fields in log:
-            if topic not in channels:
-                kind = "jsonschema" if encoding == "json" else "protobuf"
-                schema_id = writer.register_schema(schema, kind, schema_data)
-                channels[topic] = writer.register_channel(topic, encoding, schema_id)
-            writer.add_message(channels[topic], record_ns, encode(schema, fields), record_ns)
-        writer.finish()  # type: ignore[no-untyped-call]  # the library's gap
-    return path
+    encoded = [
+        Encoded(topic, record_ns, encode(schema, fields), encoding, (schema, *definition))
+        for topic, schema, record_ns, fields in log
+    ]
+    return write_encoded(path, encoded)
 
 
 # Every message of the schemas: its fields, each of a number type, another message, or a list.
@@ -130,36 +124,24 @@ SCHEMA = {
 }
 
 
-def make_descriptors() -> descriptor_pb2.FileDescriptorSet:
+def make_descriptors() -> pb2.FileDescriptorSet:
     """The schemas, their file before that of the times that it needs."""
-    time = FileDescriptorProto(
-        name="google/protobuf/timestamp.proto", package="google.protobuf", syntax="proto3"
-    )
-    stamp_type = time.message_type.add(name="Timestamp")
-    for number, (name, kind) in enumerate((("seconds", "INT64"), ("nanos", "INT32")), start=1):
-        _add_field(stamp_type, name, number, kind)
-    file = FileDescriptorProto(name="foxglove/all.proto", package="foxglove", syntax="proto3")
-    file.dependency.append(time.name)
+    file = pb2.FileDescriptorProto(name="foxglove/all.proto", package="foxglove", syntax="proto3")
+    file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
     for message, fields in SCHEMA.items():
         described = file.message_type.add(name=message)
         for number, (name, text) in enumerate(fields.items(), start=1):
-            field = _add_field(described, name, number, text.rstrip("*"))
-            if text.endswith("*"):
-                field.label = FieldDescriptorProto.LABEL_REPEATED
-    return descriptor_pb2.FileDescriptorSet(file=[file, time])
-
-
-def _add_field(
-    message: descriptor_pb2.DescriptorProto, name: str, number: int, kind: str
-) -> FieldDescriptorProto:
-    field = message.field.add(name=name, number=number)
-    field.label = FieldDescriptorProto.LABEL_OPTIONAL
-    if kind in SCHEMA or kind == "Timestamp":
-        package = "google.protobuf" if kind == "Timestamp" else "foxglove"
-        field.type, field.type_name = FieldDescriptorProto.TYPE_MESSAGE, f".{package}.{kind}"
-    else:
-        field.type = FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
-    return field
+            kind = text.rstrip("*")
+            field = described.field.add(name=name, number=number)
+            field.label = field.LABEL_REPEATED if kind != text else field.LABEL_OPTIONAL
+            if kind in SCHEMA or kind == "Timestamp":
+                package = "foxglove" if kind in SCHEMA else "google.protobuf"
+                field.type, field.type_name = field.TYPE_MESSAGE, f".{package}.{kind}"
+            else:
+                field.type = pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
+    time = pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(time)
+    return pb2.FileDescriptorSet(file=[file, time])
 
 
 def encode_protobuf(schema: str, fields: dict[str, Any]) -> bytes:

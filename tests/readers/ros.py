@@ -1,10 +1,12 @@
 """Small ROS logs in every container, and what is in them."""
 
+import struct
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+import pytest
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
@@ -28,6 +30,8 @@ POSED = (
 )
 for _kind in (TF, "tf/msg/tfMessage"):
     ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _kind))
+
+both = pytest.mark.parametrize("store", [ROS1, ROS2], ids=["ros1", "ros2"])
 
 RANGES: Float32 = np.array([1.0, 2.5, np.inf, np.nan, 0.0], dtype=np.float32)
 SECOND = 1_000_000_000
@@ -142,8 +146,11 @@ def drive(store: Typestore, scans: int = 6) -> list[Written]:
     return log
 
 
-def write_bag1(path: Path, log: Sequence[Written], compression: str = "none") -> Path:
+def write_bag1(
+    path: Path, log: Sequence[Written], compression: str = "none", chunk_size: int = 1 << 20
+) -> Path:
     writer = Writer1(path)
+    writer.chunk_threshold = chunk_size
     if compression != "none":
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
     with writer:
@@ -154,6 +161,15 @@ def write_bag1(path: Path, log: Sequence[Written], compression: str = "none") ->
                 connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
             writer.write(connections[topic], record_ns, ROS1.serialize_ros1(message, kind))
     return path
+
+
+def bag1_record(data: bytes, **fields: bytes) -> bytes:
+    """A record of a ROS 1 bag, with these fields in its header."""
+    head = b"".join(
+        struct.pack("<I", len(name) + 1 + len(value)) + name.encode() + b"=" + value
+        for name, value in fields.items()
+    )
+    return struct.pack("<I", len(head)) + head + struct.pack("<I", len(data)) + data
 
 
 class Bag2(NamedTuple):
@@ -174,6 +190,57 @@ class Bag2(NamedTuple):
         return path
 
 
+class Encoded(NamedTuple):
+    """A message as an MCAP file holds it."""
+
+    topic: str
+    record_ns: int
+    data: bytes
+    encoding: str
+    schema: tuple[str, str, bytes] | None
+    """Name, encoding and definition"""
+
+
+def serialise(message: Any, store: Typestore = ROS2) -> bytes:
+    write = store.serialize_ros1 if store is ROS1 else store.serialize_cdr
+    return bytes(write(message, message.__msgtype__))
+
+
+def make_channel(topic: str, kind: str, count: int, store: Typestore = ROS2) -> Channel:
+    """A channel of a log that defines its types."""
+    encoding = "ros1" if store is ROS1 else "cdr"
+    return Channel(topic, kind, encoding, store.generate_msgdef(kind)[0], count)
+
+
+def encode(written: Written, store: Typestore = ROS2) -> Encoded:
+    """Encode a message, in ROS 1 form where the store is of ROS 1."""
+    topic, record_ns, message = written
+    kind, is_ros1 = message.__msgtype__, store is ROS1
+    definition = store.generate_msgdef(kind, ros_version=1 if is_ros1 else 2)[0].encode()
+    name, encoding, form = (
+        (kind.replace("/msg", ""), "ros1", "ros1msg") if is_ros1 else (kind, "cdr", "ros2msg")
+    )
+    return Encoded(topic, record_ns, serialise(message, store), encoding, (name, form, definition))
+
+
+def add_messages(writer: McapWriter, log: Iterable[Encoded], channels: dict[str, int]) -> None:
+    """Add messages to an MCAP file; the number of each channel, by its topic, to `channels`."""
+    for topic, record_ns, data, encoding, schema in log:
+        if topic not in channels:
+            schema_id = writer.register_schema(*schema) if schema else 0
+            channels[topic] = writer.register_channel(topic, encoding, schema_id)
+        writer.add_message(channels[topic], record_ns, data, record_ns)
+
+
+def write_encoded(path: Path, log: Iterable[Encoded], profile: str = "", **options: Any) -> Path:
+    with path.open("wb") as file:
+        writer = McapWriter(file, **options)
+        writer.start(profile, library="occmap's tests")
+        add_messages(writer, log, {})
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
 def write_mcap(
     path: Path,
     log: Sequence[Written],
@@ -181,22 +248,6 @@ def write_mcap(
     options: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write an MCAP file, in ROS 1 form where the store is of ROS 1."""
-    ros1 = store is ROS1
-    with path.open("wb") as file:
-        writer = McapWriter(file, **(options or {"compression": CompressionType.NONE}))
-        writer.start(profile="ros1" if ros1 else "ros2", library="occmap's tests")
-        channels: dict[str, int] = {}
-        for topic, record_ns, message in log:
-            kind = message.__msgtype__
-            if topic not in channels:
-                text, _ = store.generate_msgdef(kind, ros_version=1 if ros1 else 2)
-                schema = writer.register_schema(
-                    kind.replace("/msg/", "/") if ros1 else kind,
-                    "ros1msg" if ros1 else "ros2msg",
-                    text.encode(),
-                )
-                channels[topic] = writer.register_channel(topic, "ros1" if ros1 else "cdr", schema)
-            write = store.serialize_ros1 if ros1 else store.serialize_cdr
-            writer.add_message(channels[topic], record_ns, bytes(write(message, kind)), record_ns)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+    profile = "ros1" if store is ROS1 else "ros2"
+    chosen = options or {"compression": CompressionType.NONE}
+    return write_encoded(path, [encode(each, store) for each in log], profile, **chosen)

@@ -2,31 +2,18 @@
 
 import gzip
 import math
-import os
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from occmap.errors import LogError
-from occmap.readers import (
-    Log,
-    Note,
-    Probe,
-    Role,
-    StackingPoses,
-    StackingScans,
-    Stream,
-    carmen,
-    probe_path,
-    text_log,
-)
+from occmap.readers import Log, Note, Probe, Role, Stream, carmen, probe_path, text_log
 from occmap.readers.carmen import CarmenReader
-from occmap.sensor import RangeLimits, ReturnOptions
+from occmap.sensor import ReturnOptions
+from occmap.sensor.bands import RangeLimits
 from occmap.types import Pose, PoseBatch, PoseSample, ScanRun
-
-REAL_LOGS = Path(os.environ.get("OCCMAP_REAL_LOGS", "../shared/logs")) / "carmen"
+from tests.readers.runs import open_carmen
+from tests.samples import find_real
 
 
 def flaser(stamp: float, ranges: str = "1.5 2.5 3.5", word: str = "FLASER") -> str:
@@ -42,19 +29,13 @@ ODOM = "ODOM 1 0 0 0 0 0 {0} host {0}\n"
 OFFSET = "PARAM robot_frontlaser_offset 0.25 nohost 0\n"
 
 
-def open_text(tmp_path: Path, content: str) -> Log:
-    path = tmp_path / "hand.log"
-    path.write_text(content)
-    return CarmenReader().open(path)
-
-
 def stamps(log: Log, *topics: str) -> list[float]:
     return [scan.stamp_ns / 1e9 for scan in log.scans(topics or ("FLASER",))]
 
 
 def test_a_small_log(tmp_path: Path) -> None:
     content = HEADER + OFFSET + ODOM.format(1) + flaser(2) + "\n" + flaser(3) + "SYNC x 4 host 4\n"
-    log = open_text(tmp_path, content)
+    log = open_carmen(tmp_path, content)
     assert log.streams == [
         Stream("PARAM", "PARAM", 1, Role.OTHER),
         Stream("ODOM", "ODOM", 1, Role.POSE),
@@ -72,12 +53,12 @@ def test_a_small_log(tmp_path: Path) -> None:
 
 
 def test_no_transform_is_invented(tmp_path: Path) -> None:
-    log = open_text(tmp_path, raw(1) + ODOM.format(1))
+    log = open_carmen(tmp_path, raw(1) + ODOM.format(1))
     assert [sample.topic for sample in log.poses()] == ["ODOM"]
 
 
 def test_only_the_topics_asked_for(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + flaser(2, word="RLASER") + flaser(3))
+    log = open_carmen(tmp_path, flaser(1) + flaser(2, word="RLASER") + flaser(3))
     assert stamps(log, "RLASER") == [2]
     assert stamps(log, "FLASER", "RLASER") == [1, 2, 3]
     assert stamps(log, "scan") == []
@@ -86,105 +67,57 @@ def test_only_the_topics_asked_for(tmp_path: Path) -> None:
 def test_the_limit_is_what_the_log_states(tmp_path: Path) -> None:
     """FLASER states none, whatever its ranges are; a raw scan has a field for it."""
     ranges = " ".join(f"{1 + beam / 100:.2f}" for beam in range(168)) + " 81.91" * 12
-    log = open_text(tmp_path, flaser(1, ranges))
+    log = open_carmen(tmp_path, flaser(1, ranges))
     assert [scan.range_max for scan in log.scans(["FLASER"])] == [math.inf]
     assert not any("81.91" in note.text for note in log.notes)
-    assert [scan.range_max for scan in open_text(tmp_path, raw(1)).scans(["RAWLASER1"])] == [8.0]
+    assert [scan.range_max for scan in open_carmen(tmp_path, raw(1)).scans(["RAWLASER1"])] == [8.0]
 
 
 def test_unknown_beam_counts_are_noted_once(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + flaser(2))
+    log = open_carmen(tmp_path, flaser(1) + flaser(2))
     (note,) = (note for note in log.notes if "no angles" in note.text)
     assert note.text == "FLASER states no angles: 3 beams are read as 90 deg apart, from -90 deg"
 
 
 def test_raw_scans_are_left_out_beside_posed_ones(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + raw(1))
+    log = open_carmen(tmp_path, flaser(1) + raw(1))
     assert [stream.role for stream in log.streams] == [Role.SCAN, Role.OTHER]
     assert any(note.text.startswith("RAWLASER1 repeats") for note in log.notes)
 
 
 def test_raw_scans_alone_are_scans(tmp_path: Path) -> None:
-    (stream,) = open_text(tmp_path, raw(1)).streams
+    (stream,) = open_carmen(tmp_path, raw(1)).streams
     assert stream == Stream("RAWLASER1", "RAWLASER1", 1, Role.SCAN)
 
 
 def test_scans_of_no_beams_are_passed_over(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + flaser(2, ranges=""))
+    log = open_carmen(tmp_path, flaser(1) + flaser(2, ranges=""))
     assert stamps(log) == [1]
     assert any("1 FLASER without beams" in note.text for note in log.notes)
 
 
 def test_other_lines_are_counted(tmp_path: Path) -> None:
     content = flaser(1) + "# a\n#b\n" + "VERTEX2 0 0 0 0\n" * 3 + "gr\u00fcn 1\n"
-    log = open_text(tmp_path, content)
+    log = open_carmen(tmp_path, content)
     expected = "6 lines without scan or pose passed over: 3 VERTEX2, 2 comments, 1 'gr\u00fcn'"
     assert Note(expected) in log.notes
-    log = open_text(tmp_path, flaser(1) + "# a\n")
+    log = open_carmen(tmp_path, flaser(1) + "# a\n")
     assert Note("1 line without scan or pose passed over: 1 comment") in log.notes
 
 
 def test_garbage_words_do_not_fill_the_memory(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + "".join(f"word{n} 1\n" for n in range(1000)))
+    log = open_carmen(tmp_path, flaser(1) + "".join(f"word{n} 1\n" for n in range(1000)))
     assert len(log.streams) <= carmen.MAX_WORDS + 1
     assert sum(stream.count for stream in log.streams) == 1001
-
-
-def test_a_malformed_line_names_file_and_line(tmp_path: Path) -> None:
-    content = HEADER + flaser(1) + flaser(2).replace("2.5", "2,5") + flaser(3)
-    with pytest.raises(LogError) as caught:
-        open_text(tmp_path, content)
-    assert str(caught.value) == (
-        f"{tmp_path}/hand.log:3: '2,5' where a number belongs; correct or delete this line"
-    )
-
-
-def test_a_malformed_odometry_line_names_file_and_line(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + "ODOM 1 2 three 0 0 0 1 host 1\n" + flaser(2))
-    with pytest.raises(LogError, match=r"hand.log:2: 'three' where"):
-        list(log.poses())
-
-
-def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
-    whole, last = HEADER + flaser(1) + flaser(2), flaser(3).rstrip()
-    for cut in range(1, len(last)):
-        log = open_text(tmp_path, whole + last[:cut])
-        damage = [note.text for note in log.notes if note.damage]
-        if stamps(log) == [1, 2]:
-            assert damage == ["the file ends in the middle of line 4; this line is lost"]
-        else:
-            assert stamps(log) == [1, 2, 3]
-            assert last[:cut].split()[:-1] == last.split()[:-1], "only the second time is cut"
-        assert log.streams[0].count == len(stamps(log))
-
-
-def test_a_cut_odometry_line_is_damage(tmp_path: Path) -> None:
-    log = open_text(tmp_path, flaser(1) + ODOM.format(1) + "ODOM 1 0 0 0 0 0")
-    assert [note.damage for note in log.notes].count(True) == 1
-    assert len(list(log.poses())) == 1
-    assert [note.damage for note in log.notes].count(True) == 1
-
-
-def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
-    content = "".join([OFFSET, ODOM.format(1), flaser(1), raw(2), flaser(3)]).encode()
-    path = tmp_path / "flipped.log"
-    for at in range(len(content)):
-        flipped = bytearray(content)
-        flipped[at] ^= 1 << at % 8
-        path.write_bytes(flipped)
-        with suppress(LogError):
-            log = CarmenReader().open(path)
-            assert len(stamps(log, "FLASER", "RAWLASER1")) <= 3
-            list(log.poses())
 
 
 def test_a_large_log_is_streamed_with_the_same_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     content = "".join(flaser(stamp, "1.5 81.91") for stamp in range(20)) + "FLASER 2 1"
-    kept = open_text(tmp_path, content)
+    kept = open_carmen(tmp_path, content)
     monkeypatch.setattr(text_log, "MAX_KEPT_BYTES", 5000)
-    streamed = open_text(tmp_path, content)
+    streamed = open_carmen(tmp_path, content)
     for one, other in zip(kept.scans(["FLASER"]), streamed.scans(["FLASER"]), strict=True):
         np.testing.assert_array_equal(one.ranges, other.ranges)
         assert one._replace(ranges=other.ranges) == other
@@ -217,7 +150,7 @@ def test_how_many_lines_are_parsed_together_makes_no_difference(
 
 def test_scans_of_two_lasers_stay_in_file_order(tmp_path: Path) -> None:
     lines = [flaser(stamp, word="RLASER" if stamp % 2 else "FLASER") for stamp in range(6)]
-    log = open_text(tmp_path, "".join(lines))
+    log = open_carmen(tmp_path, "".join(lines))
     assert [scan.topic for scan in log.scans(["FLASER", "RLASER"])] == ["FLASER", "RLASER"] * 3
     assert [stamp_ns for stamp_ns, *_ in log.scans(["FLASER", "RLASER"])] == [
         stamp * 10**9 for stamp in range(6)
@@ -225,13 +158,11 @@ def test_scans_of_two_lasers_stay_in_file_order(tmp_path: Path) -> None:
 
 
 def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
-    log = open_text(tmp_path, HEADER + "".join(flaser(i) + ODOM.format(i) for i in range(6)))
-    assert isinstance(log, StackingScans)
+    log = open_carmen(tmp_path, HEADER + "".join(flaser(i) + ODOM.format(i) for i in range(6)))
     (run,) = log.stacked_scans(["FLASER"])
     assert isinstance(run, ScanRun)
     assert run.stamp_ns.tolist() == [stamp * 10**9 for stamp in range(6)]
     assert list(log.stacked_scans(["RLASER"])) == []
-    assert isinstance(log, StackingPoses)
     (batch,) = log.stacked_poses()
     assert isinstance(batch, PoseBatch)
     assert batch.split() == list(log.poses())
@@ -241,7 +172,7 @@ def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
 def test_odometry_in_rare_ways_of_writing_is_in_file_order(tmp_path: Path) -> None:
     rare = "ODOM +1 +0 +0 +0 +0 +0 +{0} host +{0}\n"
     lines = "".join((rare if i % 7 else ODOM).format(i) for i in range(200))
-    poses = list(open_text(tmp_path, HEADER + flaser(0) + lines).poses())
+    poses = list(open_carmen(tmp_path, HEADER + flaser(0) + lines).poses())
     assert [sample.stamp_ns for sample in poses] == [i * 10**9 for i in range(200)]
     assert {sample.pose for sample in poses} == {Pose.planar(1, 0, 0)}
 
@@ -280,70 +211,10 @@ def test_does_not_claim_what_is_not_carmen(content: bytes) -> None:
     assert not CarmenReader().recognises(Probe(Path("any"), content, content))
 
 
-def open_real(name: str) -> Log:
-    path = REAL_LOGS / name
-    if not path.exists():
-        pytest.skip(f"no real logs at {REAL_LOGS}; set OCCMAP_REAL_LOGS")
-    assert CarmenReader().recognises(probe_path(path))
-    return CarmenReader().open(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "size", "first", "range_max"),
-    [
-        ("intel-corrected", (910, 180), (32_906_800_000, 0.600266, -0.0320327), math.inf),
-        ("freiburg-079-corrected", (4791, 360), (227_623_000, 0.00123601, -0.00106807), math.inf),
-        ("csail-corrected", (406, 361), (1_134_860_000_000_000_000, 0.154, 0.068), math.inf),
-        ("fr079-robotlaser", (1464, 360), (1_211_520_329_000, -0.040001, 0.0), 50.0),
-    ],
-)
-def test_real_logs(
-    name: str, size: tuple[int, int], first: tuple[int, float, float], range_max: float
-) -> None:
-    log = open_real(f"{name}.log.gz")
-    (stream,) = (stream for stream in log.streams if stream.role is Role.SCAN)
-    scans = list(log.scans([stream.topic]))
-    assert stream.count == len(scans) == size[0]
-    assert {scan.ranges.size for scan in scans} == {size[1]}
-    assert {scan.range_max for scan in scans} == {range_max}
-    assert scans[0].pose is not None
-    assert (scans[0].stamp_ns, scans[0].pose.x, scans[0].pose.y) == first
-    assert not any(note.damage for note in log.notes)
-
-
-@pytest.mark.parametrize(
-    ("name", "found"),
-    [
-        ("intel-corrected", "read 81.8"),
-        ("freiburg-079-corrected", "read 81.9"),
-        ("csail-corrected", "read 81.9"),
-        ("fr079-robotlaser", "10,528 of 527,040 ranges (2.0%) are above it, up to 81.91 m"),
-    ],
-)
-def test_what_no_return_is_in_real_logs(name: str, found: str) -> None:
-    log, limits = open_real(f"{name}.log.gz"), RangeLimits(ReturnOptions())
-    (stream,) = (stream for stream in log.streams if stream.role is Role.SCAN)
-    for scan in log.scans([stream.topic]):
-        limits.see(scan)
-    (note,) = limits.list_notes()
-    assert found in note
-
-
-def test_real_robotlaser_has_the_laser_pose() -> None:
-    log = open_real("fr079-robotlaser.log.gz")
-    scan = next(log.scans(["ROBOTLASER1"]))
-    assert (scan.angle_min, scan.angle_increment) == (-1.570796, 0.008727)
-
-
-def test_real_odometry() -> None:
-    log = open_real("intel-corrected.log.gz")
-    assert sum(not sample.static for sample in log.poses()) == 14541
-
-
 @pytest.mark.parametrize("tail", ["", " 0", " 0 0 name", " 0 nohost 0"])
 def test_scans_beside_their_poses_need_no_time(tmp_path: Path, tail: str) -> None:
     lines = [f"FLASER 3 1.5 2.5 {x}.5 {x} 2 0.5 {x} 2 0.5{tail}\n" for x in range(4)]
-    log = open_text(tmp_path, "".join(lines))
+    log = open_carmen(tmp_path, "".join(lines))
     scans = list(log.scans({"FLASER"}))
     assert [scan.pose and scan.pose.x for scan in scans] == [0, 1, 2, 3]
     assert [float(scan.ranges[2]) for scan in scans] == [0.5, 1.5, 2.5, 3.5]
@@ -352,10 +223,36 @@ def test_scans_beside_their_poses_need_no_time(tmp_path: Path, tail: str) -> Non
     assert [note.text for note in log.notes if "one time" in note.text] == [text]
 
 
-def test_a_line_without_a_time_is_damage_among_others_that_have_one(tmp_path: Path) -> None:
-    timed = [flaser(stamp) for stamp in range(60)]
-    bare = timed[0].rsplit(None, 3)[0] + "\n"
-    log = open_text(tmp_path, "".join([*timed[:30], bare, *timed[30:]]))
-    assert stamps(log, "FLASER") == list(range(60))
-    (note,) = (note for note in log.notes if note.damage)
-    assert "the first is line 31: 3 numbers before the time" in note.text
+@pytest.mark.parametrize(
+    ("name", "scans", "beams", "poses", "first"),
+    [
+        ("intel-corrected", 910, 180, 14541, (32_906_800_000, 0.600266, -0.0320327)),
+        ("freiburg-079-corrected", 4791, 360, 9725, (227_623_000, 0.00123601, -0.00106807)),
+        ("csail-corrected", 406, 361, 2394, (1_134_860_000_000_000_000, 0.154, 0.068)),
+        ("fr079-robotlaser", 1464, 360, 0, (1_211_520_329_000, -0.040001, 0.0)),
+    ],
+)
+def test_real_logs(
+    name: str, scans: int, beams: int, poses: int, first: tuple[int, float, float]
+) -> None:
+    path = find_real(f"carmen/{name}.log.gz")
+    assert CarmenReader().recognises(probe_path(path))
+    log, limits = CarmenReader().open(path), RangeLimits(ReturnOptions())
+    (stream,) = (stream for stream in log.streams if stream.role is Role.SCAN)
+    found = list(log.scans([stream.topic]))
+    assert stream.count == len(found) == scans
+    assert {scan.ranges.size for scan in found} == {beams}
+    assert found[0].pose is not None
+    assert (found[0].stamp_ns, found[0].pose.x, found[0].pose.y) == first
+    assert sum(not sample.static for sample in log.poses()) == poses
+    assert not any(note.damage for note in log.notes)
+    for scan in found:
+        limits.see(scan)
+    (note,) = limits.list_notes()
+    if name == "fr079-robotlaser":
+        assert {scan.range_max for scan in found} == {50}
+        assert (found[0].angle_min, found[0].angle_increment) == (-1.570796, 0.008727)
+        assert "10,528 of 527,040 ranges (2.0%) are above it, up to 81.91 m" in note
+    else:
+        assert {scan.range_max for scan in found} == {math.inf}
+        assert "read 81.8" in note or "read 81.9" in note

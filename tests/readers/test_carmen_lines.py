@@ -14,7 +14,7 @@ from occmap.readers.carmen import CarmenLog, imply_increment
 from occmap.readers.text_log import SOUND_START
 from occmap.types import Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32
-from tests.readers.runs import flatten, list_fields
+from tests.readers.runs import expect_equal, flatten, list_fields, open_carmen
 
 CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
 """type start_angle fov resolution maximum_range accuracy remission_mode"""
@@ -23,12 +23,14 @@ CONFIG = "0 -1.570796 3.14172 0.008727 50.0 0.01 0"
 TIMED = "FLASER 0 1 2 0 7 8 9 5 robot 5"
 
 
-def open_lines(*lines: str, path: Path | None = None) -> CarmenLog:
-    """A log that states times, and of which a few lines may be damaged."""
+def join(*lines: str) -> str:
+    """Lines in a log that states times, and of which a few may be damaged."""
+    return "".join(f"{line}\n" for line in (*SOUND_START * [TIMED], *lines))
+
+
+def open_lines(*lines: str) -> CarmenLog:
     with TemporaryDirectory() as folder:
-        path = path or Path(folder, "hand.log")
-        path.write_text("".join(f"{line}\n" for line in (*SOUND_START * [TIMED], *lines)))
-        return CarmenLog(path)
+        return open_carmen(Path(folder), join(*lines))
 
 
 def parse(*lines: str) -> list[Scan | ScanRun]:
@@ -46,28 +48,22 @@ def parse_scan(line: str) -> Scan:
     return scan
 
 
-def expect_equal(scan: Scan, expected: Scan) -> None:
-    np.testing.assert_array_equal(scan.ranges, expected.ranges)
-    assert scan.ranges.dtype == np.float32
-    np.testing.assert_array_equal(scan.pose or (), expected.pose or ())  # also where it is nan
-    assert scan._replace(ranges=expected.ranges, pose=expected.pose) == expected
+FLASER = Scan(
+    stamp_ns=1_500_000_000,
+    frame="front_laser",
+    angle_min=-math.pi / 2,
+    angle_increment=math.pi / 2,
+    ranges=np.array([1.5, 2.25, 81.91], np.float32),
+    range_min=0.0,
+    range_max=math.inf,
+    pose=Pose(1, 2, 0, 0, 0, 0, 1),
+    topic="FLASER",
+    record_ns=250_000_000,
+)
 
 
 def test_flaser_has_the_laser_pose_and_implied_angles() -> None:
-    scan = parse_scan("FLASER 3 1.5 2.25 81.91 1 2 0 7 8 9 1079.123456789 robot 1080.5")
-    expected = Scan(
-        stamp_ns=1_079_123_456_789,
-        frame="front_laser",
-        angle_min=-math.pi / 2,
-        angle_increment=math.pi / 2,
-        ranges=np.array([1.5, 2.25, 81.91], np.float32),
-        range_min=0.0,
-        range_max=math.inf,
-        pose=Pose(1, 2, 0, 0, 0, 0, 1),
-        topic="FLASER",
-        record_ns=1_080_500_000_000,
-    )
-    expect_equal(scan, expected)
+    expect_equal(parse_scan("FLASER 3 1.5 2.25 81.91 1 2 0 7 8 9 1.5 robot 0.25"), FLASER)
 
 
 def test_rlaser_is_the_rear_laser_as_logged() -> None:
@@ -76,29 +72,14 @@ def test_rlaser_is_the_rear_laser_as_logged() -> None:
     assert scan.pose == pytest.approx(Pose(1, 2, 0, 0, 0, 1, 0))
 
 
-@pytest.mark.parametrize("word", ["ROBOTLASER0", "ROBOTLASER1"])
-def test_robotlaser_states_its_own_geometry(word: str) -> None:
-    poses = "0.5 0.25 0 9 9 9"
-    scan = parse_scan(f"{word} {CONFIG} 2 1.5 2.5 3 7 8 9 {poses} 1 2 3 4 5 1.5 robot 0.25")
-    expected = Scan(
-        stamp_ns=1_500_000_000,
-        frame="front_laser",
-        angle_min=-1.570796,
-        angle_increment=0.008727,
-        ranges=np.array([1.5, 2.5], np.float32),
-        range_min=0.0,
-        range_max=50.0,
-        pose=Pose(0.5, 0.25, 0, 0, 0, 0, 1),
-        topic=word,
-        record_ns=250_000_000,
+@pytest.mark.parametrize("word", ["ROBOTLASER0", "ROBOTLASER1", "RAWLASER1"])
+def test_other_lasers_state_their_geometry_and_raw_ones_no_pose(word: str) -> None:
+    pose = "" if word == "RAWLASER1" else "1 2 0 9 9 9 1 2 3 4 5 "
+    scan = parse_scan(f"{word} {CONFIG} 3 1.5 2.25 81.91 3 7 8 9 {pose}1.5 robot 0.25")
+    expected = FLASER._replace(
+        angle_min=-1.570796, angle_increment=0.008727, range_max=50.0, topic=word
     )
-    expect_equal(scan, expected)
-
-
-def test_rawlaser_has_no_pose() -> None:
-    scan = parse_scan(f"RAWLASER1 {CONFIG} 2 1.5 2.5 0 1.5 robot 0.25")
-    assert scan.pose is None
-    assert (scan.frame, scan.angle_increment, scan.range_max) == ("front_laser", 0.008727, 50.0)
+    expect_equal(scan, expected if pose else expected._replace(pose=None))
 
 
 def test_stated_limits_are_rounded_as_ranges_are() -> None:
@@ -112,17 +93,11 @@ def test_a_stated_limit_of_zero_is_none() -> None:
     assert parse_scan(f"RAWLASER1 {CONFIG.replace('50.0', '0')} 1 5 0 1 r 1").range_max == math.inf
 
 
-@pytest.mark.parametrize("pose", ["nan 2 0", "1 -inf 0", "1 2 nan"])
-def test_an_unknown_pose_is_not_finite(pose: str) -> None:
-    np.testing.assert_array_equal(
-        parse_scan(f"FLASER 1 1.5 {pose} 7 8 9 5 robot 5").pose, 7 * [np.nan]
-    )
-
-
-def test_an_unknown_pose_harms_no_other() -> None:
-    lines = [f"FLASER 1 1.5 {pose} 7 8 9 5 robot 5" for pose in ("1 2 0", "1 1e400 0")]
+def test_an_unknown_pose_is_not_finite_and_harms_no_other() -> None:
+    unknown = ["nan 2 0", "1 -inf 0", "1 2 nan", "1 1e400 0"]
+    lines = [f"FLASER 1 1.5 {pose} 7 8 9 5 robot 5" for pose in ("1 2 0", *unknown)]
     poses = [scan.pose for scan in flatten(parse(*lines))]
-    np.testing.assert_array_equal(poses, [Pose(1, 2, 0, 0, 0, 0, 1), 7 * [np.nan]])
+    np.testing.assert_array_equal(poses, [Pose(1, 2, 0, 0, 0, 0, 1), *4 * [7 * [np.nan]]])
 
 
 def test_a_record_time_of_zero_is_the_stamp() -> None:
@@ -223,8 +198,7 @@ def test_a_number_is_what_python_reads(written: list[str]) -> None:
 
 def read_odometry(tmp_path: Path, line: str) -> list[PoseSample]:
     """Read a line of odometry between sound ones; ValueError where it is malformed."""
-    sound = SOUND_START * ["ODOM 9 9 0 0 0 0 1 robot 1"]
-    log = open_lines(*sound, line, path=tmp_path / "hand.log")
+    log = open_carmen(tmp_path, join(*SOUND_START * ["ODOM 9 9 0 0 0 0 1 robot 1"], line))
     samples = list(log.poses())[SOUND_START:]
     if damage := [note.text for note in log.notes if note.damage]:
         raise ValueError(damage[0])

@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,9 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
-from occmap.readers import HoldingClouds, Role, open_log
-from occmap.readers.cloud_folder import (
-    SPACING_NS,
-    CloudFolder,
-    Points,
-    inflate_lzf,
-    read_bin,
-    read_pcd,
-    read_ply,
-    read_time,
-)
-from occmap.types import Cloud, Float32, Moments, Pose
+from occmap.readers import HoldingClouds, Role, cloud_folder, open_log
+from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_bin, read_pcd, read_ply
+from occmap.types import Cloud, Float32, Moments, Pose, PoseSample
 
 POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
 XYZ = struct.pack("<9f", *(number for point in POINTS for number in point))
@@ -57,6 +49,20 @@ def by_field(data: bytes) -> bytes:
     return np.frombuffer(data, "<f4").reshape(-1, 3).T.tobytes()
 
 
+def read(folder: Path) -> list[Cloud]:
+    log = open_log(folder)
+    assert isinstance(log, HoldingClouds)
+    assert [(s.topic, s.role) for s in log.streams] == [("clouds", Role.CLOUD)]
+    return list(log.clouds({"clouds"}))
+
+
+def read_damaged(folder: Path) -> tuple[list[int], list[str]]:
+    """How many points each cloud has that can be used, and what is said of damage."""
+    log = CloudFolder(folder)
+    sizes = [len(cloud.points) for cloud in log.clouds({"clouds"})]
+    return sizes, [note.text for note in log.notes if note.damage]
+
+
 FLOATS = ["float x", "float y", "float z"]
 SWAPPED = np.frombuffer(XYZ, "<f4").byteswap().tobytes()
 TEXT = b"1 -2 0.5\n3.25 4 -1.5\n0 0 0\n"
@@ -75,7 +81,9 @@ TEXT = b"1 -2 0.5\n3.25 4 -1.5\n0 0 0\n"
     ],
     ids=["pcd", "pcd binary", "pcd compressed", "ply", "ply little", "ply big", "bin"],
 )  # fmt: skip
-def test_each_format_holds_the_same_points(read: Callable[[bytes], Points], data: bytes) -> None:
+def test_each_format_holds_the_same_points(
+    read: Callable[[bytes], cloud_folder.Points], data: bytes
+) -> None:
     found = read(data)
 
     assert list(zip(*(found.columns[name].tolist() for name in "xyz"), strict=True)) == POINTS
@@ -96,7 +104,7 @@ def test_lzf_copies_what_it_has_just_written() -> None:
     packed = np.frombuffer(bytes([1]) + b"ab" + bytes([(2 << 5) | 0, 1, 7 << 5, 3, 0]), np.uint8)
     out = np.empty(2 + 4 + 12, np.uint8)
 
-    assert inflate_lzf(packed, out) == len(out)
+    assert cloud_folder.inflate_lzf(packed, out) == len(out)
     assert out.tobytes() == b"ababab" + b"b" * 12
 
 
@@ -134,10 +142,10 @@ def test_a_file_that_is_no_cloud_is_left_out_and_named(
 ) -> None:
     (tmp_path / name).write_bytes(data)
     (tmp_path / "b.pcd").write_bytes(pcd("binary", XYZ))
-    log = CloudFolder(tmp_path)
 
-    assert [len(cloud.points) for cloud in log.clouds({"clouds"})] == [3]
-    (note,) = [note.text for note in log.notes if note.damage]
+    sizes, (note,) = read_damaged(tmp_path)
+
+    assert sizes == [3]
     assert name in note
     assert found in note
 
@@ -150,31 +158,24 @@ def test_what_cannot_be_opened_or_is_impossibly_large_is_left_out_and_named(tmp_
     grown = made.replace(stated + b" " * (len(huge) - len(stated)), huge)
     assert grown != made
     (tmp_path / "3.npy").write_bytes(grown)
-    log = open_log(tmp_path)
-    assert isinstance(log, HoldingClouds)
-    assert len(list(log.clouds([stream.topic for stream in log.streams]))) == 1
-    told = [note.text for note in log.notes if note.damage]
-    assert [text.split()[0] for text in told] == ["2.npy", "3.npy"]
-    assert all("left out" in text for text in told)
+
+    sizes, notes = read_damaged(tmp_path)
+
+    assert sizes == [5]
+    assert [note.split()[0] for note in notes] == ["2.npy", "3.npy"]
+    assert all("left out" in note for note in notes)
 
 
 def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path: Path) -> None:
     (tmp_path / "1.pcd").write_bytes(pcd("binary", XYZ[:-1]))
     (tmp_path / "2.pcd").write_bytes(pcd("ascii", TEXT[:-4]))
     (tmp_path / "3.ply").write_bytes(ply("binary_little_endian", FLOATS, XYZ[:12]))
-    log = CloudFolder(tmp_path)
 
-    assert [len(cloud.points) for cloud in log.clouds({"clouds"})] == [2, 2, 1]
-    notes = [note.text for note in log.notes if note.damage]
+    sizes, notes = read_damaged(tmp_path)
+
+    assert sizes == [2, 2, 1]
     assert [note.split()[0] for note in notes] == ["1.pcd", "2.pcd", "3.ply"]
     assert all("of 3 points" in note for note in notes)
-
-
-def read(folder: Path) -> list[Cloud]:
-    log = open_log(folder)
-    assert isinstance(log, HoldingClouds)
-    assert [(s.topic, s.role) for s in log.streams] == [("clouds", Role.CLOUD)]
-    return list(log.clouds({"clouds"}))
 
 
 def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
@@ -198,7 +199,7 @@ def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Pa
     ],
 )
 def test_times_in_names(name: str, stamp_ns: int | None) -> None:
-    assert read_time(Path(name)) == stamp_ns
+    assert cloud_folder.read_time(Path(name)) == stamp_ns
 
 
 def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:
@@ -226,48 +227,42 @@ KITTI = "".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(3))
 CSV = "stamp,x,y,yaw\n" + "".join(f"{7 + k},{k},0,0\n" for k in range(3))
 
 
-@pytest.mark.parametrize("text", [TUM, KITTI, CSV], ids=["tum", "kitti", "csv"])
-def test_poses_are_for_the_files_one_by_one(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "poses.txt"
-    path.write_text(text)
+each_text = pytest.mark.parametrize("text", [TUM, KITTI, CSV], ids=["tum", "kitti", "csv"])
 
-    samples = list(read_trajectory(path, [], COUNTED))
+
+def read_poses(folder: Path, text: str, moments: Moments = COUNTED) -> list[PoseSample]:
+    (folder / "poses.txt").write_text(text)
+    return list(read_trajectory(folder / "poses.txt", [], moments))
+
+
+@each_text
+def test_poses_are_for_the_files_one_by_one(tmp_path: Path, text: str) -> None:
+    samples = read_poses(tmp_path, text)
 
     assert [sample.stamp_ns for sample in samples] == COUNTED.stamp_ns
     assert [sample.pose.x for sample in samples] == [0, 1, 2]
 
 
 def test_poses_keep_their_times_where_those_of_the_clouds_are_known(tmp_path: Path) -> None:
-    path = tmp_path / "poses.txt"
-    path.write_text(TUM)
     timed = Moments([5, 6], is_timed=True)
-    assert [sample.stamp_ns for sample in read_trajectory(path, [], timed)] == [
-        7 * SECOND, 8 * SECOND, 9 * SECOND
-    ]  # fmt: skip
+    stamps = [sample.stamp_ns for sample in read_poses(tmp_path, TUM, timed)]
+    assert stamps == [7 * SECOND, 8 * SECOND, 9 * SECOND]
 
-    path.write_text(KITTI)
     with pytest.raises(LogError, match="3 poses, and the log 2 clouds"):
-        list(read_trajectory(path, [], timed))
+        read_poses(tmp_path, KITTI, timed)
 
 
-@pytest.mark.parametrize("text", [TUM, KITTI, CSV], ids=["tum", "kitti", "csv"])
+@each_text
 def test_as_many_poses_as_files_minus_one_are_refused(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "poses.txt"
-    path.write_text("".join(text.splitlines(keepends=True)[:-1]))
-
-    with pytest.raises(LogError, match="2 poses, and the log 3 clouds") as error:
-        list(read_trajectory(path, [], COUNTED))
-    assert str(path) in str(error.value)
+    with pytest.raises(LogError, match=r"poses\.txt: .*2 poses, and the log 3 clouds"):
+        read_poses(tmp_path, "".join(text.splitlines(keepends=True)[:-1]))
 
 
 def test_a_pose_that_is_not_finite_is_kept_for_its_cloud(tmp_path: Path) -> None:
-    path = tmp_path / "poses.txt"
-    path.write_text(KITTI.replace("1 0 0 1", "1 0 0 nan"))
+    samples = read_poses(tmp_path, KITTI.replace("1 0 0 1", "1 0 0 nan"))
 
-    poses = [sample.pose for sample in read_trajectory(path, [], COUNTED)]
-
-    assert poses[0] == Pose(0, 0, 0, 0, 0, 0, 1)
-    assert np.isnan(poses[1].x)
+    assert samples[0].pose == Pose(0, 0, 0, 0, 0, 0, 1)
+    assert np.isnan(samples[1].pose.x)
 
 
 def test_bytes_that_are_flipped_never_crash() -> None:
@@ -282,10 +277,8 @@ def test_bytes_that_are_flipped_never_crash() -> None:
         for _ in range(500):
             spoilt = bytearray(data)
             spoilt[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
-            try:
+            with suppress(DamageError):
                 read_it(bytes(spoilt[: rng.integers(len(data)) + 1]))
-            except DamageError:
-                continue
 
 
 def make_room(at: float) -> Float32:

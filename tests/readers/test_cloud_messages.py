@@ -1,36 +1,25 @@
 """Clouds of points in messages: Livox's, Foxglove's, depth images, and what is none of them."""
 
 import base64
-import io
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
-from occmap.readers import HoldingClouds, Role, open_log
-from occmap.readers.cloud_messages import find_offsets
+from occmap.readers import HoldingClouds, Role, open_log, read_recorded
+from occmap.readers.cloud_messages import convert_cloud, find_offsets
+from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
+from tests.readers.clouds import cloud, image, info, livox, packed
 from tests.readers.foxglove_logs import Message, place, stamp, write_json
-from tests.readers.ros import ROS1, ROS2, SECOND, Written, header, write_bag1, write_mcap
+from tests.readers.ros import ROS1, ROS2, SECOND, Written, both, drive, write_bag1, write_mcap
 
 DEPTH, INFO = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
-POINT = (
-    "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
-)
-for _package in ("livox_ros_driver", "livox_ros_driver2"):
-    _text = (
-        "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\n"
-        f"uint8[3] rsvd\n{_package}/CustomPoint[] points"
-    )
-    for _store in (ROS1, ROS2):
-        _store.register(get_types_from_msg(POINT, f"{_package}/msg/CustomPoint"))
-        _store.register(get_types_from_msg(_text, f"{_package}/msg/CustomMsg"))
-both = pytest.mark.parametrize("store", [ROS1, ROS2], ids=["ros1", "ros2"])
 
 
 def read(path: Path) -> tuple[list[Cloud], list[str]]:
@@ -40,11 +29,62 @@ def read(path: Path) -> tuple[list[Cloud], list[str]]:
     return clouds, [note.text for note in log.notes]
 
 
-def livox(store: Typestore, package: str, frame: str) -> Any:
-    point = store.types[f"{package}/msg/CustomPoint"]
-    points = [point(0, 1.0, 2.0, 3.0, 9, 16, 0), point(50_000_000, -4.0, 5.5, 0.25, 9, 0, 1)]
-    make = store.types[f"{package}/msg/CustomMsg"]
-    return make(header(store, SECOND, frame), SECOND, 2, 0, np.zeros(3, np.uint8), points)
+def record(
+    tmp_path: Path, *messages: tuple[str, Any], store: Typestore = ROS2
+) -> tuple[list[Cloud], list[str]]:
+    """Record messages on topics, and read the clouds and notes."""
+    log = [Written(topic, 2 * SECOND, message) for topic, message in messages]
+    return read(write_mcap(tmp_path / "log.mcap", log, store))
+
+
+def decode(message: Any) -> list[list[float]]:
+    points: list[list[float]] = convert_cloud(message, "/cloud", 7).points.tolist()
+    return points
+
+
+@both
+@pytest.mark.parametrize("form", ["<f4", ">f4", "<f8", ">f8", "<i2"])
+def test_points_in_any_form(store: Typestore, form: str) -> None:
+    points = [(3.0, 1.0, 0.0), (2.0, 5.0, -1.0), (0.0, 0.0, 0.0)]
+
+    found = convert_cloud(cloud(store, points, form), "/cloud", 7)
+
+    assert found.points.dtype == np.float32
+    assert found.points.tolist() == [list(point) for point in points]
+    assert (found.frame, found.stamp_ns, found.topic) == ("lidar", SECOND, "/cloud")
+    assert found.offset_ns is None
+
+
+def test_points_that_are_none_stay_as_their_driver_wrote_them() -> None:
+    nothing = [(0.0, 0.0, 0.0), (math.nan, 1.0, 0.0), (math.inf, 1.0, 0.0)]
+
+    np.testing.assert_array_equal(decode(cloud(ROS2, nothing)), nothing)
+    assert decode(cloud(ROS2, [])) == []
+    assert decode(cloud(ROS2, [(1e300, 0.0, 0.0)], "<f8")) == [[math.inf, 0.0, 0.0]]
+
+
+def test_rows_of_an_organised_cloud_may_be_padded_and_a_single_one_need_not_say_its_length() -> (
+    None
+):
+    message = cloud(ROS2, [(2.0, 0.5, 0.0), (9.0, 9.0, 9.0), (-3.0, 0.5, 0.0), (9.0, 9.0, 9.0)])
+    message.height, message.width, message.row_step = 2, 1, 2 * message.point_step
+    assert decode(message) == [[2.0, 0.5, 0.0], [-3.0, 0.5, 0.0]]
+    message.height, message.row_step = 1, 0
+    assert decode(message) == [[2.0, 0.5, 0.0]]
+
+
+def test_clouds_are_used_where_there_are_no_scans_or_on_request(tmp_path: Path) -> None:
+    points = [Written("/points", SECOND, cloud(ROS2, [(2.0, 0.1, 0.0)]))]
+    alone = open_log(write_mcap(tmp_path / "alone.mcap", points))
+    beside = open_log(write_mcap(tmp_path / "beside.mcap", drive(ROS2) + points))
+
+    assert [stream.role for stream in alone.streams] == [Role.CLOUD]
+    assert choose_topics(alone, ()) == ["/points"]
+    assert choose_topics(beside, ()) == ["/scan"]
+    assert choose_topics(beside, ["/points"]) == ["/points"]
+    assert len(list(read_recorded(beside, ["/points"]))) == 1
+    with pytest.raises(LogError, match="it has scans on /scan, /points"):
+        choose_topics(beside, ["/other"])
 
 
 @both
@@ -53,8 +93,8 @@ def livox(store: Typestore, package: str, frame: str) -> Any:
 def test_livox_points_have_their_times(
     store: Typestore, package: str, frame: str, tmp_path: Path
 ) -> None:
-    log = [Written("/livox/lidar", 2 * SECOND, livox(store, package, frame))]
-    (cloud,), notes = read(write_mcap(tmp_path / "l.mcap", log, store))
+    message = livox(store, package, frame)
+    (cloud,), notes = record(tmp_path, ("/livox/lidar", message), store=store)
 
     assert cloud.points.tolist() == [[1, 2, 3], [-4, 5.5, 0.25]]
     assert cloud.offset_ns is not None
@@ -64,9 +104,8 @@ def test_livox_points_have_their_times(
 
 
 def test_livox_points_that_are_not_all_there_are_damaged(tmp_path: Path) -> None:
-    path = write_bag1(
-        tmp_path / "l.bag", [Written("/livox", SECOND, livox(ROS1, "livox_ros_driver", "livox"))]
-    )
+    message = Written("/livox", SECOND, livox(ROS1, "livox_ros_driver", "livox"))
+    path = write_bag1(tmp_path / "l.bag", [message])
     data = path.read_bytes()
     count = (2).to_bytes(4, "little")
     at = data.rindex(count, 0, data.index(np.array([1, 2, 3], "<f4").tobytes()))
@@ -79,22 +118,66 @@ def test_livox_points_that_are_not_all_there_are_damaged(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("times", "found"),
+    "change",
     [
-        (np.array([0, 99_000], "<u4"), "in us after the stamp"),
-        (np.array([17 * 10**17, 17 * 10**17 + 512], "<u8"), "in ns of a clock"),
-        (np.array([10**18 + 256, 10**18 + 768], "<u8"), "other than the stamp's"),
-        (np.array([0.0, 1.5]), "more than a second"),
+        {"point_step": 3},
+        {"width": 1000},
+        {"fields": []},
+        # Points that lie over one another
+        {"row_step": 0, "height": 2**31, "width": 2},
+        {"row_step": 0, "height": 2},
+        {"point_step": 0, "width": 2**32 - 1},
+        {"height": 2**32 - 1, "width": 2**32 - 1},
+        {"point_step": 2**32 - 1},
     ],
 )
-def test_how_times_are_read_is_told(times: Any, found: str) -> None:
-    points = np.ones((2, 3), np.float32)
-    assert found in find_offsets(times, points, 1_700_000_000 * SECOND)[1]
+def test_a_cloud_that_lies_is_counted_as_damaged(tmp_path: Path, change: dict[str, Any]) -> None:
+    message = cloud(ROS2, [(2.0, 0.1, 0.0), (2.0, 0.2, 0.0)])
+    for name, value in change.items():
+        setattr(message, name, value)
+
+    clouds, notes = record(tmp_path, ("/points", message))
+
+    assert clouds == []
+    assert "1 of 1 messages on /points are damaged" in notes[0]
+
+
+NOW, TENTH = 1_700_000_000_000_000_000, 100_000_000
+
+
+@pytest.mark.parametrize(
+    ("times", "expected", "told"),
+    [
+        (np.array([0, TENTH // 2, TENTH], "u4"), [0, TENTH // 2, TENTH], "in ns after the stamp"),
+        (np.array([0, 50_000, 100_000], "u4"), [0, TENTH // 2, TENTH], "in us after the stamp"),
+        (np.array([-0.125, -0.0625, 0.0], "f4"), [-TENTH * 5 // 4, -TENTH * 5 // 8, 0], "in s aft"),
+        (NOW / 1e9 + np.array([0.0, 0.5, 0.75]), [0, 5 * TENTH, TENTH * 15 // 2], "in s of a clo"),
+        (NOW + np.array([0.0, 512.0, TENTH]), [0, 512, TENTH], "in ns of a clock"),
+        (NOW + np.array([0, 512, TENTH], "u8"), [0, 512, TENTH], "in ns of a clock"),
+        (1.5e9 + np.array([0.0, 0.5, 0.75]), [0, 5 * TENTH, TENTH * 15 // 2], "other than the s"),
+        (np.array([0.0, 0.1, 1.5], "f4"), None, "more than a second"),  # no sweep takes so long
+        (np.array([math.nan] * 3, "f4"), None, ""),
+        (np.zeros(3, "u4"), None, ""),
+    ],
+)
+def test_times_of_points_in_any_unit(times: Any, expected: list[int] | None, told: str) -> None:
+    found, text = find_offsets(times, np.ones((3, 3), np.float32), NOW)
+
+    assert (found if found is None else found.tolist()) == expected
+    assert told in text
+    assert bool(told) == bool(text)
+
+
+def test_points_without_a_return_tell_no_time() -> None:
+    points = np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0], [3.0, 1.0, 0.0]], np.float32)
+
+    found, _ = find_offsets(np.array([0, 2**32 - 1, TENTH], "u4"), points, SECOND)
+
+    assert found is not None
+    assert found.tolist() == [0, 0, TENTH]
 
 
 FIELDS = [{"name": name, "offset": 4 * at, "type": 7} for at, name in enumerate("xyz")]
-
-
 OWN = {"position": {"x": 0, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 0}}
 
 
@@ -117,33 +200,9 @@ def test_a_cloud_of_foxglove(at: dict[str, Any], tmp_path: Path) -> None:
     assert cloud.frame == ("lidar" if at is OWN else "lidar:p")
 
 
-def info(store: Typestore, width: int = 3) -> Any:
-    roi = store.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    k = np.array([2.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1])
-    p = np.array([2.0, 0, 1.0, 0, 0, 4.0, 0.5, 0, 0, 0, 1, 0])
-    make = store.types["sensor_msgs/msg/CameraInfo"]
-    rest = np.zeros(5), k, np.eye(3).ravel(), p, 0, 0, roi
-    return make(header(store, SECOND, "optical"), 2, width, "plumb_bob", *rest)
-
-
-def image(store: Typestore, depths: Any, encoding: str) -> Any:
-    rows, columns = depths.shape
-    make, step = store.types["sensor_msgs/msg/Image"], depths.dtype.itemsize * columns
-    head, big = header(store, SECOND, "optical"), int(depths.dtype.byteorder == ">")
-    data = np.frombuffer(depths.tobytes(), np.uint8)
-    return make(head, rows, columns, encoding, big, step, data)
-
-
-def packed(store: Typestore, depths: Any, text: str, head: tuple[float, float]) -> Any:
-    file = io.BytesIO()
-    Image.fromarray(depths.astype(np.uint16)).save(file, "PNG")
-    data = np.array([0], "<i4").tobytes() + np.array(head, "<f4").tobytes() + file.getvalue()
-    make = store.types["sensor_msgs/msg/CompressedImage"]
-    return make(header(store, SECOND, "optical"), text, np.frombuffer(data, np.uint8))
-
-
 MILLIMETRES = np.array([[0, 2000, 0], [0, 0, 4000]])
 # (column - 1) / 2 * z and (row - 0.5) / 4 * z, by the camera of `info`
+DEPTHS = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
 SEEN = [[0.0, -0.25, 2.0], [2.0, 0.5, 4.0]]
 
 
@@ -166,8 +225,8 @@ SEEN = [[0.0, -0.25, 2.0], [2.0, 0.5, 4.0]]
 def test_a_depth_image_is_a_point_for_each_pixel(
     store: Typestore, topic: str, make: Any, tmp_path: Path
 ) -> None:
-    log = [Written(INFO, SECOND, info(store)), Written(topic, SECOND, make(store))]
-    (cloud,), notes = read(write_mcap(tmp_path / "d.mcap", log, store))
+    log = (INFO, info(store)), (topic, make(store))
+    (cloud,), notes = record(tmp_path, *log, store=store)
 
     np.testing.assert_allclose(cloud.points, SEEN, rtol=1e-6)
     assert (cloud.frame, cloud.topic, cloud.offset_ns) == ("optical", topic, None)
@@ -175,43 +234,34 @@ def test_a_depth_image_is_a_point_for_each_pixel(
 
 
 def test_a_camera_that_never_comes_is_told_of(tmp_path: Path) -> None:
-    log = [Written(DEPTH, SECOND, image(ROS2, MILLIMETRES.astype("<u2"), "16UC1"))]
-    clouds, notes = read(write_mcap(tmp_path / "d.mcap", log))
+    clouds, (note,) = record(tmp_path, (DEPTH, DEPTHS))
 
     assert clouds == []
-    (note,) = notes
     assert DEPTH in note
     assert INFO in note
 
 
 def test_an_image_of_zeros_has_no_points(tmp_path: Path) -> None:
-    black = image(ROS2, np.zeros((2, 3), "<u2"), "16UC1")
-    log = [Written(INFO, SECOND, info(ROS2)), Written(DEPTH, SECOND, black)]
-    black_log = open_log(write_mcap(tmp_path / "d.mcap", log))
-    assert isinstance(black_log, HoldingClouds)
+    black = (INFO, info(ROS2)), (DEPTH, image(ROS2, np.zeros((2, 3), "<u2"), "16UC1"))
 
     with pytest.raises(LogError, match=f"{DEPTH} holds a point"):
-        list(black_log.clouds({DEPTH}))
-    seen = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
-    (first, second), notes = read(write_mcap(tmp_path / "e.mcap", [*log, Written(DEPTH, 2, seen)]))
+        record(tmp_path, *black)
+    (first, second), (note,) = record(tmp_path, *black, (DEPTH, DEPTHS))
     assert (len(first.points), len(second.points)) == (0, 2)
-    assert [DEPTH in note for note in notes] == [True]
+    assert DEPTH in note
 
 
 def test_an_image_of_another_size_than_its_camera_is_damaged(tmp_path: Path) -> None:
-    depth = image(ROS2, MILLIMETRES.astype("<u2"), "16UC1")
-    log = [Written(INFO, SECOND, info(ROS2, width=4)), Written(DEPTH, SECOND, depth)]
-    clouds, notes = read(write_mcap(tmp_path / "d.mcap", log))
+    clouds, (note,) = record(tmp_path, (INFO, info(ROS2, width=4)), (DEPTH, DEPTHS))
 
     assert clouds == []
-    assert "1 of 1 messages" in notes[0]
+    assert "1 of 1 messages" in note
 
 
 def test_images_of_colours_are_no_clouds(tmp_path: Path) -> None:
     colours = image(ROS2, np.zeros((2, 9), np.uint8), "rgb8")
-    log = [Written("/c/camera_info", SECOND, info(ROS2)), Written("/c/image", SECOND, colours)]
 
-    assert read(write_mcap(tmp_path / "c.mcap", log)) == ([], [])
+    assert record(tmp_path, ("/c/camera_info", info(ROS2)), ("/c/image", colours)) == ([], [])
 
 
 @pytest.mark.parametrize("kind", ["velodyne_msgs/msg/VelodyneScan", "ouster_ros/msg/PacketMsg"])
@@ -220,9 +270,8 @@ def test_packets_are_named_with_the_node_that_makes_clouds_of_them(
 ) -> None:
     ROS2.register(get_types_from_msg("uint8[] buf", kind))
     packet = ROS2.types[kind](np.zeros(9, np.uint8))
-    clouds, notes = read(write_mcap(tmp_path / "p.mcap", [Written("/packets", SECOND, packet)]))
+    clouds, (note,) = record(tmp_path, ("/packets", packet))
 
     assert clouds == []
-    (note,) = notes
     assert "/packets" in note
     assert kind[:6] in note

@@ -2,6 +2,7 @@
 
 import csv
 import gzip
+import itertools
 import math
 from pathlib import Path
 
@@ -11,30 +12,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.errors import LogError
-from occmap.readers import Log, Note, Probe, Role, Stream, probe_path
-from occmap.readers.csv import CsvLog, CsvReader
+from occmap.readers import Note, Probe, Role, Stream, probe_path
+from occmap.readers.csv import CsvReader
 from occmap.readers.text_log import BLOCK_BYTES
 from occmap.types import Pose, Scan
+from tests.readers.runs import expect_equal, open_csv
 
 HEADER = "stamp,x,y,yaw,angle_min,angle_increment,range_min,range_max,time_increment,r0,r1,r2"
 ROW = "1700000000.123456789,1,2,0,-1.5,0.25,0.1,8,0.001,1.5,,inf"
+WHOLE = f"{HEADER}\n{ROW}\n"
 CONSTANTS = "# angle_min: -1.5\n#angle_increment:0.25\n"
-
-
-def open_text(tmp_path: Path, content: str | bytes) -> Log:
-    path = tmp_path / "log.csv"
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return CsvReader().open(path)
+ROSTOPIC = (
+    "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.angle_min,"
+    "field.angle_max,field.angle_increment,field.time_increment,field.scan_time,field.range_min,"
+    "field.range_max,field.ranges0,field.ranges1,field.intensities0\n"
+    "1555061575721518793,7,1555061575561518641,/laser,-1.5,1.5,3,0.25,0.5,0.125,8,2.5,inf,47\n"
+)
 
 
 def read_text(tmp_path: Path, content: str | bytes) -> list[Scan]:
-    return list(open_text(tmp_path, content).scans(["scan"]))
-
-
-def expect_equal(scan: Scan, expected: Scan) -> None:
-    np.testing.assert_array_equal(scan.ranges, expected.ranges)
-    assert scan.ranges.dtype == np.float32
-    assert scan._replace(ranges=expected.ranges) == expected
+    return list(open_csv(tmp_path, content).scans(["scan"]))
 
 
 FULL = Scan(
@@ -55,52 +52,33 @@ FULL = Scan(
 @pytest.mark.parametrize(
     "content",
     [
-        f"{HEADER}\n{ROW}\n",
-        f"{HEADER}\r\n{ROW}\r\n",
+        WHOLE,
+        WHOLE.replace("\n", "\r\n"),
         f"\ufeff{HEADER}\n\n# a comment: of no meaning\n{ROW}\n\n",
         f"{HEADER}\n{ROW}".replace(",", ", "),
-        f"{HEADER}\n{ROW}\n".replace(",1.5,", ',"1.5",').replace("r1", '"r1"'),
-        gzip.compress(f"{HEADER}\n{ROW}\n".encode(), mtime=0),
+        WHOLE.replace(",1.5,", ',"1.5",').replace("r1", '"r1"'),
+        "".join(",".join(reversed(line.split(","))) + "\n" for line in (HEADER, ROW)),
+        gzip.compress(WHOLE.encode(), mtime=0),
     ],
-    ids=["plain", "crlf", "bom", "blanks", "quotes", "gzip"],
+    ids=["plain", "crlf", "bom", "blanks", "quotes", "other order", "gzip"],
 )
 def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
-    log = open_text(tmp_path, content)
+    log = open_csv(tmp_path, content)
     assert log.streams == [Stream("scan", "csv", 1, Role.SCAN)]
     (scan,) = log.scans(["scan"])
     expect_equal(scan, FULL)
     assert list(log.poses()) == []
 
 
-def test_columns_in_any_order(tmp_path: Path) -> None:
-    header, row = (",".join(reversed(line.split(","))) for line in (HEADER, ROW))
-    (scan,) = read_text(tmp_path, f"{header}\n{row}\n")
-    expect_equal(scan, FULL)
-
-
 def test_constants_stand_in_for_columns(tmp_path: Path) -> None:
     content = f"{CONSTANTS}stamp,r0,r1\n# frame: front\n1,2,3\n4,nan,-inf\n# range_max: 30\n"
-    first, second = read_text(tmp_path, content)
-    expected = Scan(
-        stamp_ns=1_000_000_000,
-        frame="front",
-        angle_min=-1.5,
-        angle_increment=0.25,
-        ranges=np.array([2, 3], np.float32),
-        range_min=0.0,
-        range_max=30.0,
-        topic="scan",
-        record_ns=1_000_000_000,
+    same = FULL._replace(
+        frame="front", range_min=0.0, range_max=30.0, time_increment=0.0, pose=None
     )
-    expect_equal(first, expected)
-    expect_equal(
-        second,
-        expected._replace(
-            stamp_ns=4_000_000_000,
-            record_ns=4_000_000_000,
-            ranges=np.array([np.nan, -np.inf], np.float32),
-        ),
-    )
+    rows = (10**9, [2, 3]), (4 * 10**9, [np.nan, -np.inf])
+    for scan, (stamp_ns, ranges) in zip(read_text(tmp_path, content), rows, strict=True):
+        measured = np.array(ranges, np.float32)
+        expect_equal(scan, same._replace(stamp_ns=stamp_ns, record_ns=stamp_ns, ranges=measured))
 
 
 def test_a_column_goes_before_a_comment_about_it(tmp_path: Path) -> None:
@@ -127,78 +105,60 @@ def test_an_unknown_pose_is_not_finite(tmp_path: Path, pose: str) -> None:
 
 
 def test_unused_columns_are_noted(tmp_path: Path) -> None:
-    log = open_text(tmp_path, f"{CONSTANTS}stamp,r0,battery,\n1,5,99,\n")
+    log = open_csv(tmp_path, f"{CONSTANTS}stamp,r0,battery,\n1,5,99,\n")
     assert log.notes == [Note("columns that are not used: battery")]
     assert len(list(log.scans(["scan"]))) == 1
 
 
 def test_comments_with_numbers_that_mean_nothing_are_noted(tmp_path: Path) -> None:
     comments = "# max_range: 30\n# by hand: 3\n# frame: laser\n# at: noon\n# zero: 0\n"
-    log = open_text(tmp_path, comments + f"{HEADER}\n{ROW}\n")
+    log = open_csv(tmp_path, comments + WHOLE)
     assert log.notes == [Note("comments that are not used: max_range, zero")]
 
 
-@pytest.mark.parametrize(("name", "other"), [("stamp", "time"), ("yaw", "theta")])
-def test_a_column_under_another_name_is_told(tmp_path: Path, name: str, other: str) -> None:
-    with pytest.raises(LogError, match=f"no column {name}; rename the column {other} to it"):
-        open_text(tmp_path, f"{HEADER.replace(name, other)}\n{ROW}\n")
-
-
 def test_another_topic_has_no_scans(tmp_path: Path) -> None:
-    assert list(open_text(tmp_path, f"{HEADER}\n{ROW}\n").scans(["/scan"])) == []
+    assert list(open_csv(tmp_path, WHOLE).scans(["/scan"])) == []
 
 
 def test_a_header_alone_is_a_log_without_scans(tmp_path: Path) -> None:
-    log = open_text(tmp_path, HEADER)
+    log = open_csv(tmp_path, HEADER)
     assert [stream.count for stream in log.streams] == [0]
     assert list(log.scans(["scan"])) == []
 
 
-@pytest.mark.parametrize("column", ["stamp", "angle_min", "angle_increment", "yaw", "r0", "r1"])
-def test_a_missing_column_is_named_with_the_header_line(tmp_path: Path, column: str) -> None:
-    header = HEADER.replace(f"{column},", "")
-    with pytest.raises(LogError, match=rf"log.csv:2: no column {column}; "):
-        open_text(tmp_path, f"# by hand\n{header}\n{ROW}\n")
-
-
-def test_a_file_of_poses_alone_is_sent_to_its_option(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"no column r0; .*`poses`"):
-        open_text(tmp_path, f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n")
-
-
-def test_a_column_that_stands_twice(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"log.csv:1: column r1 stands twice"):
-        open_text(tmp_path, HEADER.replace("r2", "r1"))
-
-
-@pytest.mark.parametrize("content", ["", "\n", CONSTANTS])
-def test_no_header(tmp_path: Path, content: str) -> None:
-    with pytest.raises(LogError, match=r"log.csv: no header row; "):
-        open_text(tmp_path, content)
-
-
-def test_a_gzip_cut_before_the_header_says_so(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no header row; the gzip data is cut short"):
-        open_text(tmp_path, gzip.compress(HEADER.encode())[:15])
-
-
-def test_a_word_in_a_constant_names_its_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"log.csv:2: range_max is '8 m' where a number belongs"):
-        open_text(tmp_path, f"{HEADER.replace('range_max,', '')}\n# range_max: 8 m\n")
+COLUMNS = ("stamp", "angle_min", "angle_increment", "yaw", "r0", "r1")
+SMALL = "stamp,r0\n1,2\n"
+MANY = "1,2,3\n" * (BLOCK_BYTES // 6)
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "complaint"),
+    ("content", "found"),
     [
-        ("range_max", "nan", "range_max is nan, which is not a limit"),
-        ("time_increment", "inf", "time_increment is inf, which is not an angle or a time"),
+        *((f"#\n{WHOLE.replace(f'{name},', '')}", f"2: no column {name}; ") for name in COLUMNS),
+        (WHOLE.replace("stamp", "time"), "1: no column stamp; rename the column time to it"),
+        (WHOLE.replace("yaw", "theta"), "1: no column yaw; rename the column theta to it"),
+        (f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n", r"3: no column r0; .*`poses`"),
+        (WHOLE.replace("r2", "r1"), "1: column r1 stands twice"),
+        *((content, " no header row; ") for content in ("", "\n", CONSTANTS)),
+        (gzip.compress(HEADER.encode(), mtime=0)[:15], " no header row; the gzip data is cut short"),
+        (f"{CONSTANTS}# range_max: 8 m\n{SMALL}", "3: range_max is '8 m' where a number"),
+        (f"{CONSTANTS}# range_max: nan\n{SMALL}", "3: range_max is nan, .*; write `# range_max: "),
+        (f"{CONSTANTS}# time_increment: inf\n{SMALL}", "3: time_increment is inf, which is not"),
+        (f"{CONSTANTS}stamp,r0,r1\n{MANY}# frame: x\n", f"{len(MANY) // 6 + 4}: .*frame.*top of"),
+        (WHOLE.encode() + b"\xff\x00\n", "3: 1 cells"),
+        (f"{HEADER}\n" + f"{ROW},1\n" * 1200, r"2: 13 cells .*12 \(1,200 of 1,200 lines are mal"),
+        *(
+            (ROSTOPIC.replace("1555061575561518641", stamp), "2: stamp: .* not a time in nanosec")
+            for stamp in ("15550615755.5", "soon", "")
+        ),
     ],
+    ids=itertools.count(),
 )
-def test_a_constant_that_no_row_can_use_names_its_line(
-    tmp_path: Path, name: str, value: str, complaint: str
+def test_what_is_no_log_of_scans_is_refused_with_its_line(
+    tmp_path: Path, content: str | bytes, found: str
 ) -> None:
-    with pytest.raises(LogError, match=f"log.csv:3: {complaint}; write `# {name}: NUMBER`"):
-        open_text(tmp_path, f"{CONSTANTS}# {name}: {value}\nstamp,r0\n1,2\n")
+    with pytest.raises(LogError, match=f"log.csv:{found}"):
+        open_csv(tmp_path, content)
 
 
 @pytest.mark.parametrize(
@@ -221,37 +181,16 @@ def test_a_bad_row_names_line_and_column(
 ) -> None:
     content = "\n".join([HEADER, ROW, ROW.replace(good, bad), ROW, ""])
     with pytest.raises(LogError) as caught:
-        open_text(tmp_path, content)
+        open_csv(tmp_path, content)
     assert f"log.csv:3: {complaint}" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_rows_that_are_all_unlike_the_header_are_one_error_with_their_count(tmp_path: Path) -> None:
-    with pytest.raises(LogError) as caught:
-        open_text(tmp_path, "\n".join([HEADER, *[f"{ROW},1"] * 1200, ""]))
-    assert str(caught.value).endswith(
-        "log.csv:2: 13 cells where the header has 12 (1,200 of 1,200 lines are malformed); "
-        "correct the header or these rows"
-    )
-
-
-def test_bytes_that_are_no_text_name_the_line(tmp_path: Path) -> None:
-    content = f"{HEADER}\n{ROW}\n".encode() + b"\xff\x00\n"
-    with pytest.raises(LogError, match=r"log.csv:3: 1 cells"):
-        open_text(tmp_path, content)
-
-
-def test_a_constant_far_behind_the_rows_is_refused_with_its_line(tmp_path: Path) -> None:
-    rows = "1,2,3\n" * (BLOCK_BYTES // 6)
-    with pytest.raises(LogError, match=rf"log.csv:{len(rows) // 6 + 4}: .*frame.*top of the file"):
-        open_text(tmp_path, f"{CONSTANTS}stamp,r0,r1\n{rows}# frame: front\n")
 
 
 def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
     row = "3,1.5,2.5"
     whole = f"{CONSTANTS}stamp,r0,r1\n1,1.5,2.5\n2,1.5,2.5\n"
     for cut in range(1, len(row) + 1):
-        log = open_text(tmp_path, whole + row[:cut])
+        log = open_csv(tmp_path, whole + row[:cut])
         stamps = [scan.stamp_ns // 10**9 for scan in log.scans(["scan"])]
         has_all_cells = row[:cut].count(",") == 2
         lost = Note("the file ends in the middle of line 6; this line is lost", damage=True)
@@ -259,17 +198,6 @@ def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
         assert stamps == ([1, 2, 3] if has_all_cells else [1, 2])
         assert log.notes == [used if has_all_cells else lost]
         assert log.streams[0].count == len(stamps)
-
-
-def test_a_cut_gzip_keeps_what_is_before(tmp_path: Path) -> None:
-    rows = "".join(f"{stamp},{stamp * 7919 % 1009}\n" for stamp in range(2000))
-    packed = gzip.compress(f"{CONSTANTS}stamp,r0\n{rows}".encode())
-    log = open_text(tmp_path, packed[: len(packed) // 2])
-    scans = list(log.scans(["scan"]))
-    assert [scan.stamp_ns for scan in scans] == [n * 10**9 for n in range(len(scans))]
-    assert 500 < len(scans) < 1500
-    assert log.streams[0].count == len(scans)
-    assert [note.damage for note in log.notes] == [True]
 
 
 @settings(max_examples=30)
@@ -332,32 +260,12 @@ def test_does_not_claim_what_is_not_its_csv(content: bytes) -> None:
 
 
 def test_what_rostopic_writes_is_read(tmp_path: Path) -> None:
-    names = [
-        "%time", "field.header.seq", "field.header.stamp", "field.header.frame_id",
-        "field.angle_min", "field.angle_max", "field.angle_increment", "field.time_increment",
-        "field.scan_time", "field.range_min", "field.range_max", "field.ranges0", "field.ranges1",
-        "field.intensities0",
-    ]  # fmt: skip
-    row = "1555061575721518793,7,1555061575561518641,/laser,-1.5,1.5,3,0.25,0.5,0.125,8,2.5,inf,47"
-    ((scan,), log) = _read_with_log(tmp_path, f"{','.join(names)}\n{row}\n")
+    log = open_csv(tmp_path, ROSTOPIC)
+    (scan,) = log.scans(["scan"])
 
+    assert CsvReader().recognises(probe_path(log.path))
     assert (scan.stamp_ns, scan.frame) == (1555061575561518641, "laser")
     assert (scan.angle_min, scan.angle_increment, scan.time_increment) == (-1.5, 3.0, 0.25)
     assert (scan.range_min, scan.range_max, scan.pose) == (0.125, 8.0, None)
     assert scan.ranges.tolist() == [2.5, math.inf]
     assert log.streams[0].count == 1
-
-
-def _read_with_log(tmp_path: Path, content: str) -> tuple[list[Scan], CsvLog]:
-    path = tmp_path / "rostopic.csv"
-    path.write_text(content)
-    assert CsvReader().recognises(probe_path(path))
-    log = CsvReader().open(path)
-    return list(log.scans(["scan"])), log
-
-
-@pytest.mark.parametrize("stamp", ["15550615755.5", "soon", ""])
-def test_a_stamp_of_rostopic_that_is_no_number_names_its_line(tmp_path: Path, stamp: str) -> None:
-    header = "%time,field.header.stamp,field.angle_min,field.angle_increment,field.ranges0"
-    with pytest.raises(LogError, match=r"rostopic.csv:2: stamp: .* is not a time in nanoseconds"):
-        _read_with_log(tmp_path, f"{header}\n1,{stamp},0,0.1,2.5\n")

@@ -8,45 +8,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.errors import LogError
-from occmap.readers.csv import CsvLog, CsvReader
 from occmap.types import Scan, ScanRun
-from tests.readers.runs import flatten, list_fields
+from tests.readers.runs import flatten, list_fields, open_csv
 
 PLAIN = "# angle_min: -1.5\n# angle_increment: 0.25\nstamp,x,y,yaw,r0,r1\n"
 VARYING = "stamp,x,y,yaw,frame,angle_min,angle_increment,range_max,seq,r0,r1\n"
-CELLS = st.sampled_from(
-    [
-        "1",
-        "2.5",
-        " 3",
-        "1e39",
-        "-.5",
-        "inf",
-        "-inf",
-        "nan",
-        "",
-        "",
-        " ",
-        "1_0",
-        "١",
-        "fan",
-        "1 2",
-        '"4"',
-    ]
-)
+CELLS = st.sampled_from([
+    "1", "2.5", " 3", "1e39", "-.5", "inf", "-inf", "nan", "", "", " ", "1_0", "١", "fan", "1 2",
+    '"4"',
+])  # fmt: skip
 ROW_ENDS = st.tuples(st.sampled_from(["1,2,0", "1,2,0", ",2,0", "1,nan,0", "1,2"]), CELLS, CELLS)
-
-
-def write(tmp_path: Path, content: str) -> CsvLog:
-    path = tmp_path / "log.csv"
-    path.write_text(content, encoding="utf-8")
-    return CsvReader().open(path)
 
 
 def read(tmp_path: Path, content: str) -> object:
     """The scans and notes of a log, or why there are none."""
     try:
-        log = write(tmp_path, content)
+        log = open_csv(tmp_path, content)
         return list_fields(log.scans(["scan"])), log.notes
     except LogError as error:
         return str(error)
@@ -68,7 +45,7 @@ def test_no_row_is_read_in_two_ways(
 
 
 def test_rows_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
-    log = write(tmp_path, PLAIN + "0.5,1,2,0,1.5,\n1.5,,2,0,inf,3\n")
+    log = open_csv(tmp_path, PLAIN + "0.5,1,2,0,1.5,\n1.5,,2,0,inf,3\n")
     (run,) = log.stacked_scans(["scan"])
     assert isinstance(run, ScanRun)
     assert run.stamp_ns.tolist() == [500_000_000, 1_500_000_000]
@@ -84,7 +61,7 @@ def test_rows_of_another_geometry_are_read_one_by_one(
 ) -> None:
     row = "{0},1,2,0,laser,-1.5,0.25,8,7,1,2\n"
     other = row.replace(*change)
-    log = write(tmp_path, VARYING + row.format(0) + other.format(1) + row.format(2))
+    log = open_csv(tmp_path, VARYING + row.format(0) + other.format(1) + row.format(2))
     scans = list(log.stacked_scans(["scan"]))
     assert [type(scan) for scan in scans] == [Scan] * 3
     assert [scan.stamp_ns for scan in scans if isinstance(scan, Scan)] == [0, 10**9, 2 * 10**9]
@@ -93,7 +70,7 @@ def test_rows_of_another_geometry_are_read_one_by_one(
 def test_the_time_between_beams_may_differ(tmp_path: Path) -> None:
     header = "stamp,time_increment,angle_min,angle_increment,r0,r1\n"
     rows = "0,0.001,-1,0.5,2,3\n1,0,-1,0.5,2,3\n2,0.002,-1,0.5,2,3\n"
-    log = write(tmp_path, header + rows)
+    log = open_csv(tmp_path, header + rows)
     (run,) = log.stacked_scans(["scan"])
     assert isinstance(run, ScanRun)
     assert run.time_increment.tolist() == [0.001, 0, 0.002]
@@ -101,7 +78,7 @@ def test_the_time_between_beams_may_differ(tmp_path: Path) -> None:
 
 def test_an_unused_column_may_differ(tmp_path: Path) -> None:
     rows = "".join(f"{i},1,2,0,laser,-1.5,0.25,8,{i},1,2\n" for i in range(3))
-    (run,) = write(tmp_path, VARYING + rows).stacked_scans(["scan"])
+    (run,) = open_csv(tmp_path, VARYING + rows).stacked_scans(["scan"])
     assert run.ranges.shape == (3, 2)
 
 
@@ -111,12 +88,12 @@ def test_an_unused_column_may_differ(tmp_path: Path) -> None:
 def test_columns_behind_the_beams_are_read(tmp_path: Path, header: str) -> None:
     values = {"stamp": "1", "r0": "2", "r1": "3", "angle_min": "-1", "angle_increment": "0.5"}
     row = ",".join(values[name] for name in header.split(","))
-    (scan,) = flatten(write(tmp_path, f"{header}\n{row}\n").stacked_scans(["scan"]))
+    (scan,) = flatten(open_csv(tmp_path, f"{header}\n{row}\n").stacked_scans(["scan"]))
     assert (scan.angle_min, scan.angle_increment, scan.ranges.tolist()) == (-1, 0.5, [2, 3])
 
 
 def test_beams_may_be_all_that_a_row_has(tmp_path: Path) -> None:
     constants = "# stamp: 3\n# angle_min: -1.5\n# angle_increment: 0.25\n"
-    scans = flatten(write(tmp_path, f"{constants}r0,r1\n1,2\n3,4\n").stacked_scans(["scan"]))
+    scans = flatten(open_csv(tmp_path, f"{constants}r0,r1\n1,2\n3,4\n").stacked_scans(["scan"]))
     assert [scan.ranges.tolist() for scan in scans] == [[1, 2], [3, 4]]
     assert [scan.stamp_ns for scan in scans] == [3 * 10**9] * 2

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.readers import message_types, open_log, read_recorded
+from occmap.readers import message_types, open_log
 from occmap.readers.cloud_messages import convert_cloud
 from occmap.readers.containers import Channel
 from occmap.readers.fields import get_row
 from occmap.readers.ros_log import RosLog
+from tests.readers.clouds import cloud
 from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
-from tests.readers.ros import ROS2, SCAN, TF, Memory, Written, transforms, write_mcap
+from tests.readers.ros import ROS2, SCAN, TF, Memory, serialise, transforms
 from tests.readers.ros import scan as ros_scan
-from tests.readers.test_flatten import cloud
 
 SCANS = [scan(index) for index in range(3)]
 
@@ -99,35 +99,6 @@ def test_json_nested_without_end_is_damaged() -> None:
     assert "1 of 2 messages on /scan are damaged" in log.notes[0].text
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"row_step": 0, "height": 2**31, "width": 2},
-        {"row_step": 0, "height": 2},
-        {"point_step": 0, "width": 2**32 - 1},
-        {"height": 2**32 - 1, "width": 2**32 - 1},
-        {"point_step": 2**32 - 1},
-    ],
-)
-def test_a_cloud_that_lays_its_points_over_one_another(
-    change: dict[str, int], tmp_path: Path
-) -> None:
-    message = cloud(ROS2, [(2.0, 0.1, 0.0), (2.0, 0.2, 0.0)])
-    for name, value in change.items():
-        setattr(message, name, value)
-    log = open_log(write_mcap(tmp_path / "cloud.mcap", [Written("/points", SECOND, message)]))
-
-    assert list(read_recorded(log, ["/points"])) == []
-    assert "1 of 1 messages on /points are damaged" in log.notes[0].text
-
-
-def test_a_single_row_of_points_needs_no_row_step() -> None:
-    message = cloud(ROS2, [(2.0, 0.1, 0.0)])
-    message.row_step = 0
-    found = convert_cloud(message, "/p", 7).points
-    np.testing.assert_array_equal(found, np.array([[2.0, 0.1, 0.0]], np.float32))
-
-
 def test_a_nan_that_a_flipped_bit_makes_of_infinity_is_read_without_a_warning() -> None:
     signalling = np.array([0x7F800001], np.uint32).view(np.float32)
     message = cloud(ROS2, [(2.0, 0.1, 0.0)])
@@ -157,7 +128,7 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
-    log = RosLog(Memory([(channel, 7, bytes(ROS2.serialize_cdr(message, kind)))]))
+    log = RosLog(Memory([(channel, 7, serialise(message))]))
 
     with pytest.raises(AttributeError, match="anlge_min"):
         list(read(log))

@@ -1,5 +1,4 @@
 import bz2
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 import zstandard
 
 from occmap.readers.containers import MAX_INFLATED, inflate, inflate_message, unzip_file
+from tests.readers.runs import bounded_memory
 
 NOISE = np.random.default_rng(1).integers(0, 4, 3_000_000, dtype=np.uint8).tobytes()
 COMPRESSORS: dict[str, Callable[[bytes], bytes]] = {
@@ -42,25 +42,12 @@ def test_a_cut_block_gives_its_start(name: str) -> None:
 
 
 @each
-def test_a_flipped_byte_ends_the_block_or_changes_it(name: str) -> None:
-    packed = bytearray(COMPRESSORS[name](NOISE))
-    packed[len(packed) // 2] ^= 0xFF
-
-    block, _ = inflate(bytes(packed), name, len(NOISE))
-
-    assert len(block) <= len(NOISE)
-
-
-@each
 def test_a_bomb_gives_no_more_than_was_announced(name: str) -> None:
     bomb = COMPRESSORS[name](bytes(100_000_000))
-    tracemalloc.start()
-    block, _ = inflate(bomb, name, 1000)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
+    with bounded_memory(10_000_000):
+        block, _ = inflate(bomb, name, 1000)
 
     assert len(block) == 1000
-    assert peak < 10_000_000
 
 
 @each

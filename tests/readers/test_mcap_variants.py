@@ -6,24 +6,20 @@ every pair together and apart.
 
 import os
 import struct
-from collections.abc import Iterator
-from io import BytesIO
+from collections.abc import Collection
 from pathlib import Path
 
 import pytest
 import zstandard
-from mcap.reader import NonSeekingReader, make_reader
+from mcap.opcode import Opcode
 
 from occmap.errors import LogError
 from occmap.readers import Log, open_log
 from tests.readers.mcap_variants import (
     ALONE,
-    CHUNK,
-    DATA_END,
-    MESSAGE,
     MESSAGES,
     PACK,
-    SCHEMA,
+    list_records,
     list_variants,
     write_variant,
 )
@@ -32,45 +28,37 @@ from tests.readers.ros import RANGES, ROS2, drive
 SCANS = 30
 LOG = drive(ROS2, SCANS)
 SMALL = drive(ROS2, 4)
+STAMPS = [written.record_ns - 500_000_000 for written in LOG if written.topic == "/scan"]
 FULL = {*ALONE, "chunks", "message index", "chunk index"} - {"padding"}
+UNCHECKED = FULL - {"checksums"}
 BARE = {"chunks"}
 INDEXED = {"chunks", "message index"}
 COUNTED = {"statistics", "repeated schemas", "repeated channels"}
 
 
-def read(path: Path) -> tuple[Log, list[int]]:
+def write(has: Collection[str], compression: str = "") -> bytearray:
+    return bytearray(write_variant(LOG, has, compression))
+
+
+def read(tmp_path: Path, data: bytes | bytearray) -> tuple[Log, list[int]]:
+    """Read a file: the log, and the stamps of its scans."""
+    path = tmp_path / "log.mcap"
+    path.write_bytes(data)
     log = open_log(path)
     return log, [scan.stamp_ns for scan in log.scans({"/scan"})]
 
 
-STAMPS = [written.record_ns - 500_000_000 for written in LOG if written.topic == "/scan"]
-
-
-def list_records(data: bytes | bytearray, opcode: int) -> list[tuple[int, int]]:
-    """Position and length of each record of a kind, its head included."""
-    found, position = [], 8
-    while position < len(data) - 8:
-        kind, length = struct.unpack_from("<BQ", data, position)
-        found += [(position, 9 + length)] if kind == opcode else []
-        position += 9 + length
-    return found
-
-
-def find_inner_messages(data: bytes | bytearray) -> list[int]:
-    """Where in the file the messages within uncompressed chunks start."""
-    found = []
-    for position, length in list_records(data, CHUNK):
-        at = position + 9 + 40
-        while at < position + length:
-            kind, size = struct.unpack_from("<BQ", data, at)
-            found += [at] if kind == MESSAGE else []
-            at += 9 + size
-    return found
+def read_damaged(tmp_path: Path, data: bytes | bytearray) -> tuple[list[str], list[int]]:
+    """Read a file whose damage must be noted: the notes, and the stamps of its scans."""
+    log, stamps = read(tmp_path, data)
+    list(log.poses())
+    assert log.notes
+    assert all(note.damage for note in log.notes)
+    return [note.text for note in log.notes], stamps
 
 
 @pytest.mark.parametrize("compression", PACK)
 def test_every_variant_is_read_whole_and_has_no_note(compression: str, tmp_path: Path) -> None:
-    path = tmp_path / "variant.mcap"
     variants = set(list_variants())
     assert len(variants) == 5 * 2 ** len(ALONE)
     chosen = sorted(map(sorted, variants))
@@ -78,51 +66,28 @@ def test_every_variant_is_read_whole_and_has_no_note(compression: str, tmp_path:
         chosen = chosen[:: len(chosen) // 200]
     elif "OCCMAP_FAULTS" not in os.environ:
         chosen = [has for has in chosen if min(len({*ALONE} & {*has}), len({*ALONE} - {*has})) <= 2]
+    counts = {("/scan", 4), ("/tf", 4), ("/tf_static", 1)}
     for has in chosen:
-        path.write_bytes(write_variant(SMALL, has, compression))
-        log, stamps = read(path)
+        log, stamps = read(tmp_path, write_variant(SMALL, has, compression))
 
         assert stamps == STAMPS[:4], has
         assert len(list(log.poses())) == 5, has
         assert log.notes == [], has
-        assert {(s.topic, s.count) for s in log.streams} == {
-            ("/scan", 4),
-            ("/tf", 4),
-            ("/tf_static", 1),
-        }
-
-
-def test_the_variants_are_files_that_the_library_reads() -> None:
-    for has in (FULL, BARE, set(), COUNTED):  # within chunks it takes no padding
-        data = write_variant(SMALL, has)
-        stream = NonSeekingReader(BytesIO(data), validate_crcs=True)
-        assert len(list(stream.iter_messages())) == len(SMALL)
-    reader = make_reader(BytesIO(write_variant(SMALL, FULL)), validate_crcs=True)
-    assert len(list(reader.iter_messages())) == len(SMALL)
-    assert len(list(reader.iter_attachments())) == len(list(reader.iter_metadata())) == 1
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Iterator[Path]:
-    """Where a test leaves a damaged file; what it lacks must have been noted."""
-    yield tmp_path / "damaged.mcap"
-    log, _ = read(tmp_path / "damaged.mcap")
-    assert log.notes
-    assert all(note.damage for note in log.notes)
+        assert {(stream.topic, stream.count) for stream in log.streams} == counts, has
 
 
 @pytest.mark.parametrize("has", [set(), COUNTED, BARE, INDEXED, FULL], ids=len)
 @pytest.mark.parametrize("wrong", [1, -7, 250, -250, 1 << 20, 1 << 60])
-def test_a_message_of_a_wrong_length_takes_no_other(path: Path, has: set[str], wrong: int) -> None:
-    data = bytearray(write_variant(LOG, has))
-    at = data.index((RANGES + 8).tobytes())
-    messages = find_inner_messages(data) or [at for at, _ in list_records(data, MESSAGE)]
-    at = max(start for start in messages if start < at)
+def test_a_message_of_a_wrong_length_takes_no_other(
+    tmp_path: Path, has: set[str], wrong: int
+) -> None:
+    data = write(has)
+    place = data.index((RANGES + 8).tobytes())
+    at = max(at for at, _ in list_records(data, Opcode.MESSAGE) if at < place)
     (length,) = struct.unpack_from("<Q", data, at + 1)
     struct.pack_into("<Q", data, at + 1, (length + wrong) % 2**64)
-    path.write_bytes(data)
 
-    _, stamps = read(path)
+    _, stamps = read_damaged(tmp_path, data)
 
     assert len(stamps) >= SCANS - 1
     assert set(STAMPS) - set(stamps) <= {STAMPS[8]}
@@ -132,188 +97,204 @@ def test_a_message_of_a_wrong_length_takes_no_other(path: Path, has: set[str], w
 @pytest.mark.parametrize("has", [BARE, INDEXED, FULL], ids=len)
 @pytest.mark.parametrize("wrong", [1, 3000, 1 << 20, 1 << 60])
 def test_a_chunk_of_a_wrong_length_is_read(
-    path: Path, has: set[str], compression: str, wrong: int
+    tmp_path: Path, has: set[str], compression: str, wrong: int
 ) -> None:
-    data = bytearray(write_variant(LOG, has, compression))
-    at, length = list_records(data, CHUNK)[4]
+    data = write(has, compression)
+    at, length = list_records(data, Opcode.CHUNK)[4]
     struct.pack_into("<Q", data, at + 1, length - 9 + wrong)
-    path.write_bytes(data)
 
-    assert read(path)[1] == STAMPS
+    assert read_damaged(tmp_path, data)[1] == STAMPS
 
 
 @pytest.mark.parametrize("has", [FULL, BARE, {*BARE, "padding"}], ids=len)
 @pytest.mark.parametrize("compression", PACK)
 @pytest.mark.parametrize("opcode", [0, 1, 3, 4, 5, 7, 9, 12, 15, 22, 0x46, 0x86])
 def test_a_chunk_under_another_opcode_is_told_of(
-    path: Path, has: set[str], compression: str, opcode: int
+    tmp_path: Path, has: set[str], compression: str, opcode: int
 ) -> None:
-    data = bytearray(write_variant(LOG, has, compression))
-    at, _ = list_records(data, CHUNK)[4]
+    data = write(has, compression)
+    at, _ = list_records(data, Opcode.CHUNK)[4]
     data[at] = opcode
-    path.write_bytes(data)
 
-    log, stamps = read(path)
+    notes, stamps = read_damaged(tmp_path, data)
 
     assert len(stamps) >= len(STAMPS) - MESSAGES
-    assert any(note.damage for note in log.notes)
     if opcode in {7, 9, 12, 15, 0x86}:  # those of records that hold no messages
         assert stamps == STAMPS
-        assert f"the chunk at byte {at} is marked as another kind" in log.notes[0].text
+        assert f"the chunk at byte {at} is marked as another kind" in notes[0]
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_a_cut_chunk_is_told_from_a_damaged_one(tmp_path: Path, compression: str) -> None:
+    """Its length stands in its head and again in its body: nothing else can follow."""
+    data = write(BARE, compression)
+    at, length = list_records(data, Opcode.CHUNK)[-1]
+
+    notes, _ = read_damaged(tmp_path, data[: at + length - 20])
+
+    there = f"{length - 20:,} of its {length:,} bytes are there"
+    assert [note for note in notes if "chunk at byte" not in note] == [
+        f"the file ends in the middle of the record at byte {at}: {there}"
+    ]
+
+
+def test_a_file_without_footer_says_so(tmp_path: Path) -> None:
+    data = write(BARE)
+    at, length = list_records(data, Opcode.CHUNK)[-1]
+
+    (note,), stamps = read_damaged(tmp_path, data[: at + length])
+
+    assert stamps == STAMPS
+    assert "the file is cut before its end" in note
+
+
+def test_a_wrong_checksum_is_noted_once_and_the_messages_used(tmp_path: Path) -> None:
+    data = write(FULL)
+    data[data.find((RANGES + 3).tobytes()) + 2] ^= 1
+
+    (note,), stamps = read_damaged(tmp_path, data)
+
+    assert stamps == STAMPS
+    assert "wrong checksum" in note
 
 
 def test_two_chunks_of_which_nothing_can_be_read_are_not_one_that_is_there_twice(
-    path: Path,
+    tmp_path: Path,
 ) -> None:
-    data = bytearray(write_variant(LOG, FULL - {"statistics"}, "zstd"))
-    for at, _ in list_records(data, CHUNK)[2:4]:
-        data[data.index(b"\x28\xb5\x2f\xfd", at)] ^= 1
-    path.write_bytes(data)
+    data = write(FULL - {"statistics"}, "zstd")
+    for at, _ in list_records(data, Opcode.CHUNK)[2:4]:
+        data[data.index(zstandard.FRAME_HEADER, at)] ^= 1
 
-    log, stamps = read(path)
+    notes, stamps = read_damaged(tmp_path, data)
 
     assert set(stamps) < set(STAMPS)
-    assert len([note for note in log.notes if ": 0 of its" in note.text]) == 2
+    assert len([note for note in notes if ": 0 of its" in note]) == 2
 
 
-@pytest.mark.parametrize("has", [FULL, FULL - {"checksums"}, FULL - {"statistics"}], ids=len)
-def test_a_chunk_that_is_gone_is_told_of(path: Path, has: set[str]) -> None:
-    data = write_variant(LOG, has, "zstd")
-    at, length = list_records(data, CHUNK)[4]
-    path.write_bytes(data[:at] + data[at + length :])  # nor is the summary where it was
+@pytest.mark.parametrize("has", [FULL, UNCHECKED, FULL - {"statistics"}], ids=len)
+def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path, has: set[str]) -> None:
+    data = write(has, "zstd")
+    at, length = list_records(data, Opcode.CHUNK)[4]
+    del data[at : at + length]  # nor is the summary where it was
 
-    assert set(read(path)[1]) < set(STAMPS)
-
-
-@pytest.mark.parametrize("has", [FULL, FULL - {"checksums"}, BARE], ids=len)
-def test_a_summary_that_is_damaged_is_told_of(path: Path, has: set[str]) -> None:
-    data = bytearray(write_variant(LOG, has))
-    ((at, _),) = list_records(data, DATA_END)
-    data[at + 9 + 4 : len(data) - 8] = bytes(len(data) - 8 - at - 9 - 4)
-    path.write_bytes(data)
-
-    assert read(path)[1] == STAMPS
+    assert set(read_damaged(tmp_path, data)[1]) < set(STAMPS)
 
 
-def test_statistics_that_count_otherwise_are_told_of(path: Path) -> None:
-    data = bytearray(write_variant(LOG, {"chunks", *COUNTED}))
-    (at, _) = list_records(data, 11)[0]
+@pytest.mark.parametrize("has", [FULL, UNCHECKED, BARE], ids=len)
+def test_a_summary_that_is_damaged_is_told_of(tmp_path: Path, has: set[str]) -> None:
+    data = write(has)
+    ((at, length),) = list_records(data, Opcode.DATA_END)
+    data[at + length : -8] = bytes(len(data[at + length : -8]))
+
+    assert read_damaged(tmp_path, data)[1] == STAMPS
+
+
+def test_statistics_that_count_otherwise_are_told_of(tmp_path: Path) -> None:
+    data = write({"chunks", *COUNTED})
+    (at, _) = list_records(data, Opcode.STATISTICS)[0]
     struct.pack_into("<Q", data, at + 9, len(LOG) + 5)
-    path.write_bytes(data)
 
-    log, stamps = read(path)
+    notes, stamps = read_damaged(tmp_path, data)
 
     assert stamps == STAMPS
-    assert "statistics" in log.notes[0].text
+    assert "statistics" in notes[0]
 
 
 @pytest.mark.parametrize("has", [BARE, BARE | {"statistics"}], ids=len)
-def test_a_message_of_an_unknown_channel_is_told_of(path: Path, has: frozenset[str]) -> None:
-    data = bytearray(write_variant(LOG, has))
-    at = find_inner_messages(data)[-1]
+def test_a_message_of_an_unknown_channel_is_told_of(tmp_path: Path, has: set[str]) -> None:
+    data = write(has)
+    at, _ = list_records(data, Opcode.MESSAGE)[-1]
     struct.pack_into("<H", data, at + 9, 77)
-    path.write_bytes(data)
 
-    log, _ = read(path)
+    notes, _ = read_damaged(tmp_path, data)
 
-    assert log.notes[0].text == "the file names no channel for 1 message"
-    assert len(log.notes) == (1 if has == BARE else 2)  # its statistics count it elsewhere
+    assert notes[0] == "the file names no channel for 1 message"
+    assert len(notes) == (1 if has == BARE else 2)  # its statistics count it elsewhere
 
 
 def test_messages_whose_channels_were_in_a_lost_chunk_are_counted_as_they_are(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "lost.mcap"
-    data = bytearray(write_variant(LOG, BARE | {"statistics"}, "zstd"))
+    data = write(BARE | {"statistics"}, "zstd")
     data[data.index(zstandard.FRAME_HEADER)] ^= 1  # of the first chunk, which alone has channels
-    path.write_bytes(data)
 
-    with pytest.raises(LogError) as caught:
-        open_log(path)
-
-    assert f"no channel for {len(LOG) - MESSAGES} messages" in str(caught.value)
+    with pytest.raises(LogError, match=f"no channel for {len(LOG) - MESSAGES} messages"):
+        read(tmp_path, data)
 
 
-def test_a_chunk_that_states_to_be_empty_is_told_of(path: Path) -> None:
-    data = bytearray(write_variant(LOG, BARE, "zstd"))
-    at, _ = list_records(data, CHUNK)[4]
+def test_a_chunk_that_states_to_be_empty_is_told_of(tmp_path: Path) -> None:
+    data = write(BARE, "zstd")
+    at, _ = list_records(data, Opcode.CHUNK)[4]
     data[at + 9 + 16 : at + 9 + 44] = bytes(28)  # its size, checksum, compression and length
-    path.write_bytes(data)
 
-    log, stamps = read(path)
+    notes, stamps = read_damaged(tmp_path, data)
 
     assert len(stamps) < SCANS
-    assert "bytes that it does not state" in log.notes[0].text
+    assert "bytes that it does not state" in notes[0]
 
 
-def test_a_channel_that_lost_its_schema_is_told_of(path: Path) -> None:
-    data = bytearray(write_variant(LOG, set()))
-    at, _ = list_records(data, 4)[1]
+def test_a_channel_that_lost_its_schema_is_told_of(tmp_path: Path) -> None:
+    data = write(())
+    at, _ = list_records(data, Opcode.CHANNEL)[1]
     struct.pack_into("<H", data, at + 9 + 2, 0)
-    path.write_bytes(data)
 
-    assert read(path)[0].notes[0].text == "the type of the messages on /tf is not stated"
+    notes, _ = read_damaged(tmp_path, data)
+
+    assert notes[0] == "the type of the messages on /tf is not stated"
 
 
 def test_a_channel_that_is_described_in_two_ways_is_told_of(tmp_path: Path) -> None:
-    path = tmp_path / "damaged.mcap"
-    data = bytearray(write_variant(LOG, FULL - {"checksums"}))
-    at = data.rindex(b"sensor_msgs/msg/LaserScan")
-    data[at] = ord("x")
-    path.write_bytes(data)
+    data = write(UNCHECKED)
+    data[data.rindex(b"sensor_msgs/msg/LaserScan")] = ord("x")
 
-    log = open_log(path)
-    list(log.poses())
+    notes, _ = read_damaged(tmp_path, data)
 
-    assert [note.text for note in log.notes] == ["channel 3 is described in two ways: /scan"]
+    assert notes == ["channel 3 is described in two ways: /scan"]
 
 
 def test_an_index_without_checksum_is_not_relied_on(tmp_path: Path) -> None:
-    data = bytearray(write_variant(LOG, FULL - {"checksums"}))
-    place = struct.pack("<Q", list_records(data, CHUNK)[4][0])
+    data = write(UNCHECKED)
+    place = struct.pack("<Q", list_records(data, Opcode.CHUNK)[4][0])
     at = data.rindex(place) + 16 + 4
     while struct.unpack_from("<H", data, at) != (3,):  # of the channels, /scan is the third
         at += 10
     struct.pack_into("<H", data, at, 77)
-    (tmp_path / "damaged.mcap").write_bytes(data)
 
-    assert read(tmp_path / "damaged.mcap")[1] == STAMPS
+    assert read(tmp_path, data)[1] == STAMPS
 
 
 @pytest.mark.parametrize("has", [set(), BARE, FULL], ids=len)
-def test_bytes_that_are_lost_or_added_take_what_lies_there(path: Path, has: set[str]) -> None:
-    data = write_variant(LOG, has)
+@pytest.mark.parametrize(("lost", "added"), [(40, b""), (0, b"\xff\x05" * 20)])
+def test_bytes_that_are_lost_or_added_take_what_lies_there(
+    tmp_path: Path, has: set[str], lost: int, added: bytes
+) -> None:
+    data = write(has)
     at = data.index((RANGES + 8).tobytes())
-    for damaged in (data[: at - 40] + data[at:], data[:at] + b"\xff\x05" * 20 + data[at:]):
-        path.write_bytes(damaged)
-        log, stamps = read(path)
 
-        # A chunk ends where it says, so bytes that were added push its last ones out of it.
-        assert set(STAMPS) - set(stamps) <= {STAMPS[8], STAMPS[9]}
-        assert log.notes
+    _, stamps = read_damaged(tmp_path, data[: at - lost] + added + data[at:])
+
+    # A chunk ends where it says, so bytes that were added push its last ones out of it.
+    assert set(STAMPS) - set(stamps) <= {STAMPS[8], STAMPS[9]}
 
 
-def test_a_record_that_became_a_footer_ends_nothing(path: Path) -> None:
-    data = bytearray(write_variant(LOG, ()))
-    at, _ = list_records(data, SCHEMA)[1]
-    data[at] ^= 1  # of a schema, a footer
+def test_a_record_that_became_a_footer_ends_nothing(tmp_path: Path) -> None:
+    data = write(())
+    at, _ = list_records(data, Opcode.SCHEMA)[1]
+    data[at] = Opcode.FOOTER
 
-    path.write_bytes(data)
-    log, stamps = read(path)
-
-    assert len(stamps) > 0
-    assert any(note.damage for note in log.notes)
-
-
-def test_a_chunk_is_read_behind_a_first_record_of_another_kind(path: Path) -> None:
-    data = bytearray(write_variant(LOG, FULL - {"checksums"}))
-    chunk, _ = list_records(data, CHUNK)[1]
-    first = chunk + 9 + 8 + 8 + 8 + 4 + 4 + 8
-    assert data[first] == MESSAGE  # on /tf
-    data[first] = 12  # its length still leads to the next record
-    path.write_bytes(data)
-
-    log, stamps = read(path)
+    _, stamps = read_damaged(tmp_path, data)
 
     assert stamps == STAMPS
-    assert f"the chunk at byte {chunk} is damaged at byte 0" in [note.text for note in log.notes]
+
+
+def test_a_chunk_is_read_behind_a_first_record_of_another_kind(tmp_path: Path) -> None:
+    data = write(UNCHECKED)
+    chunk, _ = list_records(data, Opcode.CHUNK)[1]
+    first = chunk + 9 + 8 + 8 + 8 + 4 + 4 + 8
+    assert data[first] == Opcode.MESSAGE  # on /tf
+    data[first] = Opcode.METADATA  # its length still leads to the next record
+
+    notes, stamps = read_damaged(tmp_path, data)
+
+    assert stamps == STAMPS
+    assert f"the chunk at byte {chunk} is damaged at byte 0" in notes

@@ -1,27 +1,23 @@
+"""Messages of each type become scans and poses, in ROS 1 and in ROS 2."""
+
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from rosbags.typesys.store import Typestore
 
-from occmap.readers import Role
-from occmap.readers.containers import Channel, normalise_type
-from occmap.readers.message_types import TYPES, convert_laser_scan, find_type
+from occmap.readers import Echo, ReaderOptions, Role, open_log
+from occmap.readers.containers import Channel
+from occmap.readers.message_types import TYPES, convert_laser_scan, convert_multi_echo, find_type
 from occmap.readers.ros_log import RosLog
-from occmap.types import Pose, PoseSample
-from tests.readers.ros import (
-    POSED,
-    RANGES,
-    ROS1,
-    ROS2,
-    SCAN,
-    Memory,
-    header,
-    pose,
-    posed,
-    scan,
-    transforms,
-)
+from occmap.scans.stream import list_idle
+from occmap.types import Pose, PoseSample, Scan
+from tests.readers import ros
+from tests.readers.clouds import echoes
+from tests.readers.ros import RANGES, ROS1, ROS2, SCAN, SECOND, both, scan, transforms
+from tests.readers.runs import expect_equal
+from tests.samples import SAMPLE_LOGS
 
 STAMP = 1_600_000_000_123_456_789
 HALF_TURN = Pose(1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0)
@@ -33,27 +29,17 @@ def convert(kind: str, message: Any, topic: str = "/topic") -> list[PoseSample]:
     return to_poses(message, topic, 42)
 
 
-@pytest.fixture(params=[ROS1, ROS2], ids=["ros1", "ros2"])
-def store(request: pytest.FixtureRequest) -> Typestore:
-    chosen: Typestore = request.param
-    return chosen
+@both
+def test_a_laser_scan_becomes_a_scan_with_ranges_of_its_own(store: Typestore) -> None:
+    message = scan(store, STAMP, "//robot/laser")
 
+    result = convert_laser_scan(message, "/scan", 42)
 
-def test_laser_scan_becomes_a_scan(store: Typestore) -> None:
-    result = convert_laser_scan(scan(store, STAMP, "//robot/laser"), "/scan", 42)
-
-    np.testing.assert_array_equal(result.ranges, RANGES)
-    assert result.ranges.dtype == np.float32
-    assert result._replace(ranges=RANGES) == (
-        STAMP, "robot/laser", -1.5, 0.75, RANGES, 0.25, 30.0, 0.125, None, "/scan", 42,
-    )  # fmt: skip
-
-
-def test_ranges_are_a_copy(store: Typestore) -> None:
-    message = scan(store, STAMP)
-
-    ranges = convert_laser_scan(message, "/scan", 42).ranges
-    assert not np.shares_memory(ranges, message.ranges)
+    expected = Scan(
+        STAMP, "robot/laser", -1.5, 0.75, RANGES, 0.25, 30.0, 0.125, topic="/scan", record_ns=42
+    )
+    expect_equal(result, expected)
+    assert not np.shares_memory(result.ranges, message.ranges)
 
 
 @pytest.mark.parametrize("kind", ["tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"])
@@ -79,22 +65,24 @@ def test_transforms_on_a_static_topic_hold_at_all_times(topic: str, static: bool
     assert sample.static is static
 
 
-@pytest.mark.parametrize(("kind", "child"), list(zip(POSED, ["", "", "base"], strict=True)))
+@both
+@pytest.mark.parametrize(("kind", "child"), list(zip(ros.POSED, ["", "", "base"], strict=True)))
 def test_only_odometry_names_what_moved(store: Typestore, kind: str, child: str) -> None:
-    message = posed(store, kind, STAMP, ("/odom", "/base", 1.0))
+    message = ros.posed(store, kind, STAMP, ("/odom", "/base", 1.0))
 
     assert convert(kind, message) == [
         PoseSample(STAMP, "odom", child, HALF_TURN, False, "/topic", 42)
     ]
 
 
+@both
 def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) -> None:
     stamped = store.types["geometry_msgs/msg/PoseStamped"]
     message = store.types["nav_msgs/msg/Path"](
-        header(store, STAMP, "/map"),
+        ros.header(store, STAMP, "/map"),
         [
-            stamped(header(store, STAMP + 1, "/world"), pose(store, 1.0)),
-            stamped(header(store, STAMP + 2, ""), pose(store, 5.0)),
+            stamped(ros.header(store, STAMP + 1, "/world"), ros.pose(store, 1.0)),
+            stamped(ros.header(store, STAMP + 2, ""), ros.pose(store, 5.0)),
         ],
     )
 
@@ -104,41 +92,26 @@ def test_each_pose_of_a_path_is_a_sample_with_its_own_stamp(store: Typestore) ->
     ]
 
 
-def find_role(kind: str, encoding: str) -> Role:
-    known = find_type(Channel("/x", kind, encoding))
-    return known.role if known else Role.OTHER
-
-
 @pytest.mark.parametrize(
-    ("name", "role"),
+    ("name", "role", "encodings"),
     [
-        ("sensor_msgs/LaserScan", Role.SCAN),
-        ("sensor_msgs/msg/LaserScan", Role.SCAN),
-        ("tf/tfMessage", Role.POSE),
-        ("nav_msgs/msg/Path", Role.POSE),
-        ("sensor_msgs/Image", Role.CLOUD),
-        ("foxglove.LaserScan", Role.SCAN),
-        ("foxglove.Log", Role.OTHER),
-        ("", Role.OTHER),
+        ("sensor_msgs/LaserScan", Role.SCAN, {"cdr", "ros1"}),
+        ("sensor_msgs/msg/LaserScan", Role.SCAN, {"cdr", "ros1"}),
+        ("tf/tfMessage", Role.POSE, {"cdr", "ros1"}),
+        ("nav_msgs/msg/Path", Role.POSE, {"cdr", "ros1"}),
+        ("sensor_msgs/Image", Role.CLOUD, {"cdr", "ros1"}),
+        ("foxglove.LaserScan", Role.SCAN, {"json", "protobuf"}),
+        ("foxglove.Log", Role.OTHER, set()),
+        ("", Role.OTHER, set()),
     ],
 )
-def test_the_type_decides_the_role(name: str, role: Role) -> None:
-    encodings = ("cdr", "ros1", "json", "protobuf")
-    roles = {find_role(name, encoding) for encoding in encodings}
-    assert roles == {role, Role.OTHER}  # no type is written in all of these ways
-
-
-def test_only_foxglove_states_the_pose_of_a_scan_in_it() -> None:
-    both = {name for name, each in TYPES.items() if each.role is Role.SCAN and each.to_poses}
-    assert both == {"foxglove.LaserScan"}
-    assert all(normalise_type(name) == name for name in TYPES)
-
-
-def test_a_type_counts_only_as_it_is_written() -> None:
-    assert find_role("sensor_msgs/LaserScan", "ros1") is Role.SCAN
-    assert find_role("sensor_msgs/LaserScan", "json") is Role.OTHER
-    assert find_role("foxglove.LaserScan", "json") is Role.SCAN
-    assert find_role("foxglove.LaserScan", "cdr") is Role.OTHER
+def test_a_type_has_its_role_where_it_is_written_as_it_should_be(
+    name: str, role: Role, encodings: set[str]
+) -> None:
+    for encoding in ("cdr", "ros1", "json", "protobuf"):
+        known = find_type(Channel("/x", name, encoding))
+        found = known.role if known else Role.OTHER
+        assert found is (role if encoding in encodings else Role.OTHER), encoding
 
 
 def test_scans_that_are_written_in_an_unknown_way_are_told_of() -> None:
@@ -146,8 +119,36 @@ def test_scans_that_are_written_in_an_unknown_way_are_told_of() -> None:
         Channel("/scan", SCAN, "xcdr2", count=5),
         Channel("/other", "sensor_msgs/msg/NavSatFix", "cdr", count=5),
     ]
-    log = RosLog(Memory([(channel, 1, b"") for channel in channels]))
+    log = RosLog(ros.Memory([(channel, 1, b"") for channel in channels]))
 
     assert [note.text for note in log.notes] == [
         "5 messages on /scan are sensor_msgs/msg/LaserScan in 'xcdr2': they are not used"
     ]
+
+
+@both
+@pytest.mark.parametrize(
+    ("echo", "expected"), [(Echo.FIRST, [1, 3, np.inf]), (Echo.LAST, [2, 3, np.inf])]
+)
+def test_one_echo_of_each_beam(store: Typestore, echo: Echo, expected: list[float]) -> None:
+    message = echoes(store, [[1.0, 1.5, 2.0], [3.0], []])
+
+    found = convert_multi_echo(echo, message, "/echo", 7)
+
+    assert found.ranges.tolist() == expected
+    assert (found.frame, found.stamp_ns, found.range_max) == ("laser", SECOND, 30)
+    assert found.record_ns == 7
+
+
+def test_the_echo_that_is_chosen_is_read_and_without_any_the_choice_is_told_to_do_nothing(
+    tmp_path: Path,
+) -> None:
+    last = ReaderOptions(echo=Echo.LAST)
+    message = ros.Written("/echo", SECOND, echoes(ROS2, [[1.0, 2.0]]))
+    log = open_log(ros.write_mcap(tmp_path / "log.mcap", [message]), last)
+    assert [scan.ranges.tolist() for scan in log.scans({"/echo"})] == [[2.0]]
+    assert list(list_idle(log, ["/echo"], last)) == []
+
+    other = open_log(SAMPLE_LOGS / "drive.csv", last)
+    assert [note.split()[0] for note in list_idle(other, ["scan"], last)] == ["`echo=last`"]
+    assert list(list_idle(other, ["scan"], ReaderOptions())) == []

@@ -2,17 +2,14 @@
 
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import (
-    FieldDescriptorProto,
-    FileDescriptorProto,
-    FileDescriptorSet,
-)
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from occmap.readers.containers import Channel
@@ -21,25 +18,20 @@ from occmap.readers.ros_log import RosLog
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
 from tests.readers.foxglove_logs import scan as foxglove_scan
-from tests.readers.ros import RANGES, ROS2, SCAN, Memory, scan
+from tests.readers.ros import RANGES, ROS2, SCAN, Memory, header, scan, serialise
+from tests.readers.runs import bounded_memory, count_scans
 from tests.samples import SAMPLE_LOGS
 
 TEXT = ROS2.generate_msgdef(SCAN, ros_version=2)[0]
-MESSAGE = bytes(ROS2.serialize_cdr(scan(ROS2, 5), SCAN))
+MESSAGE = serialise(scan(ROS2, 5))
 PART = "=" * 80 + "\nMSG: sensor_msgs/"
-MEMORY = 64_000_000
 
 
 @contextmanager
 def bounded() -> Iterator[None]:
     PARSERS["cdr"](Channel("/warm", SCAN, "cdr"))  # loads rosbags' own types
-    tracemalloc.start()
-    try:
-        with alarm(5):
-            yield
-        assert tracemalloc.get_traced_memory()[1] < MEMORY
-    finally:
-        tracemalloc.stop()
+    with alarm(5), bounded_memory():
+        yield
 
 
 def read(definition: str, data: bytes = MESSAGE, encoding: str = "cdr") -> RosLog:
@@ -91,16 +83,17 @@ def test_a_definition_that_asks_for_too_much_is_noted_and_the_standard_one_used(
     assert [note.text for note in log.notes] == [text]
 
 
-def test_a_definition_of_its_own_is_followed() -> None:
-    text = TEXT.replace("float32 angle_min\n", "uint8 mode\nfloat64 angle_min\n")
+def read_own(fields: str, **values: Any) -> RosLog:
+    """Read a scan of a type of its own, which has other fields in the place of `angle_min`."""
+    text = TEXT.replace("float32 angle_min\n", fields)
     store = get_typestore(Stores.EMPTY)
     store.register(get_types_from_msg(text, SCAN))
-    fields = {**vars(scan(ROS2, 5)), "mode": 3, "angle_min": -1.25}
-    stamp = store.types["builtin_interfaces/msg/Time"](1, 2)
-    fields["header"] = store.types["std_msgs/msg/Header"](stamp, "/laser")
-    data = bytes(store.serialize_cdr(store.types[SCAN](**fields), SCAN))
+    message = SimpleNamespace(**vars(scan(ROS2, 1_000_000_002)) | values)
+    return read(text, bytes(store.serialize_cdr(message, SCAN)))
 
-    log = read(text, data)
+
+def test_a_definition_of_its_own_is_followed() -> None:
+    log = read_own("uint8 mode\nfloat64 angle_min\n", mode=3, angle_min=-1.25)
     (found,) = log.scans({"/scan"})
 
     assert (found.stamp_ns, found.frame, found.angle_min) == (1_000_000_002, "laser", -1.25)
@@ -108,66 +101,54 @@ def test_a_definition_of_its_own_is_followed() -> None:
     assert log.notes == []
 
 
-@pytest.mark.parametrize("kind", ["string", "float32[]", "bool", "string[]", "Header"])
-def test_a_field_of_another_type_is_damage_of_the_message(kind: str) -> None:
-    text = TEXT.replace("float32 angle_min\n", f"{kind} angle_min\n")
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, SCAN))
-    stamp = store.types["builtin_interfaces/msg/Time"](1, 2)
-    header = store.types["std_msgs/msg/Header"](stamp, "/laser")
-    values = {
-        "string": "1.5", "float32[]": np.ones(2, np.float32), "bool": True, "string[]": ["1.5"],
-        "Header": header,
-    }  # fmt: skip
-    fields = {**vars(scan(ROS2, 5)), "header": header, "angle_min": values[kind]}
-    data = bytes(store.serialize_cdr(store.types[SCAN](**fields), SCAN))
-
-    log = read(text, data)
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [
+        ("string", "1.5"),
+        ("float32[]", np.ones(2, np.float32)),
+        ("bool", True),
+        ("string[]", ["1.5"]),
+        ("Header", header(ROS2, 5, "laser")),
+    ],
+)
+def test_a_field_of_another_type_is_damage_of_the_message(kind: str, value: Any) -> None:
+    log = read_own(f"{kind} angle_min\n", angle_min=value)
 
     assert list(log.scans({"/scan"})) == []
     (note,) = log.notes
     assert note.text.startswith("1 of 1 messages on /scan are damaged and not used: the first ")
 
 
-def make_chain(length: int) -> FileDescriptorSet:
-    """Foxglove's schemas, above files that each need the next."""
+def make_chain(length: int, last: str = "") -> FileDescriptorSet:
+    """Foxglove's schemas, above files that each need the next, and the last one another."""
     files = make_descriptors()
     files.file[0].dependency.append("f0")
-    for i in range(length):
-        needed = [f"f{i + 1}"] if i < length - 1 else []
-        files.file.append(FileDescriptorProto(name=f"f{i}", syntax="proto3", dependency=needed))
+    needed = [*(f"f{i + 1}" for i in range(length - 1)), last]
+    for i, name in enumerate(needed):
+        files.file.add(name=f"f{i}", syntax="proto3", dependency=[name] if name else [])
     return files
 
 
-def read_protobuf(files: FileDescriptorSet) -> RosLog:
+def read_protobuf(files: FileDescriptorSet) -> tuple[int, list[str]]:
+    """Read a scan that is defined by these files: how many are found, and what is noted."""
     kind = "foxglove.LaserScan"
     channel = Channel("/scan", kind, "protobuf", count=1, descriptors=files.SerializeToString())
-    return RosLog(Memory([(channel, 7, encode_protobuf(kind, foxglove_scan(0).fields))]))
+    log = RosLog(Memory([(channel, 7, encode_protobuf(kind, foxglove_scan(0).fields))]))
+    with bounded():
+        return count_scans(log), [note.text for note in log.notes]
 
 
 def test_a_long_chain_of_protobuf_files_is_followed() -> None:
-    log = read_protobuf(make_chain(450))
-    with bounded():
-        assert len(list(log.scans({"/scan"}))) == 1
-    assert log.notes == []
+    assert read_protobuf(make_chain(450)) == (1, [])
 
 
-@pytest.mark.parametrize("length", [600, 30_000])
-def test_a_chain_of_protobuf_files_beyond_reason_is_noted(length: int) -> None:
-    log = read_protobuf(make_chain(length))
-    with bounded():
-        assert list(log.scans({"/scan"})) == []
-    (note,) = log.notes
-    assert "the definition of foxglove.LaserScan cannot be understood" in note.text
-
-
-def test_protobuf_files_that_need_each_other_are_noted() -> None:
-    files = make_chain(3)
-    files.file[-1].dependency.append("f0")
-    log = read_protobuf(files)
-
-    assert list(log.scans({"/scan"})) == []
-    assert "the definition of foxglove.LaserScan cannot be understood" in log.notes[0].text
+@pytest.mark.parametrize(("length", "last"), [(600, ""), (30_000, ""), (3, "f0")])
+def test_protobuf_files_in_a_chain_beyond_reason_or_in_a_circle_are_noted(
+    length: int, last: str
+) -> None:
+    found, (note, *_) = read_protobuf(make_chain(length, last))
+    assert found == 0
+    assert "the definition of foxglove.LaserScan cannot be understood" in note
 
 
 def test_a_protobuf_type_that_contains_itself_is_read() -> None:
@@ -176,11 +157,8 @@ def test_a_protobuf_type_that_contains_itself_is_read() -> None:
     again = pose.field.add(name="again", number=9)
     again.label = FieldDescriptorProto.LABEL_OPTIONAL
     again.type, again.type_name = FieldDescriptorProto.TYPE_MESSAGE, ".foxglove.Pose"
-    log = read_protobuf(files)
 
-    with bounded():
-        assert len(list(log.scans({"/scan"}))) == 1
-    assert log.notes == []
+    assert read_protobuf(files) == (1, [])
 
 
 LOADED = """

@@ -3,57 +3,53 @@
 import shutil
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from mcap.writer import CompressionType
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
+from rosbags.typesys.store import Typestore
 
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.types import Pose, PoseSample
 from tests.readers.ros import RANGES, ROS1, ROS2, SECOND, Bag2, Write, drive, write_bag1, write_mcap
+from tests.readers.runs import count_scans
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
-# A chunk a kilobyte long holds a few messages.
-SMALL = {"chunk_size": 1000}
+FILES, MESSAGES = CompressionMode.FILE, CompressionMode.MESSAGE
+LZ4, ZSTD = CompressionType.LZ4, CompressionType.ZSTD
+NO_SUMMARY = {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False}
 
-WRITERS: dict[str, tuple[Write, bool]] = {
-    "bag": (write_bag1, True),
-    "bag bz2": (partial(write_bag1, compression="bz2"), True),
-    "bag lz4": (partial(write_bag1, compression="lz4"), True),
-    "sqlite": (Bag2(SQLITE).write, False),
-    "sqlite, files compressed": (Bag2(SQLITE, CompressionMode.FILE).write, False),
-    "sqlite, messages compressed": (Bag2(SQLITE, CompressionMode.MESSAGE).write, False),
-    "mcap folder": (Bag2(MCAP).write, False),
-    "mcap folder, files compressed": (Bag2(MCAP, CompressionMode.FILE).write, False),
-    "mcap folder, messages compressed": (Bag2(MCAP, CompressionMode.MESSAGE).write, False),
-    "mcap": (write_mcap, False),
-    "mcap lz4": (partial(write_mcap, options={"compression": CompressionType.LZ4, **SMALL}), False),
-    "mcap zstd": (
-        partial(write_mcap, options={"compression": CompressionType.ZSTD, **SMALL}),
-        False,
-    ),
-    "mcap without chunks": (partial(write_mcap, options={"use_chunking": False}), False),
-    "mcap without summary": (
-        partial(
-            write_mcap,
-            options={
-                "repeat_channels": False,
-                "repeat_schemas": False,
-                "use_statistics": False,
-                **SMALL,
-            },
-        ),
-        False,
-    ),
-    "mcap of ROS 1": (partial(write_mcap, store=ROS1), True),
+
+def mcap(**options: Any) -> Write:
+    """Write MCAP files whose chunks, a kilobyte long, hold a few messages."""
+    return partial(write_mcap, options={"chunk_size": 1000, **options})
+
+
+WRITERS: dict[str, tuple[Typestore, Write]] = {
+    "bag": (ROS1, write_bag1),
+    "bag bz2": (ROS1, partial(write_bag1, compression="bz2")),
+    "bag lz4": (ROS1, partial(write_bag1, compression="lz4")),
+    "sqlite": (ROS2, Bag2(SQLITE).write),
+    "sqlite, files compressed": (ROS2, Bag2(SQLITE, FILES).write),
+    "sqlite, messages compressed": (ROS2, Bag2(SQLITE, MESSAGES).write),
+    "mcap folder": (ROS2, Bag2(MCAP).write),
+    "mcap folder, files compressed": (ROS2, Bag2(MCAP, FILES).write),
+    "mcap folder, messages compressed": (ROS2, Bag2(MCAP, MESSAGES).write),
+    "mcap": (ROS2, write_mcap),
+    "mcap lz4": (ROS2, mcap(compression=LZ4)),
+    "mcap zstd": (ROS2, mcap(compression=ZSTD)),
+    "mcap without chunks": (ROS2, mcap(use_chunking=False)),
+    "mcap without summary": (ROS2, mcap(**NO_SUMMARY)),
+    "mcap of ROS 1": (ROS1, partial(write_mcap, store=ROS1)),
 }
 
 
 @pytest.fixture(params=WRITERS)
 def log(request: pytest.FixtureRequest, tmp_path: Path) -> Log:
-    write, ros1 = WRITERS[request.param]
-    return open_log(write(tmp_path / "drive", drive(ROS1 if ros1 else ROS2)))
+    store, write = WRITERS[request.param]
+    return open_log(write(tmp_path / "drive", drive(store)))
 
 
 def test_every_container_lists_its_streams(log: Log) -> None:
@@ -82,15 +78,15 @@ def test_every_container_gives_the_scans(log: Log) -> None:
 
 
 def test_every_container_gives_the_poses(log: Log) -> None:
-    static = PoseSample(
-        SECOND, "base", "laser", Pose(0.25, 2, 3, 0, 0, 1, 0), True, "/tf_static", SECOND
-    )
+    mount = Pose(0.25, 2, 3, 0, 0, 1, 0)
+    static = PoseSample(SECOND, "base", "laser", mount, True, "/tf_static", SECOND)
     moving = [
-        PoseSample(
+        static._replace(
             stamp_ns=k * SECOND + 5,
             parent="odom",
             child="base",
-            pose=Pose(0.5 * (k - 1), 2, 3, 0, 0, 1, 0),
+            pose=mount._replace(x=0.5 * (k - 1)),
+            static=False,
             topic="/tf",
             record_ns=k * SECOND + 5,
         )
@@ -129,3 +125,17 @@ def test_publishers_of_one_topic_are_one_stream(tmp_path: Path) -> None:
 
     assert Stream("/scan", "sensor_msgs/msg/LaserScan", 4, Role.SCAN) in log.streams
     assert len(list(log.scans({"/scan"}))) == 4
+
+
+@pytest.mark.parametrize("name", ["bag", "mcap"])
+def test_what_lies_before_a_cut_is_read(name: str, tmp_path: Path) -> None:
+    store, write = WRITERS[name]
+    data = write(tmp_path / "drive", drive(store)).read_bytes()
+    path = tmp_path / "cut"
+    ends = [data.find((RANGES + k).tobytes()) + 4 * 5 + 4 + 4 * 3 for k in range(6)]
+    for cut in range(ends[0], len(data), 97):
+        path.write_bytes(data[:cut])
+        found = open_log(path)
+        assert count_scans(found) == sum(end <= cut for end in ends), cut
+        assert found.notes
+        assert all(note.damage for note in found.notes)

@@ -16,10 +16,10 @@ from occmap.posing import PosingOptions
 from occmap.scans.mounts import COMMON_SHARE, find_turn
 from occmap.types import Float64
 from occmap.writers.npz import read_evidence
+from tests import inspection_logs
 from tests.cli.runner import occmap
 from tests.inspection_logs import HALF_HEIGHT, HALF_WIDTH, Drive
-from tests.samples import PLAIN, REAL_LOGS
-from tests.test_frames import write_log
+from tests.samples import PLAIN, find_real, write_csv
 
 ALIGNED = replace(PLAIN, posing=PosingOptions(align=None))
 
@@ -63,7 +63,8 @@ def turn_back(index: int, degrees: float) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("degrees", [17.3, -31.0])
 def test_a_room_that_lies_askew_is_turned(tmp_path: Path, degrees: float) -> None:
-    log = write_log(tmp_path / "log.csv", [turn_back(index, degrees) for index in range(40)])
+    poses = [turn_back(index, degrees) for index in range(40)]
+    log = inspection_logs.write_csv(tmp_path / "log.csv", Drive(), poses=poses)
     askew, made = build([log], PLAIN), build([log], ALIGNED)
     assert made.report.map.align == pytest.approx(-degrees, abs=0.1)
     assert not any("common" in note for note in made.report.notes)
@@ -77,22 +78,18 @@ def test_a_room_that_lies_askew_is_turned(tmp_path: Path, degrees: float) -> Non
 
 
 def test_a_map_without_a_direction_stays_as_it_is(tmp_path: Path) -> None:
-    beams = ",".join(f"r{beam}" for beam in range(90))
-    log = tmp_path / "round.csv"
-    head = f"# angle_min: 0\n# angle_increment: {math.tau / 90}\nstamp,x,y,yaw,{beams}\n"
-    log.write_text(head + "".join(f"{at},0,0,0{',4' * 90}\n" for at in range(5)))
+    log = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 5, [4.0] * 90, step=math.tau / 90)
     made = build([log], ALIGNED)
     (note,) = (note for note in made.report.notes if "common" in note)
-    assert note.startswith("the walls have no common direction (")
-    assert note.endswith("so the map is not turned; give an angle with `align=DEG`")
+    assert "`align=DEG`" in note
     assert made.report.map.align == 0
     assert np.array_equal(made.map.log_odds, build([log], PLAIN).map.log_odds)
 
 
 def test_what_is_added_is_turned_as_what_is_there(tmp_path: Path) -> None:
     poses = [turn_back(index, 20.0) for index in range(40)]
-    first = write_log(tmp_path / "first.csv", poses[:20])
-    second = write_log(tmp_path / "second.csv", poses[20:], first=20)
+    first = inspection_logs.write_csv(tmp_path / "first.csv", Drive(), poses=poses[:20])
+    second = inspection_logs.write_csv(tmp_path / "second.csv", Drive(), poses=poses[20:], first=20)
     kept = tmp_path / "first.npz"
     made = build([first], ALIGNED, [kept])
     assert read_evidence(kept).manifest.align == made.report.map.align
@@ -120,16 +117,15 @@ def measure_askew(grid: OccupancyMap) -> float:
     ("name", "turn"), [("intel-corrected", -2.3), ("freiburg-079-corrected", 4.8)]
 )
 def test_real_buildings_stand_upright(name: str, turn: float) -> None:
-    path = REAL_LOGS / "carmen" / f"{name}.log.gz"
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
+    path = find_real(f"carmen/{name}.log.gz")
     made = build([path], BuildOptions(posing=PosingOptions(align=None)))
     assert made.report.map.align == pytest.approx(turn, abs=0.5)
     assert measure_askew(made.map) == pytest.approx(0, abs=0.5)
 
 
 def test_the_angle_may_be_left_out_on_the_command_line(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log.csv", [turn_back(index, 20.0) for index in range(20)])
+    poses = [turn_back(index, 20.0) for index in range(20)]
+    log = inspection_logs.write_csv(tmp_path / "log.csv", Drive(), poses=poses)
     out = str(tmp_path / "m.pgm")
     words = [
         ["--align", str(log), "-o", out],

@@ -15,8 +15,10 @@ from occmap.pipeline import build
 from occmap.posing import Stamps
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
-from occmap.sensor import RangeLimits, ReturnOptions
+from occmap.sensor import ReturnOptions
+from occmap.sensor.bands import RangeLimits
 from occmap.types import Scan, ScanBatch, ScanRun, Update
+from tests.readers.runs import flatten
 from tests.samples import write_csv
 
 SECOND = 10**9
@@ -106,11 +108,13 @@ def test_runs_are_selected_as_single_scans_are(
         ranges = np.full((size, 2), size, np.float32)
         run = ScanRun(RUN.first, stamps, stamps[::-1] + 5, ranges, stamps / 7)
         items += [run] if whole else run.split()
-    singles = [s for item in items for s in (item.split() if isinstance(item, ScanRun) else [item])]
     selection = Selection((), start_s, end_s, stride)
     clock = Stamps.RECORD if record else Stamps.HEADER
     some, single = (Selector(selection, clock) for _ in range(2))
-    batches, of_singles = stack(some.select(items), clock), stack(single.select(singles), clock)
+    batches, of_singles = (
+        stack(some.select(items), clock),
+        stack(single.select(flatten(items)), clock),
+    )
 
     assert list_scans(batches) == list_scans(of_singles)
     assert (some.read, some.left_out) == (single.read, single.left_out)
@@ -126,18 +130,6 @@ def test_a_range_limit_that_none_can_be_is_none(range_max: float, single: bool) 
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     (note,) = limits.list_notes()
     assert note.startswith("/scan states no usable range limit")
-
-
-def test_a_limit_that_the_user_gives_needs_no_note() -> None:
-    limits = RangeLimits(ReturnOptions(range_max=20.0))
-    run = RUN._replace(first=RUN.first._replace(range_max=math.nan))
-    list(map(limits.apply, stack(limits.watch([run]), Stamps.HEADER)))
-    assert list(limits.list_notes()) == []
-
-
-def test_a_laser_that_stands_still_is_noted(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "still.csv", [(1.0, 2.0, 0.5)] * 20, [1.0, 2.0])
-    assert "never moves" in " ".join(build([log], BuildOptions()).report.notes)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.cells import OccupancyMap
-from occmap.errors import LogError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.scans.tracing import Remarks
@@ -24,16 +22,12 @@ from occmap.scoring.compare import (
     compare,
 )
 from occmap.sensor import ReturnOptions
-from occmap.sensor.models import (
-    CountingModel,
-    QuadraticModel,
-    SensorModel,
-    SimpleModel,
-    parse_model,
-    shorten_model,
-)
-from occmap.types import Kind, Rays, Update
+from occmap.sensor.models import CountingModel, SensorModel, SimpleModel, parse_model
+from occmap.types import Rays, Update
+from tests.csv_logs import write_scans
+from tests.grid.scans import make_rays
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
+from tests.writers.maps import map_of
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
 
@@ -66,10 +60,7 @@ def make_scans(scans: int) -> Rays:
     """Scans that are told apart by their x."""
     origin = np.zeros((scans, 1, 2))
     origin[:, 0, 0] = np.arange(scans)
-    beam = np.tile([1.0, 0.0], (scans, 1, 1))
-    kind = np.full((scans, 1), Kind.HIT, np.uint8)
-    reach, stamp_ns = np.ones((scans, 1), np.float32), np.arange(scans, dtype=np.int64)
-    return Rays.along(origin, beam, reach, kind, stamp_ns, full_circle=False)
+    return make_rays(origin, (1, 0), 1.0)
 
 
 def list_x(batches: list[Rays]) -> list[float]:
@@ -105,52 +96,34 @@ def test_no_variant_is_charged_for_loading_or_compiling_kernels() -> None:
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "\n"
 
 
-def test_nine_variants_need_six_pieces_of_evidence() -> None:
-    variants = combine([], [])
+def test_variants_are_every_update_with_every_model_once() -> None:
     usual = {"beam": "counting", "polygon": "counting:cut=0.4,spread=0", "surface": "counting"}
     expected = [
         f"{update} {model}"
         for update, counting in usual.items()
         for model in (counting, "simple", "quadratic")
     ]
-    assert [variant.name for variant in variants] == expected
-    assert len({variant.evidence for variant in variants}) == 6
+    assert [variant.name for variant in combine([], [])] == expected
+    models = [parse_model(text) for text in ("simple:p_hit=0.9", "simple:p_hit=0.90", "counting")]
+    names = [variant.name for variant in combine([Update.POLYGON], models)]
+    assert names == ["polygon simple:p_hit=0.9", "polygon counting"]
 
 
 def test_what_only_a_map_depends_on_needs_no_evidence_of_its_own() -> None:
+    assert len({variant.evidence for variant in combine([], [])}) == 6
     texts = ["quadratic", "quadratic:clamp_max=0.9", "quadratic:prior=0.4", "quadratic:p_min=0.3"]
     variants = combine([Update.BEAM], [parse_model(text) for text in texts])
     assert len(variants) == 4
     assert len({variant.evidence for variant in variants}) == 2
 
 
-def test_variants_are_every_update_with_every_model_once() -> None:
-    models = [parse_model(text) for text in ("simple:p_hit=0.9", "simple:p_hit=0.90", "counting")]
-    names = [variant.name for variant in combine([Update.POLYGON], models)]
-    assert names == ["polygon simple:p_hit=0.9", "polygon counting"]
-
-
-@pytest.mark.parametrize(
-    ("model", "text"),
-    [
-        (SimpleModel(), "simple"),
-        (SimpleModel(p_hit=0.8, prior=0.4), "simple:p_hit=0.8,prior=0.4"),
-        (QuadraticModel(epsilon=0.1), "quadratic:epsilon=0.1"),
-    ],
-)
-def test_a_model_is_written_as_it_is_read(model: SimpleModel, text: str) -> None:
-    assert shorten_model(model) == text
-    assert parse_model(text) == model
-
-
-def stand_before_a_wall(folder: Path, ranges: list[float]) -> VariantComparison:
-    """Ten scans of the same wall, from one place; beams half a milliradian apart."""
-    log = write_csv(folder / "wall.csv", [(0.025, 0.025, 0.0)] * 10, ranges, 5e-4)
-    return compare([log], [Variant(Update.BEAM, SimpleModel(0.7, 0.4, spread=0.0))], PLAIN)
+LONE = Variant(Update.BEAM, PLAIN.model)
 
 
 def test_the_scores_of_a_wall(tmp_path: Path) -> None:
-    comparison = stand_before_a_wall(tmp_path, [1.0])
+    """Ten scans of the same wall, from one place."""
+    log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0.0)] * 10, [1.0])
+    comparison = compare([log], [LONE], PLAIN)
     score = comparison.results[0].score
     wall, free = (1 / (1 + math.exp(-8 * math.log(p / (1 - p)))) for p in (0.7, 0.4))
     assert comparison.scans.held_out == 2
@@ -164,11 +137,10 @@ def test_the_scores_of_a_wall(tmp_path: Path) -> None:
 
 
 def test_a_map_is_scored_by_scans_that_it_was_not_made_from(tmp_path: Path) -> None:
-    log = tmp_path / "wall.csv"
-    head = "# angle_min: 0\n# angle_increment: 0\nstamp,x,y,yaw,r0\n"
-    ranges = [1.0, 1.0, 2.0, 1.0, 1.0]  # the third is held out, and sees no wall at 1 m
-    log.write_text(head + "".join(f"{i},0.025,0.025,0,{r}\n" for i, r in enumerate(ranges)))
-    (result,) = compare([log], [Variant(Update.BEAM, PLAIN.model)], PLAIN).results
+    ranges = [[1.0], [1.0], [2.0], [1.0], [1.0]]  # the third is held out, and sees no wall at 1 m
+    shape = {"angle_min": 0, "angle_increment": 0}
+    log = write_scans(tmp_path / "wall.csv", range(5), ranges, [(0.025, 0.025, 0)] * 5, **shape)
+    (result,) = compare([log], [LONE], PLAIN).results
     assert (result.score.beams, result.score.share) == (1, 0.0)
     assert result.map.shape == (1, 21)
     assert result.score.log_likelihood < math.log(0.2)
@@ -212,11 +184,10 @@ def make_result(
     by_scan = np.array([(beams, near, 0, 0, 0, 0) for near in predicted], float)
     share = sum(predicted) / (beams * len(predicted))
     score = Score(beams * len(predicted), share, 0.0, log_likelihood, 0.0, 0.0, 0.0)
-    grid = OccupancyMap(np.zeros((1, 1), np.float32), np.ones((1, 1), bool), 0.05, (0.0, 0.0))
     variant = Variant(Update.SURFACE, model)
     return ScoredVariant(
         variant=variant,
-        map=grid,
+        map=map_of([[0.5]]),
         trial=Trial(by_scan, np.zeros((1, 3)), None),
         score=score,
         name=variant.name,
@@ -278,22 +249,19 @@ def test_the_likeliest_of_those_as_good_is_named_beside_the_best() -> None:
     assert "simple" in found["likeliest_command"]
 
 
-def test_a_drive_of_83_scans_does_not_tell_its_best_variants_apart(
+def test_a_drive_is_foretold_well_by_every_variant_and_too_short_to_tell_the_best_apart(
     drive: VariantComparison,
 ) -> None:
-    first, *others = drive.results
-    assert (first.behind, first.behind_error, first.as_good) == (0, 0, True)
-    assert all(0 < each.behind_error < each.score.share_error for each in others)
-    names = {each.variant.name for each in drive.results if each.as_good}
-    assert {drive.recommended.variant.name, first.variant.name} <= names
-
-
-def test_a_drive_is_foretold_well_by_every_variant(drive: VariantComparison) -> None:
     shares = [result.score.share for result in drive.results]
     assert shares == sorted(shares, reverse=True)
     assert shares[-1] > 0.9
     assert (drive.scans.used, drive.scans.held_out) == (414, 83)
     assert all(result.bytes > 0 and result.seconds > 0 for result in drive.results)
+    first, *others = drive.results
+    assert (first.behind, first.behind_error, first.as_good) == (0, 0, True)
+    assert all(0 < each.behind_error < each.score.share_error for each in others)
+    names = {each.variant.name for each in drive.results if each.as_good}
+    assert {drive.recommended.variant.name, first.variant.name} <= names
 
 
 def test_threads_change_no_score(drive: VariantComparison) -> None:
@@ -325,14 +293,6 @@ def test_the_command_repeats_what_was_chosen() -> None:
         words = f"--resolution 0.1 --max-range 9 --stride 2{jump} --model counting:prior=0.4"
         expected = f"occmap build {update.value} {DRIVE} {words} -o drive.pgm"
         assert comparison.command == tuple(expected.split())
-
-
-def test_too_few_scans_or_hits_are_refused(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "short.csv", [(0.0, 0.0, 0.0)] * 2, [1.0])
-    with pytest.raises(LogError, match=r"short.csv: .* held out .* measured a range; give more"):
-        compare([log], combine([], []), BuildOptions())
-    with pytest.raises(UsageError, match="no model is called"):
-        combine([], [parse_model("simpel")])
 
 
 @pytest.mark.skipif(

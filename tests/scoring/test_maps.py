@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,28 +16,38 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scoring.compare import combine, compare
 from occmap.scoring.fit import Walls, fit
-from occmap.scoring.maps import score_by_logs, score_by_truth
+from occmap.scoring.maps import LogScore, score_by_logs, score_by_truth
 from occmap.store.moving import STAY, Transform
 from occmap.tuning import tune
 from occmap.types import Pose
 from occmap.writers import WriteOptions
+from tests.difference.drawings import draw_map
 from tests.samples import SAMPLE_LOGS, write_csv
 
-CLASSES = {"#": CellClass.OCCUPIED, ".": CellClass.FREE, "?": CellClass.NEITHER}
 DRIVE = SAMPLE_LOGS / "drive.mcap"
-
-
 HERE = Place(0.1, 0.0, 0.0)
 
 
-def draw(text: str, place: Place | None = HERE) -> ClassMap:
-    """A map whose rows are written from the highest y down."""
-    rows = [[CLASSES[cell] for cell in line] for line in text.split()]
-    return ClassMap(Path("drawn.yaml"), np.array(rows, np.uint8)[::-1], place)
+def draw(art: str, place: Place | None = HERE) -> ClassMap:
+    return draw_map(art, place)
 
 
 ROOM = draw("####### #.....# #.....# #.....# #.....# #######")
 """24 cells of walls, of which 4 are corners, around 5 x 4 free ones"""
+
+
+def ask(
+    asked: ClassMap, *logs: Path, fitted: bool = False, **posing: Any
+) -> tuple[LogScore, list[str]]:
+    """Score a map by logs, of the drive unless others are named."""
+    options = BuildOptions(posing=PosingOptions(**posing))
+    return score_by_logs(asked, logs or [DRIVE], options, is_fitted=fitted)
+
+
+def load_built(path: Path, **posing: Any) -> ClassMap:
+    """A map of the drive."""
+    build([DRIVE], BuildOptions(posing=PosingOptions(**posing)), [path])
+    return load_map(path, WriteOptions())
 
 
 def test_the_truth_itself_is_right() -> None:
@@ -113,38 +124,29 @@ def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
 
 
 def test_a_map_is_scored_by_the_log_that_it_was_made_of(tmp_path: Path) -> None:
-    turned = PosingOptions(transform=Pose.planar(0.35, -0.2, 0.05))
-    for name, posing in (("right", PosingOptions()), ("moved", turned)):
-        build([DRIVE], BuildOptions(posing=posing), [tmp_path / f"{name}.pgm"])
-    maps = {
-        name: load_map(tmp_path / f"{name}.yaml", WriteOptions()) for name in ("right", "moved")
-    }
-    right, _ = score_by_logs(maps["right"], [DRIVE], BuildOptions(), is_fitted=False)
-    wrong, _ = score_by_logs(maps["moved"], [DRIVE], BuildOptions(), is_fitted=False)
-    fitted, _ = score_by_logs(maps["moved"], [DRIVE], BuildOptions(), is_fitted=True)
+    truth = {"transform": Pose.planar(0.35, -0.2, 0.05)}
+    here, there = load_built(tmp_path / "right.pgm"), load_built(tmp_path / "moved.pgm", **truth)
+    right, wrong, fitted = (score for score, _ in (ask(here), ask(there), ask(there, fitted=True)))
     assert min(right.share, right.agreement, fitted.share, fitted.agreement) > 0.95
     assert right.stops_in_occupied > 0.6
     assert right.stops_in_free < 0.01
     assert wrong.share < 0.5
     assert fitted.transform == pytest.approx((0.35, -0.2, 0.05), abs=0.02)
     assert wrong.transform == STAY
-    given = PosingOptions(transform=Pose.planar(0.1, 0.3, -0.05))
-    again, _ = score_by_logs(maps["moved"], [DRIVE], BuildOptions(posing=given), is_fitted=True)
+    again, _ = ask(there, fitted=True, transform=Pose.planar(0.1, 0.3, -0.05))
     assert again.transform == pytest.approx((0.35, -0.2, 0.05), abs=0.02)  # with what was given
-    far = PosingOptions(transform=Pose.planar(4.0, 0.0, 0.0))
-    _, notes = score_by_logs(maps["moved"], [DRIVE], BuildOptions(posing=far), is_fitted=True)
+    _, notes = ask(there, fitted=True, transform=Pose.planar(4.0, 0.0, 0.0))
     assert "a first `transform`" in notes[-1]
     assert right.log_likelihood > fitted.log_likelihood > wrong.log_likelihood
 
 
 def test_of_a_long_log_a_sample_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    build([DRIVE], BuildOptions(), [tmp_path / "map.pgm"])
-    made = load_map(tmp_path / "map.yaml", WriteOptions())
-    every, notes = score_by_logs(made, [DRIVE], BuildOptions(), is_fitted=False)
+    made = load_built(tmp_path / "map.pgm")
+    every, notes = ask(made)
     assert not any("spread" in note for note in notes)
 
     monkeypatch.setattr("occmap.scoring.maps.MOST_SCANS", 300)
-    some, notes = score_by_logs(made, [DRIVE], BuildOptions(), is_fitted=False)
+    some, notes = ask(made)
     assert "207 of 414 scans are asked, spread over the logs" in notes
     assert some.beams == pytest.approx(every.beams / 2, rel=0.05)
     assert abs(some.share - every.share) < 3 * some.share_error
@@ -154,7 +156,7 @@ def test_of_a_long_log_a_sample_is_asked(tmp_path: Path, monkeypatch: pytest.Mon
 def test_one_beam_by_hand(tmp_path: Path) -> None:
     """From the middle of one cell of 0.1 m to a wall, 31.2 cells farther."""
     log = write_csv(tmp_path / "log.csv", [(0.05, 0.05, 0.0)] * 2, [3.12])
-    score, _ = score_by_logs(draw("." * 31 + "#"), [log], BuildOptions(), is_fitted=False)
+    score, _ = ask(draw("." * 31 + "#"), log)
     assert (score.beams, score.share, score.agreement) == (2, 1, 1)
     assert (score.stops_in_occupied, score.stops_in_free) == (1, 0)
     # The wall is as good as certain to stop a beam, and each free cell to let it pass. Of 29 of
@@ -169,29 +171,29 @@ def test_one_beam_by_hand(tmp_path: Path) -> None:
 def test_a_log_may_reach_as_far_as_cells_of_the_map_allow(tmp_path: Path) -> None:
     places = [(0.0, 0.0, 0.0), (6e4, 6e4, 0.0)]  # 1.4e12 cells of 0.05 m
     log = write_csv(tmp_path / "log.csv", places, [3.12])
-    options = BuildOptions(posing=PosingOptions(max_speed=math.inf))
-    wide = draw(".#", Place(25.0, -10.0, -10.0))
-    score, _ = score_by_logs(wide, [log], options, is_fitted=False)
+    score, _ = ask(draw(".#", Place(25.0, -10.0, -10.0)), log, max_speed=math.inf)
     assert (score.beams, score.share) == (2, 0.5)
 
 
 def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MapError, match="not say where it lies"):
-        score_by_truth(draw("#.", None), ROOM, 0.1)
-    with pytest.raises(MapError, match="no occupied cell"):
-        score_by_truth(draw("..?"), ROOM, 0.1)
-    with pytest.raises(MapError, match="too many to compare"):
-        score_by_truth(replace(ROOM, place=Place(0.1, 1e6, 1e6)), ROOM, 0.1)
+    far = replace(ROOM, place=Place(0.1, 1e6, 1e6))
+    for written, found in (
+        (draw("#.", None), "not say where it lies"),
+        (draw("..?"), "no occupied cell"),
+        (far, "too many to compare"),
+    ):
+        with pytest.raises(MapError, match=found):
+            score_by_truth(written, ROOM, 0.1)
     blind = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 2, [math.nan])
     with pytest.raises(MapError, match="no beam measured a range"):
-        score_by_logs(ROOM, [blind], BuildOptions(), is_fitted=False)
+        ask(ROOM, blind)
 
 
 def test_clouds_have_no_beams_to_score_by() -> None:
-    clouds = [SAMPLE_LOGS / "hall.mcap"]
+    clouds = SAMPLE_LOGS / "hall.mcap"
     with pytest.raises(UsageError, match="holds clouds of points"):
-        score_by_logs(ROOM, clouds, BuildOptions(), is_fitted=False)
+        ask(ROOM, clouds)
     with pytest.raises(UsageError, match="holds clouds of points"):
-        compare(clouds, combine([], []), BuildOptions())
+        compare([clouds], combine([], []), BuildOptions())
     with pytest.raises(UsageError, match="holds clouds of points"):
-        tune(clouds, BuildOptions())
+        tune([clouds], BuildOptions())

@@ -1,6 +1,7 @@
 """What a map says of cells beside what held-out beams find in them, counted by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,13 +10,12 @@ from occmap.cells import OccupancyMap
 from occmap.scoring import ReliabilityBin, score_map
 from occmap.types import Kind
 from tests.grid.scans import make_scan
+from tests.writers.maps import map_of
 
 
 def make_map(probabilities: list[float | None]) -> OccupancyMap:
     """One row of cells of 1 m from x = 0; None is unknown."""
-    known = np.array([[p is not None for p in probabilities]])
-    odds = [0.0 if p is None else math.log(p / (1 - p)) for p in probabilities]
-    return OccupancyMap(np.array([odds], np.float32), known, 1.0, (0.0, 0.0))
+    return replace(map_of([[math.nan if p is None else p for p in probabilities]]), resolution=1.0)
 
 
 def test_each_look_counts_in_the_bin_of_its_cell() -> None:

@@ -7,33 +7,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Manifest
 from occmap.choices import format_mount, to_rpy
 from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
-from occmap.evidence import make_empty, paint_box, render, to_grid
+from occmap.evidence import paint_box, render, to_grid
 from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, mark_observed, stack_tiles
-from occmap.options import BuildOptions, Selection
+from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scoring.fit import Walls, find_transform, fit, lay_on
 from occmap.store.merging import merge
 from occmap.store.moving import Transform, move_evidence
 from occmap.types import Pose
-from tests.samples import REAL_LOGS, SAMPLE_LOGS
+from tests.evidence.saving import DRIVE, halve, save
+from tests.grid.scans import assert_same_slices, make_grid
+from tests.samples import REAL_LOGS
 
-DRIVE = SAMPLE_LOGS / "drive.mcap"
 MOVED = (1.2, -0.7, 0.2)
-SECOND = BuildOptions(selection=Selection(start_s=41.3))
+FIRST, SECOND = halve(BuildOptions(), 41.3)
 
 
-def save_first_half(path: Path, align: float = 0.0) -> Evidence:
+def save_first_half(folder: Path, align: float = 0.0) -> Evidence:
+    """Of the drive, where the map's frame is elsewhere."""
     posing = PosingOptions(transform=Pose.planar(*MOVED), align=align)
-    first = BuildOptions(selection=Selection(end_s=41.3), posing=posing)
-    evidence = build([DRIVE], first, [path]).evidence
-    assert evidence is not None
-    return evidence
+    return save(folder / "first.npz", replace(FIRST, posing=posing))
+
+
+def turn_to_cloud(evidence: Evidence) -> Evidence:
+    return replace(evidence, manifest=replace(evidence.manifest, update="cloud"))
 
 
 def assert_near(pose: Pose) -> None:
@@ -47,15 +50,29 @@ def assert_near(pose: Pose) -> None:
 
 @pytest.mark.parametrize("align", [0.0, 30.0])
 def test_the_second_half_of_a_drive_is_laid_on_the_first(align: float, tmp_path: Path) -> None:
-    past = save_first_half(tmp_path / "first.npz", align)
+    """As a log, and as saved evidence."""
+    past = save_first_half(tmp_path, align)
     options = replace(SECOND, posing=PosingOptions(align=align))
     pose, note = find_transform([DRIVE], options, past)
     assert_near(pose)
     assert "`transform=(1." in note
+    moved = lay_on(save(tmp_path / "second.npz", options), past)
+    pose = Pose(*moved.manifest.builds[0]["options"]["posing"]["transform"])
+    assert_near(pose)
+    typed = format_mount(pose)
+    assert f"`transform=({typed})`" in moved.notes[0]
+    # Nearly all cells are those of a build with that transform.
+    again = build([DRIVE], replace(options, posing=replace(options.posing, transform=pose)), [])
+    box = CellBox.of(render(to_grid(moved), options.model, 10**9)).join(CellBox.of(again.map))
+    one, other = (
+        paint_box(grid, options.model, box).classes for grid in (to_grid(moved), again.observed)
+    )
+    known = (one | other) > 0
+    assert (one == other)[known].mean() > 0.95
 
 
 def test_what_fit_finds_makes_the_same_map_when_it_is_typed(tmp_path: Path) -> None:
-    save_first_half(tmp_path / "first.npz")
+    save_first_half(tmp_path)
     fitted = replace(SECOND, resume=tmp_path / "first.npz", fit=True)
     made = build([DRIVE], fitted, [tmp_path / "fitted.npz"])
     (note,) = [note for note in made.report.notes if "first.npz" in note]
@@ -69,7 +86,7 @@ def test_what_fit_finds_makes_the_same_map_when_it_is_typed(tmp_path: Path) -> N
 
 
 def test_a_first_transform_is_where_the_search_begins(tmp_path: Path) -> None:
-    past = save_first_half(tmp_path / "first.npz")
+    past = save_first_half(tmp_path)
     near = Pose.planar(2.0, -1.4, 0.3)
     options = replace(SECOND, posing=PosingOptions(transform=near))
     pose, _ = find_transform([DRIVE], options, past)
@@ -91,7 +108,7 @@ def test_a_corridor_lets_the_search_slide() -> None:
 
 
 def test_sessions_of_different_buildings_are_not_fitted(tmp_path: Path) -> None:
-    past = save_first_half(tmp_path / "first.npz")
+    past = save_first_half(tmp_path)
     elsewhere = replace(SECOND, posing=PosingOptions(transform=Pose.planar(4.0, 3.0, 1.0)))
     with pytest.raises(PoseError, match="not sure") as caught:
         find_transform([DRIVE], elsewhere, past)
@@ -99,10 +116,11 @@ def test_sessions_of_different_buildings_are_not_fitted(tmp_path: Path) -> None:
 
 
 def test_clouds_are_not_fitted(tmp_path: Path) -> None:
-    past = save_first_half(tmp_path / "first.npz")
-    of_clouds = replace(past, manifest=replace(past.manifest, update="cloud"))
+    past = save_first_half(tmp_path)
     with pytest.raises(PoseError, match="planar lasers"):
-        find_transform([DRIVE], SECOND, of_clouds)
+        find_transform([DRIVE], SECOND, turn_to_cloud(past))
+    with pytest.raises(PoseError, match="planar lasers"):
+        lay_on(turn_to_cloud(past), turn_to_cloud(past))
 
 
 def test_there_must_be_something_to_fit_to() -> None:
@@ -111,72 +129,34 @@ def test_there_must_be_something_to_fit_to() -> None:
     assert "`resume`" in note
 
 
-def save_second_half(path: Path) -> Evidence:
-    evidence = build([DRIVE], SECOND, [path]).evidence
-    assert evidence is not None
-    return replace(evidence, where=str(path))
-
-
-@pytest.mark.parametrize("align", [0.0, 30.0])
-def test_saved_evidence_is_laid_on_other_evidence(align: float, tmp_path: Path) -> None:
-    past = save_first_half(tmp_path / "first.npz", align)
-    options = replace(SECOND, posing=PosingOptions(align=align))
-    second = build([DRIVE], options, [tmp_path / "second.npz"]).evidence
-    assert second is not None
-    moved = lay_on(second, past)
-    pose = Pose(*moved.manifest.builds[0]["options"]["posing"]["transform"])
-    assert_near(pose)
-    typed = format_mount(pose)
-    assert f"`transform=({typed})`" in moved.notes[0]
-    # Nearly all cells are those of a build with that transform.
-    again = build([DRIVE], replace(options, posing=replace(options.posing, transform=pose)), [])
-    box = CellBox.of(render(to_grid(moved), options.model, 10**9)).join(CellBox.of(again.map))
-    one, other = (
-        paint_box(grid, options.model, box).classes for grid in (to_grid(moved), again.observed)
-    )
-    known = (one | other) > 0
-    assert (one == other)[known].mean() > 0.95
-
-
 def test_what_lies_right_already_is_not_moved_by_half_a_cell(tmp_path: Path) -> None:
-    past = save_first_half(tmp_path / "first.npz")
+    past = save_first_half(tmp_path)
     same = lay_on(past, past)
     assert same.manifest.builds[0]["moved"] == [0, 0, 0]
     assert np.array_equal(same.cells, past.cells)
 
 
 def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
-    past, second = save_first_half(tmp_path / "a.npz"), save_second_half(tmp_path / "b.npz")
+    past, second = save_first_half(tmp_path), save(tmp_path / "b.npz", SECOND)
     far = move_evidence(second, Transform(9.0, -4.0, 1.2))
     with pytest.raises(PoseError, match=r"not sure|beyond"):
         lay_on(far, past)
     with pytest.raises(MapError, match="update"):
         lay_on(replace(second, manifest=replace(second.manifest, update="beam")), past)
-    of_clouds = [replace(e, manifest=replace(e.manifest, update="cloud")) for e in (second, past)]
-    with pytest.raises(PoseError, match="planar lasers"):
-        lay_on(*of_clouds)
 
 
 @pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
-@pytest.mark.parametrize(
-    ("name", "middle_s"), [("freiburg-079-corrected", 550.0), ("fr079-robotlaser", 550.0)]
-)
+@pytest.mark.parametrize("name", ["freiburg-079-corrected", "fr079-robotlaser"])
 @pytest.mark.parametrize("back", [(1.1, 1.6, 0.3), (-1.5, 0.2, -0.25)])
 def test_halves_of_real_logs_merge_nearly_to_the_whole(
-    name: str, middle_s: float, back: tuple[float, float, float], tmp_path: Path
+    name: str, back: tuple[float, float, float], tmp_path: Path
 ) -> None:
     log, true = REAL_LOGS / "carmen" / f"{name}.log.gz", Transform(*back)
     x, y = true.move_back(np.zeros((1, 2)))[0].tolist()
     moved = PosingOptions(transform=Pose.planar(x, y, -true.yaw))
-    first, second = (
-        build([log], options, [tmp_path / "half.npz"]).evidence
-        for options in (
-            BuildOptions(selection=Selection(end_s=middle_s)),
-            BuildOptions(selection=Selection(start_s=middle_s), posing=moved),
-        )
-    )
-    assert first is not None
-    assert second is not None
+    before, after = halve(BuildOptions(), 550.0)
+    halves = before, replace(after, posing=moved)
+    first, second = (save(tmp_path / "half.npz", options, log) for options in halves)
     whole = build([log], BuildOptions())
     box = CellBox.of(whole.map)
     x_min, y_min, x_max, y_max = whole.map.extent
@@ -195,11 +175,7 @@ def test_halves_of_real_logs_merge_nearly_to_the_whole(
 def make_evidence(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
     """Evidence of 1 m cells (row, column) with hits and misses, all seen in slice 7."""
     manifest = Manifest(1.0, "beam", "counts", "", 10.0, 0.5, "counting", ())
-    grid = make_empty(manifest)
-    for (row, col), numbers in cells.items():
-        key = row // TILE, col // TILE
-        tile = grid.tiles.setdefault(key, np.zeros((2, TILE, TILE), np.int64))
-        tile[:, row % TILE, col % TILE] = numbers
+    grid = make_grid(cells)
     return Evidence(manifest, *stack_tiles(grid.tiles), (mark_observed(grid, 7),))
 
 
@@ -222,10 +198,7 @@ def test_whole_cells_and_quarter_turns_move_evidence_exactly() -> None:
     turned = move_evidence(evidence, Transform(0.0, 0.0, math.pi / 2))
     assert list_cells(turned) == {(c, -r - 1): both for (r, c), both in CELLS.items()}
     (slices,) = turned.slices
-    grid = to_grid(turned)
-    expected = mark_observed(grid, 7)
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(slices, name), getattr(expected, name))
+    assert_same_slices(slices, mark_observed(to_grid(turned), 7))
 
 
 def test_a_turn_leaves_neither_holes_in_a_floor_nor_gaps_in_a_wall() -> None:

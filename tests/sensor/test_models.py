@@ -8,22 +8,11 @@ import pytest
 
 from occmap.cells import OccupancyMap
 from occmap.errors import UsageError
-from occmap.sensor.models import (
-    CountingModel,
-    CountModel,
-    QuadraticModel,
-    RadialModel,
-    SimpleModel,
-    describe_model,
-    find_decision,
-    make_model,
-    parse_model,
-    shorten_model,
-)
+from occmap.sensor import models
+from occmap.sensor.models import CountingModel, CountModel, QuadraticModel, SimpleModel, parse_model
 from occmap.types import Float64
 
-LN2, LN3, LN9 = math.log(2), math.log(3), math.log(9)
-
+LN2 = math.log(2)
 
 SHARES = partial(CountingModel, ceiling=1.0, doubt=0.0)
 
@@ -32,66 +21,51 @@ def counts(*values: float) -> Float64:
     return np.array(values, np.float64)
 
 
-def test_simple_adds_a_fixed_weight_for_each_hit_and_miss() -> None:
-    model = SimpleModel(p_hit=0.75, p_miss=0.25)  # odds of 3 to 1, and 1 to 3
-    log_odds = model.log_odds(counts(0, 1, 0, 2, 3), counts(0, 0, 1, 5, 3))
-    np.testing.assert_allclose(log_odds, [0, LN3, -LN3, -3 * LN3, 0], atol=1e-12)
+def calibrate(share: float) -> float:
+    """The ceiling is 0.8, and the doubt 0.02."""
+    return 0.8 * share * 1.02 * share / (share + 0.02)
 
 
-def test_simple_counts_from_the_prior() -> None:
-    """l = l0 + sum(logit(p) - l0): here l0 = ln 1/9 and a hit says 3 to 1, so it adds ln 27."""
-    model = SimpleModel(p_hit=0.75, p_miss=0.05, prior=0.1)
-    log_odds = model.log_odds(counts(0, 1, 2, 0), counts(0, 0, 0, 1))
-    expected = [-LN9, LN3, LN3 + math.log(27), math.log(1 / 19)]
-    np.testing.assert_allclose(log_odds, expected, rtol=1e-12)
+CHANCES: dict[str, tuple[CountModel, list[int], list[int], list[float]]] = {
+    # Odds of 3 to 1 for each hit, and 1 to 3 for each miss
+    "simple weighs each": (
+        SimpleModel(0.75, 0.25), [0, 1, 0, 2, 3], [0, 0, 1, 5, 3], [0.5, 0.75, 0.25, 1 / 28, 0.5]
+    ),
+    # l = l0 + sum(logit(p) - l0): from 1 to 9, a hit that says 3 to 1 is a factor of 27
+    "simple counts from the prior": (
+        SimpleModel(0.75, 0.05, prior=0.1), [0, 1, 2, 0], [0, 0, 0, 1], [0.1, 0.75, 81 / 82, 0.05]
+    ),
+    # One observation says what it says, whatever the prior
+    "low prior": (SimpleModel(0.9, 0.3, prior=0.3), [1, 0], [0, 1], [0.9, 0.3]),
+    "high prior": (SimpleModel(0.9, 0.3, prior=0.7), [1, 0], [0, 1], [0.9, 0.3]),
+    # Beta(1, 1): (hits + 1) / (hits + misses + 2)
+    "counting imagines two": (
+        SHARES(strength=2), [0, 1, 0, 3, 1], [0, 0, 1, 1, 7], [1 / 2, 2 / 3, 1 / 3, 4 / 6, 2 / 10]
+    ),
+    # Beta(0.4, 1.6): nothing seen is 0.2
+    "as the prior says": (SHARES(prior=0.2, strength=2), [0, 1], [0, 0], [0.2, 1.4 / 3]),
+    # Beta(0.01, 0.01) takes observations at their word.
+    "with little prior": (
+        SHARES(), [1, 0, 1], [0, 1, 2], [1.01 / 1.02, 0.01 / 1.02, 1.01 / 3.02]
+    ),
+    # With weight 2.5, two hits and five misses are one to one; the prior weighs as before.
+    "a hit weighs more": (
+        SHARES(strength=2, hit_weight=2.5), [2, 0, 4], [5, 3, 0], [1 / 2, 1 / 5, 11 / 12]
+    ),
+    # Beta(0.8, 3.2) with hits of weight 3: (3 * 2 + 0.8) / (1 + 3.2)
+    "with another prior": (SHARES(prior=0.2, strength=4, hit_weight=3), [2], [1], [6.8 / 11]),
+    # A share of hits is too sure of the next beam: one alone, one among three, a miss alone
+    "calibrated": (
+        CountingModel(), [1, 1, 0], [0, 2, 1],
+        [calibrate(1.01 / 1.02), calibrate(1.01 / 3.02), calibrate(0.01 / 1.02)],
+    ),
+}  # fmt: skip
 
 
-def test_one_observation_says_what_it_says_whatever_the_prior() -> None:
-    for prior in (0.3, 0.5, 0.7):
-        model = SimpleModel(p_hit=0.9, p_miss=0.3, prior=prior)
-        assert model.log_odds(counts(1), counts(0))[0] == pytest.approx(LN9)
-        assert model.log_odds(counts(0), counts(1))[0] == pytest.approx(math.log(3 / 7))
-
-
-def test_counting_is_the_share_of_hits_with_two_imagined_observations() -> None:
-    """Beta(1, 1): (hits + 1) / (hits + misses + 2)."""
-    log_odds = SHARES(strength=2).log_odds(counts(0, 1, 0, 3, 1), counts(0, 0, 1, 1, 7))
-    shares = [1 / 2, 2 / 3, 1 / 3, 4 / 6, 2 / 10]
-    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
-
-
-def test_counting_imagines_them_as_the_prior_says() -> None:
-    """Beta(0.4, 1.6): nothing seen is 0.2; one hit is 1.4 / 3."""
-    log_odds = SHARES(prior=0.2, strength=2).log_odds(counts(0, 1), counts(0, 0))
-    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), [0.2, 1.4 / 3], rtol=1e-12)
-
-
-def test_counting_with_little_prior_takes_observations_at_their_word() -> None:
-    """Beta(0.01, 0.01): one hit is 1.01 / 1.02; a hit among three is 1.01 / 3.02."""
-    log_odds = SHARES().log_odds(counts(1, 0, 1), counts(0, 1, 2))
-    shares = [1.01 / 1.02, 0.01 / 1.02, 1.01 / 3.02]
-    np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), shares, rtol=1e-12)
-
-
-def test_a_hit_may_weigh_more_than_a_miss() -> None:
-    """With weight 2.5: two hits and five misses are one to one; the prior weighs as before."""
-    log_odds = SHARES(strength=2, hit_weight=2.5).log_odds(counts(2, 0, 4), counts(5, 3, 0))
-    np.testing.assert_allclose(log_odds, [0, -math.log(4), math.log(11)], atol=1e-12)
-
-
-def test_the_weights_of_a_count_are_those_that_the_prior_has() -> None:
-    """Beta(0.8, 3.2) with hits of weight 3: (3 * 2 + 0.8) / (1 + 3.2)."""
-    model = SHARES(prior=0.2, strength=4, hit_weight=3)
-    assert model.log_odds(counts(2), counts(1))[0] == pytest.approx(math.log(6.8 / 4.2))
-
-
-def test_a_share_of_hits_is_too_sure_of_the_next_beam() -> None:
-    """0.8 share x 1.02 share / (share + 0.02): one hit alone, one among three, a miss alone."""
-    log_odds = CountingModel().log_odds(counts(1, 1, 0), counts(0, 2, 1))
-    chances = [
-        0.8 * share * 1.02 * share / (share + 0.02)
-        for share in (1.01 / 1.02, 1.01 / 3.02, 0.01 / 1.02)
-    ]
+@pytest.mark.parametrize("case", CHANCES)
+def test_counts_of_hits_and_misses_give_the_chances_of_the_formula(case: str) -> None:
+    model, hits, misses, chances = CHANCES[case]
+    log_odds = model.log_odds(counts(*hits), counts(*misses))
     np.testing.assert_allclose(1 / (1 + np.exp(-log_odds)), chances, rtol=1e-12)
 
 
@@ -101,7 +75,7 @@ def test_calibration_changes_no_class(ceiling: float, doubt: float) -> None:
     hits, misses = (each.ravel() for each in np.indices((80, 80)).astype(float))
     classes = []
     for model in (SHARES(), CountingModel(ceiling=ceiling, doubt=doubt)):
-        cut = find_decision(model).occupied_above
+        cut = models.find_decision(model).occupied_above
         bound = np.float32(math.log(cut / (1 - cut)))
         classes.append(np.sign(np.float32(model.log_odds(hits, misses)) - bound))
     assert {*classes[0].tolist()} == {-1, 1}
@@ -132,33 +106,35 @@ def test_a_hit_is_as_deep_as_was_asked_or_as_the_cells_allow() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind"), [("simple", CountModel), ("counting", CountModel), ("quadratic", RadialModel)]
+    ("name", "kind"),
+    [("simple", CountModel), ("counting", CountModel), ("quadratic", models.RadialModel)],
 )
 def test_models_are_found_by_name_and_described_as_they_are_written(name: str, kind: type) -> None:
-    model = make_model(name, {"prior": 0.4})
+    model = models.make_model(name, {"prior": 0.4})
     assert isinstance(model, kind)
     assert model.prior == 0.4
-    assert describe_model(model).startswith(f"{name}:")
-    assert parse_model(describe_model(model)) == model
+    assert models.describe_model(model).startswith(f"{name}:")
+    assert parse_model(models.describe_model(model)) == model
 
 
 def test_bounds_are_described_where_they_bound_anything() -> None:
     usual = "counting:prior=0.5,strength=0.02,hit_weight=1.0,cut=0.32,spread=0.08"
     usual += ",ceiling=0.8,doubt=0.02"
-    assert describe_model(CountingModel()) == usual
+    assert models.describe_model(CountingModel()) == usual
     usual = "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.08"
-    assert describe_model(SimpleModel()) == usual
+    assert models.describe_model(SimpleModel()) == usual
     model = QuadraticModel(clamp_max=0.97)
     assert (
-        describe_model(model) == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,cut=0.5,clamp_max=0.97"
+        models.describe_model(model)
+        == "quadratic:epsilon=0.0,p_min=0.4,prior=0.5,cut=0.5,clamp_max=0.97"
     )
-    assert parse_model(describe_model(model)) == model
+    assert parse_model(models.describe_model(model)) == model
 
 
 def test_people_are_told_only_the_parameters_that_are_not_usual() -> None:
-    assert shorten_model(CountingModel()) == "counting"
+    assert models.shorten_model(CountingModel()) == "counting"
     model = SimpleModel(p_hit=0.8, clamp_max=0.97)
-    assert shorten_model(model) == "simple:p_hit=0.8,clamp_max=0.97"
+    assert models.shorten_model(model) == "simple:p_hit=0.8,clamp_max=0.97"
 
 
 def test_parameters_are_read_from_text() -> None:
@@ -226,7 +202,7 @@ def test_a_model_that_is_installed_and_does_not_load_says_so(
 ) -> None:
     monkeypatch.setattr("occmap.sensor.models.load_plugin", lambda *_: None)
     with pytest.raises(UsageError, match="the model simple does not load; `occmap models` says"):
-        make_model("simple", {})
+        models.make_model("simple", {})
 
 
 def test_the_probability_of_extreme_log_odds_is_certain_and_warns_of_nothing() -> None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,11 @@ from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.scans import stream
-from occmap.sensor import Band, RangeLimits, RangeTally, ReturnOptions, read_limits
-from occmap.types import Scan, ScanBatch
+from occmap.sensor import ReturnOptions
+from occmap.sensor.bands import Band, RangeLimits, RangeTally
+from occmap.types import Scan
 from tests.grid.scans import FEW
-from tests.samples import PLAIN, write_late
+from tests.samples import PLAIN, make_batch, write_late
 
 MEASURED = [1 + beam / 100 for beam in range(2000)]
 """1.00 to 20.99 m, each once"""
@@ -209,9 +211,7 @@ def scan(ranges: Sequence[float], topic: str = "scan", range_max: float = math.i
     return Scan(0, "laser", 0.0, 0.01, measured, 0.0, range_max, topic=topic)
 
 
-def batch(topic: str = "scan", range_max: float = math.inf) -> ScanBatch:
-    ranges, stamps = np.ones((1, 1), np.float32), np.zeros(1, np.int64)
-    return ScanBatch("laser", 0, 0.1, 0, range_max, stamps, ranges, np.zeros(1), topic=topic)
+unlimited = partial(make_batch, [[1]], range_max=math.inf, topic="scan")
 
 
 def test_limits_are_of_each_topic() -> None:
@@ -219,9 +219,11 @@ def test_limits_are_of_each_topic() -> None:
     limits.see(scan(MEASURED + [30.0] * 50, "front"))
     limits.see(scan([*MEASURED, 81.83], "rear"))
     limits.see(scan(MEASURED, "side"))
-    applied = {name: limits.apply(batch(name)).range_max for name in ("front", "rear", "side")}
-    assert applied == {"front": pytest.approx(29.25), "rear": 81.82, "side": math.inf}
-    assert limits.apply(batch("front", range_max=8.0)).range_max == 8.0  # the nearer one holds
+    names = "front", "rear", "side"
+    applied = [limits.apply(unlimited(topic=name)).range_max for name in names]
+    assert applied == [pytest.approx(29.25), 81.82, math.inf]
+    # Of two limits the nearer one holds.
+    assert limits.apply(make_batch([[1]], topic="front", range_max=8.0)).range_max == 8.0
     assert limits.settle()
 
 
@@ -229,10 +231,10 @@ def test_limits_that_come_late_are_applied_in_the_second_reading() -> None:
     limits = RangeLimits(ReturnOptions())
     for again in (False, True):
         limits.see(scan(MEASURED))
-        first = limits.apply(batch()).range_max
+        first = limits.apply(unlimited()).range_max
         assert first == (pytest.approx(29.25) if again else math.inf)
         limits.see(scan([30.0] * 50))
-        assert limits.apply(batch()).range_max == first  # one limit for all of a reading
+        assert limits.apply(unlimited()).range_max == first  # one limit for all of a reading
         assert limits.settle() == again
     (note,) = limits.list_notes()
     assert "50 of 2,050 ranges (2.4%) read 30 m, taken as no return" in note
@@ -241,105 +243,63 @@ def test_limits_that_come_late_are_applied_in_the_second_reading() -> None:
 def test_the_users_limit_is_asked_for_nothing() -> None:
     limits = RangeLimits(ReturnOptions(range_max=25.0))
     limits.see(scan(MEASURED + [30.0] * 50))
-    given_batch = batch(range_max=60.0)
+    given_batch = make_batch([[1]], range_max=60.0)
     assert limits.apply(given_batch) is given_batch
     assert limits.settle()
     assert list(limits.list_notes()) == []
 
 
-@pytest.mark.parametrize(
-    ("ranges", "stated", "expected"),
-    [
-        (
-            MEASURED + [51.14] * 300 + [51.15] * 200,
-            math.inf,
-            [
-                "scan states no usable range limit; 500 of 2,500 ranges (20.0%) read 51.14 m to "
-                "51.15 m, taken as no return: `range_max` overrides"
-            ],
-        ),
-        (
-            MEASURED + [51.15] * 500,
-            60.0,
-            [
-                "scan states 60 m as its range limit; 500 of 2,500 ranges (20.0%) read 51.15 m, "
-                "taken as no return: `range_max` overrides"
-            ],
-        ),
-        (
-            MEASURED + [51.15] * 500,
-            50.0,
-            [
-                "scan states 50 m as its range limit; 500 of 2,500 ranges (20.0%) are above it, up "
-                "to 51.15 m, taken as no return: `range_max` overrides"
-            ],
-        ),
-        (
-            MEASURED,
-            math.inf,
-            [
-                'scan states no usable range limit; no value stands for "no return", so every '
-                "range is used as measured: `range_max` sets a limit"
-            ],
-        ),
-        (
-            [0.3, 0.8],
-            0.5,
-            [
-                "scan states 0.5 m as its range limit; 1 of 2 ranges (50.0%) are above it, up to "
-                "0.8 m, taken as no return: `range_max` overrides"
-            ],
-        ),
-        ([*MEASURED, 50.0, math.inf], 50.0, []),
-    ],
-)
-def test_what_was_found_is_said(ranges: list[float], stated: float, expected: list[str]) -> None:
+def tell(*scans: Scan) -> list[str]:
     limits = RangeLimits(ReturnOptions())
-    limits.see(scan(ranges, range_max=stated))
-    assert list(limits.list_notes()) == expected
+    for each in scans:
+        limits.see(each)
+    return list(limits.list_notes())
 
 
-def test_limits_that_leave_no_range_are_none() -> None:
-    swapped = scan([0.5, 2.0, 29.0], range_max=0.1)._replace(range_min=30.0)
-    assert read_limits(swapped) == (0, math.inf)
-    limits = RangeLimits(ReturnOptions())
-    limits.see(swapped)
-    (note,) = limits.list_notes()
-    assert note.startswith("scan states no usable range limit; ")
+CODE = MEASURED + [51.15] * 500
+CODES = MEASURED + [51.14] * 300 + [51.15] * 200
+SWAPPED = scan([0.5, 2.0, 29.0], range_max=0.1)._replace(range_min=30.0)
+FIRST, SECOND = ([*range(start, start + 8), *[50.0] * 6] for start in (1, 9))
+"""Of which none shows a band by itself: it has too few readings and too few ranges"""
 
 
 @pytest.mark.parametrize(
-    ("scans", "expected"),
+    ("scans", "stated", "found"),
     [
+        ([scan(CODES)], "no usable", "500 of 2,500 ranges (20.0%) read 51.14 m to 51.15 m"),
+        ([scan(CODE, range_max=60.0)], "60 m", "500 of 2,500 ranges (20.0%) read 51.15 m"),
+        ([scan(CODE, range_max=50.0)], "50 m", "500 of 2,500 ranges (20.0%) are above it, up to"),
+        ([scan([0.3, 0.8], range_max=0.5)], "0.5 m", "1 of 2 ranges (50.0%) are above it, up to"),
+        ([scan(MEASURED)], "no usable", "every range is used as measured"),
+        ([SWAPPED], "no usable", "every range is used as measured"),
         (
-            [
-                scan([*range(1, 9), *[50.0] * 6], range_max=60.0),
-                scan([*range(9, 16), *[50.0] * 6], range_max=60.0),
-            ],
-            "scan states 60 m as its range limit; 12 of 27 ranges (44.4%) read 50 m",
+            [scan(FIRST, range_max=60.0), scan(SECOND, range_max=60.0)],
+            "60 m",
+            "12 of 28 ranges (42.9%) read 50 m",
         ),
         (
             [
                 scan([1.0, 51.15], range_max=40.0),
                 scan([3.0, 52.0, 53.0], range_max=50.0),
-                scan([1.0, 2.0, 3.0]),
+                scan([1.0]),
             ],
-            "scan states no usable range limit; 3 of 8 ranges (37.5%) are above it, up to 53 m",
+            "no usable",
+            "3 of 6 ranges (50.0%) are above it, up to 53 m",
         ),
     ],
-    ids=["band", "above"],
 )
-def test_several_scans_tell_together_what_none_tells_alone(
-    scans: list[Scan], expected: str
+def test_what_was_found_is_said_with_the_option_that_overrides(
+    scans: list[Scan], stated: str, found: str
 ) -> None:
-    """No scan of the first log shows a band: each has too few readings and too few ranges."""
     for order in (scans, scans[::-1]):
-        limits = RangeLimits(ReturnOptions())
-        for some in order:
-            limits.see(some)
-        assert list(limits.list_notes()) == [
-            f"{expected}, taken as no return: `range_max` overrides"
-        ]
+        (note,) = tell(*order)
+        assert note.startswith(f"scan states {stated}")
+        assert found in note
+        assert "`range_max`" in note
+
+
+def test_readings_at_the_limit_that_is_stated_need_no_note() -> None:
+    assert tell(scan([*MEASURED, 50.0, math.inf], range_max=50.0)) == []
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -8,55 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from occmap import sensor
 from occmap.errors import UsageError
-from occmap.sensor import (
-    NoReturn,
-    ReturnCounts,
-    ReturnOptions,
-    classify,
-    goes_round,
-    interpret,
-    read_limits,
-)
-from occmap.types import Float64, Kind, Pose, PosedScans, Scan, ScanBatch
+from occmap.sensor import NoReturn, ReturnCounts, ReturnOptions, classify, interpret
+from occmap.types import Kind, PosedScans, Rays, Scan, ScanBatch
+from tests.posing.scenes import matrix_of
+from tests.samples import make_batch
 
 INF, NAN = math.inf, math.nan
 HIT, FREE, SKIP = Kind.HIT, Kind.FREE, Kind.SKIP
 
 
-def make_batch(
-    ranges: list[list[float]],
-    range_min: float = 0.1,
-    range_max: float = 10.0,
-    angle_min: float = 0.0,
-    angle_increment: float = 0.1,
-) -> ScanBatch:
-    return ScanBatch(
-        frame="laser",
-        angle_min=angle_min,
-        angle_increment=angle_increment,
-        range_min=range_min,
-        range_max=range_max,
-        stamp_ns=np.zeros(len(ranges), np.int64),
-        ranges=np.array(ranges, np.float32),
-        time_increment=np.zeros(len(ranges)),
-    )
-
-
-def rotate(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0) -> Float64:
-    """Rz(yaw) Ry(pitch) Rx(roll): about fixed axes, x first (REP 103)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
-    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
-    about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
-    about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
-    return np.asarray(about_z @ about_y @ about_x, np.float64)
-
-
-def pose_scans(
-    batch: ScanBatch, rotation: Float64, place: tuple[float, ...] = (0, 0, 0)
-) -> PosedScans:
+def look(batch: ScanBatch, place: tuple[float, ...] = (0, 0, 0), **angles: float) -> Rays:
+    """Where the beams go of a sensor at a place, turned by roll, pitch and yaw."""
     scans = len(batch.stamp_ns)
-    return PosedScans(batch, np.array([place] * scans, float), np.array([rotation] * scans))
+    position, rotation = np.array([place] * scans, float), np.array([matrix_of(**angles)] * scans)
+    return interpret(PosedScans(batch, position, rotation), ReturnOptions())[0]
 
 
 # The sensor states 0.1 to 10 m; --max-range is 8. Value, meaning by --no-return=ignore and =clear.
@@ -126,7 +93,8 @@ LIMITS_OF_BOTH = {
 @pytest.mark.parametrize("case", LIMITS_OF_BOTH)
 def test_the_limits_of_a_sensor_and_of_a_user_hold_together(case: str) -> None:
     ranges, range_max, options, kinds, reach = LIMITS_OF_BOTH[case]
-    kind, distance, counts = classify(make_batch([ranges], 1e-300, range_max), options)
+    batch = make_batch([ranges], range_min=1e-300, range_max=range_max)
+    kind, distance, counts = classify(batch, options)
     assert kind.tolist() == [kinds]
     assert distance[0].tolist() == np.array(reach, np.float32).tolist()
     assert sum(counts) == len(ranges)
@@ -146,7 +114,8 @@ def test_every_beam_is_counted_once(
     values: list[float], range_min: float, range_max: float, no_return: NoReturn
 ) -> None:
     options = ReturnOptions(0.2, 5.0, no_return=no_return)
-    kind, distance, counts = classify(make_batch([values], range_min, range_max), options)
+    batch = make_batch([values], range_min=range_min, range_max=range_max)
+    kind, distance, counts = classify(batch, options)
     assert min(counts) >= 0
     assert sum(counts) == len(values)
     assert counts.hit == np.count_nonzero(kind == HIT)
@@ -176,7 +145,7 @@ def test_a_limit_that_no_range_is_within_is_none(
     stated: tuple[float, float], read: tuple[float, float]
 ) -> None:
     ranges = np.ones(1, np.float32)
-    assert read_limits(Scan(0, "laser", 0.0, 0.1, ranges, *stated)) == read
+    assert sensor.read_limits(Scan(0, "laser", 0.0, 0.1, ranges, *stated)) == read
 
 
 @pytest.mark.parametrize(
@@ -191,7 +160,7 @@ def test_options_that_leave_no_range_are_refused(
 
 def test_a_beam_ends_where_range_and_bearing_say() -> None:
     batch = make_batch([[2.0, 3.0]], angle_min=0.3, angle_increment=0.2)
-    rays, _ = interpret(pose_scans(batch, rotate(yaw=0.5), (7.0, -4.0, 1.0)), ReturnOptions())
+    rays = look(batch, (7.0, -4.0, 1.0), yaw=0.5)
     expected = [
         [7 + 2 * math.cos(0.8), -4 + 2 * math.sin(0.8)],
         [7 + 3 * math.cos(1.0), -4 + 3 * math.sin(1.0)],
@@ -200,46 +169,33 @@ def test_a_beam_ends_where_range_and_bearing_say() -> None:
 
 
 def test_rays_know_when_each_scan_was_taken() -> None:
-    batch = replace(make_batch([[2.0], [3.0], [4.0]]), stamp_ns=np.array([7, 5, 9]))
-    rays, _ = interpret(pose_scans(batch, rotate()), ReturnOptions())
+    batch = make_batch([[2.0], [3.0], [4.0]], stamp_ns=np.array([7, 5, 9]))
+    rays = look(batch)
     assert rays.stamp_ns.tolist() == [7, 5, 9]
     some = rays.take(np.array([True, False, True]))
     assert (some.stamp_ns.tolist(), some.distance[:, 0].tolist()) == ([7, 9], [2, 4])
 
 
-def test_the_matrix_of_a_pose_is_what_these_tests_take_it_for() -> None:
-    pose = Pose.from_xyzrpy((0, 0, 0), (0.3, -0.4, 2.0))
-    x, y, z, w = pose[3:]
-    first_axis = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
-    np.testing.assert_allclose(rotate(0.3, -0.4, 2.0)[:, 0], first_axis, atol=1e-12)
-
-
 def test_an_upside_down_lidar_sees_bearings_mirrored() -> None:
     batch = make_batch([[2.0] * 5], angle_min=-0.4, angle_increment=0.3)
-    level, _ = interpret(pose_scans(batch, rotate()), ReturnOptions())
-    inverted, _ = interpret(pose_scans(batch, rotate(roll=math.pi)), ReturnOptions())
+    level = look(batch)
+    inverted = look(batch, roll=math.pi)
     np.testing.assert_allclose(inverted.end, level.end * [1, -1], atol=1e-12)
 
 
-def test_a_tilted_lidar_is_shortened_along_its_tilt_and_not_across_it() -> None:
-    batch = make_batch([[2.0, 2.0]], angle_min=0.0, angle_increment=math.pi / 2)
-    rays, _ = interpret(pose_scans(batch, rotate(pitch=0.6)), ReturnOptions())
-    expected: list[list[float]] = [[2 * math.cos(0.6), 0.0], [0.0, 2.0]]
-    np.testing.assert_allclose(rays.end[0], expected, atol=1e-12)
-
-
-def test_a_lidar_that_looks_straight_down_ends_below_itself() -> None:
-    batch = make_batch([[2.0, 2.0]], angle_min=0.0, angle_increment=math.pi / 2)
-    rays, _ = interpret(pose_scans(batch, rotate(pitch=math.pi / 2)), ReturnOptions())
-    np.testing.assert_allclose(rays.end[0, 0], [0, 0], atol=1e-12)
+@pytest.mark.parametrize("pitch", [0.6, math.pi / 2])
+def test_a_tilted_lidar_is_shortened_along_its_tilt_and_not_across_it(pitch: float) -> None:
+    """One that looks straight down ends below itself."""
+    rays = look(make_batch([[2.0, 2.0]], angle_increment=math.pi / 2), pitch=pitch)
+    np.testing.assert_allclose(rays.end[0], [(2 * math.cos(pitch), 0), (0, 2)], atol=1e-12)
 
 
 def test_each_beam_may_have_its_own_pose() -> None:
-    batch = make_batch([[1.0, 2.0]], angle_min=0.0, angle_increment=0.1)
+    batch = make_batch([[1.0, 2.0]])
     posed = PosedScans(
         batch,
         position=np.array([[[0.0, 0.0, 0.0], [5.0, 1.0, 0.0]]]),
-        rotation=np.array([[rotate(yaw=0.0), rotate(yaw=0.4)]]),
+        rotation=np.array([[matrix_of(yaw=0.0), matrix_of(yaw=0.4)]]),
     )
     rays, _ = interpret(posed, ReturnOptions())
     assert rays.origin.shape == (1, 2, 2)
@@ -264,8 +220,8 @@ def test_whether_a_scan_goes_all_the_way_round(
     beams: int, increment: float, round_it_goes: bool
 ) -> None:
     batch = make_batch([[1.0] * beams], angle_increment=increment)
-    assert goes_round(batch) is round_it_goes
-    rays, _ = interpret(pose_scans(batch, rotate()), ReturnOptions())
+    assert sensor.goes_round(batch) is round_it_goes
+    rays = look(batch)
     assert rays.full_circle is round_it_goes
 
 
@@ -273,5 +229,5 @@ def test_batches_of_other_geometry_are_not_mixed_up() -> None:
     batch = make_batch([[1.0]])
     turned = replace(batch, angle_min=1.0)
     for one, bearing in ((batch, 0.0), (turned, 1.0), (batch, 0.0)):
-        rays, _ = interpret(pose_scans(one, rotate()), ReturnOptions())
+        rays = look(one)
         np.testing.assert_allclose(rays.direction[0, 0], [math.cos(bearing), math.sin(bearing)])

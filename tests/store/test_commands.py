@@ -17,10 +17,10 @@ from occmap.store import open_store
 from occmap.types import Update
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence
-from tests.cli.runner import Result, occmap, read_error
+from tests.cli.runner import Result, ask, occmap, read_error
 from tests.evidence.saving import DRIVE, MIDDLE_S, choose
 from tests.samples import SAMPLE_LOGS, write_csv
-from tests.store.test_store import FINE
+from tests.store.test_store import FINE, list_files
 
 HALVES = {"early": Selection(end_s=MIDDLE_S), "late": Selection(start_s=MIDDLE_S)}
 
@@ -36,19 +36,20 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run_both(folder: Path, tmp_path: Path, *words: str) -> list[Result]:
+def run_both(folder: Path, tmp_path: Path, line: str) -> list[Result]:
     """Run a command on files and on stores; `.in` and `.out` stand for what is read and written."""
     results = []
     for suffix in (".npz", ".zarr"):
-        line = [
-            word.replace("IN/", f"{folder}/")
-            .replace(".in", suffix)
-            .replace("OUT/", f"{tmp_path}/{suffix[1:]}-")
-            for word in words
-        ]
-        results.append(occmap(*line))
+        words = line.replace("IN/", f"{folder}/").replace(".in", suffix)
+        results.append(occmap(words.replace("OUT/", f"{tmp_path}/{suffix[1:]}-")))
         assert results[-1].code == 0, results[-1].err
     return results
+
+
+def assert_same_files(tmp_path: Path, *names: str) -> None:
+    for name in names:
+        one, other = (tmp_path / f"{kind}-{name}" for kind in ("npz", "zarr"))
+        assert one.read_bytes() == other.read_bytes(), name
 
 
 def strip(text: str, tmp_path: Path) -> str:
@@ -58,109 +59,91 @@ def strip(text: str, tmp_path: Path) -> str:
 @pytest.mark.parametrize(
     "options",
     [
-        (),
-        ("--model", "simple", "--p-hit", "0.8", "--mode", "scale"),
-        ("--spread", "0"),
-        ("--spread", "0.3"),
-        ("--min-passes", "2"),
-        ("--min-passes", "3", "--spread", "0"),
+        "",
+        "--model simple --p-hit 0.8 --mode scale",
+        "--spread 0",
+        "--spread 0.3",
+        "--min-passes 2",
+        "--min-passes 3 --spread 0",
+        "--margin 2.5 --min-passes 2",
     ],
 )
-def test_a_map_of_a_store_is_that_of_the_file(
-    built: Path, tmp_path: Path, options: tuple[str, ...]
-) -> None:
-    words = ("render", "IN/whole.in", "-o", "OUT/m.pgm", "-o", "OUT/m.png", *options, "--json")
-    one, other = run_both(built, tmp_path, *words)
-    assert json.loads(one.out) == json.loads(strip(other.out, tmp_path))
+def test_a_map_of_a_store_is_that_of_the_file(built: Path, tmp_path: Path, options: str) -> None:
+    outputs = "-o OUT/m.pgm -o OUT/m.png -o OUT/m.mcap"
+    one, other = run_both(built, tmp_path, f"render IN/whole.in {outputs} {options} --json")
+    assert one.json == Result(0, strip(other.out, tmp_path), "").json
     assert one.err == other.err
-    for name in ("m.pgm", "m.png"):
-        assert (tmp_path / f"npz-{name}").read_bytes() == (tmp_path / f"zarr-{name}").read_bytes()
+    assert_same_files(tmp_path, "m.pgm", "m.png", "m.mcap")
 
 
 @pytest.mark.parametrize(
     "box", ["-3,-2,1,4", "-0.5,-0.5,0.5,0.5", "-25,-9,25,-1", "5,1,45,9", "-30,-30,30,30"]
 )
-@pytest.mark.parametrize("options", [(), ("--min-passes", "2")])
+@pytest.mark.parametrize("options", ["", "--min-passes 2"])
 def test_a_part_of_a_map_is_that_of_the_whole(
-    built: Path, tmp_path: Path, box: str, options: tuple[str, ...]
+    built: Path, tmp_path: Path, box: str, options: str
 ) -> None:
-    words = ("render", "IN/whole.in", "-o", "OUT/m.pgm", "--extent", box, *options, "--json")
-    one, other = run_both(built, tmp_path, *words)
-    found = json.loads(one.out)
+    wanted = f"--extent {box} {options} --json"
+    one, other = run_both(built, tmp_path, f"render IN/whole.in -o OUT/m.pgm {wanted}")
+    found = one.json
     assert found == json.loads(strip(other.out, tmp_path))
-    assert (tmp_path / "npz-m.pgm").read_bytes() == (tmp_path / "zarr-m.pgm").read_bytes()
+    assert_same_files(tmp_path, "m.pgm")
     assert found["map"]["extent"] == [float(edge) for edge in box.split(",")]
-    in_parts = occmap("render", built / "whole.zarr", "-o", tmp_path / "m.tif", *words[4:])
-    assert json.loads(in_parts.out)["map"] == found["map"]
+    in_parts = occmap(f"render {built}/whole.zarr -o {tmp_path}/m.tif {wanted}")
+    assert in_parts.json["map"] == found["map"]
 
 
-def test_a_margin_and_other_formats_of_a_store_are_those_of_the_file(
-    built: Path, tmp_path: Path
-) -> None:
-    outputs = ("-o", "OUT/m.pgm", "-o", "OUT/m.mcap")
-    words = ("render", "IN/whole.in", *outputs, "--margin", "2.5", "--min-passes", "2", "--json")
-    one, other = run_both(built, tmp_path, *words)
-    assert json.loads(one.out) == json.loads(strip(other.out, tmp_path))
-    for name in ("m.pgm", "m.mcap"):
-        assert (tmp_path / f"npz-{name}").read_bytes() == (tmp_path / f"zarr-{name}").read_bytes()
-    alone = occmap("render", built / "whole.zarr", "-o", tmp_path / "m.tif", *words[6:])
-    assert json.loads(alone.out)["map"] == json.loads(one.out)["map"]
-    assert occmap("render", built / "whole.zarr", "-o", tmp_path / "m.html").code == 0
-    done = occmap("render", built / "whole.zarr", "-o", tmp_path / "m.tum")
+def test_other_formats_of_a_store(built: Path, here: Path) -> None:
+    whole = ask("render", built / "whole.npz", "-o", "m.pgm")["map"]
+    assert ask("render", built / "whole.zarr", "-o", "m.tif")["map"] == whole
+    assert occmap("render", built / "whole.zarr", "-o", here / "m.html").code == 0
+    done = occmap("render", built / "whole.zarr", "-o", "m.tum")
     assert "does not say where the robot went" in read_error(done, 2)
 
 
 def test_a_box_beside_the_map_is_refused_alike(built: Path, tmp_path: Path) -> None:
-    errors = {
-        read_error(
-            occmap("render", built / name, "-o", tmp_path / "m.pgm", "--extent", "99,99,100,100"), 1
-        )
-        for name in ("whole.npz", "whole.zarr")
-    }
-    assert len(errors) == 1
+    words = ("-o", tmp_path / "m.pgm", "--extent", "99,99,100,100")
+    one, other = (occmap("render", built / f"whole.{kind}", *words) for kind in ("npz", "zarr"))
+    assert read_error(one, 1) == read_error(other, 1)
 
 
-@pytest.mark.parametrize("point", [("1.5", "-0.25"), ("0", "0"), ("-0.01", "2"), ("50", "50")])
-def test_a_cell_is_explained_alike(built: Path, tmp_path: Path, point: tuple[str, str]) -> None:
-    for options in ((), ("--min-passes", "2"), ("--log", str(DRIVE))):
-        one, other = run_both(built, tmp_path, "explain", "IN/whole.in", *point, *options)
-        assert one == other
+@pytest.mark.parametrize("point", ["1.5 -0.25", "0 0", "-0.01 2", "50 50"])
+@pytest.mark.parametrize("options", ["", "--min-passes 2", f"--log {DRIVE}"])
+def test_a_cell_is_explained_alike(built: Path, tmp_path: Path, point: str, options: str) -> None:
+    one, other = run_both(built, tmp_path, f"explain IN/whole.in {point} {options}")
+    assert one == other
 
 
-MERGED = {
-    "sum": ("IN/early.in", "IN/late.in"),
-    "part": ("IN/whole.in", "IN/late.in", "--subtract", "IN/late.in"),
-    "mixed": ("IN/early.npz", "IN/late.zarr"),
-}
-
-
-@pytest.mark.parametrize("words", MERGED.values(), ids=MERGED)
-def test_sums_and_differences_are_those_of_files(
-    built: Path, tmp_path: Path, words: tuple[str, ...]
-) -> None:
-    line = ("merge", *words, "-o", "OUT/m.npz", "-o", "OUT/m.zarr", "-o", "OUT/m.pgm", "--json")
-    one, other = run_both(built, tmp_path, *line)
+@pytest.mark.parametrize(
+    "parts",
+    [
+        "IN/early.in IN/late.in",
+        "IN/whole.in IN/late.in --subtract IN/late.in",
+        "IN/early.npz IN/late.zarr",
+    ],
+)
+def test_sums_and_differences_are_those_of_files(built: Path, tmp_path: Path, parts: str) -> None:
+    outputs = "-o OUT/m.npz -o OUT/m.zarr -o OUT/m.pgm"
+    one, other = run_both(built, tmp_path, f"merge {parts} {outputs} --json")
     assert strip(one.out, tmp_path) == strip(other.out, tmp_path)
-    for name in ("m.npz", "m.pgm"):
-        assert (tmp_path / f"npz-{name}").read_bytes() == (tmp_path / f"zarr-{name}").read_bytes()
+    assert_same_files(tmp_path, "m.npz", "m.pgm")
     occmap("render", tmp_path / "zarr-m.zarr", "-o", tmp_path / "back.npz")
     assert (tmp_path / "back.npz").read_bytes() == (tmp_path / "npz-m.npz").read_bytes()
 
 
 def test_a_merge_into_a_store_alone_says_the_same(built: Path, tmp_path: Path) -> None:
-    words = ("merge", "IN/early.in", "IN/late.in", "-o", "OUT/m.zarr", "--min-passes", "2")
-    one, other = (strip(each.out, tmp_path) for each in run_both(built, tmp_path, *words))
+    line = "merge IN/early.in IN/late.in -o OUT/m.zarr --min-passes 2"
+    one, other = (strip(each.out, tmp_path) for each in run_both(built, tmp_path, line))
     assert one == other
 
 
 def test_maps_are_compared_block_by_block(built: Path, tmp_path: Path) -> None:
-    words = ("diff", "IN/early.in", "IN/whole.in", "-o", "OUT/d.png")
-    one, other = run_both(built, tmp_path, *words)
+    one, other = run_both(built, tmp_path, "diff IN/early.in IN/whole.in -o OUT/d.png")
     assert one == other
     stores = [open_store(built / f"{name}.zarr") for name in ("early", "whole")]
     assert one.out.splitlines()[-2:] == [f"evidence {stores[0].name}", f"         {stores[1].name}"]
-    assert (tmp_path / "npz-d.png").read_bytes() == (tmp_path / "zarr-d.png").read_bytes()
-    same = json.loads(occmap("diff", built / "whole.npz", built / "whole.zarr", "--json").out)
+    assert_same_files(tmp_path, "d.png")
+    same = ask("diff", built / "whole.npz", built / "whole.zarr")
     assert (same["changed"], same["evidence"]) == (0, [stores[1].name] * 2)
 
 
@@ -169,16 +152,16 @@ def test_what_does_not_add_up_is_refused_alike(built: Path, tmp_path: Path) -> N
         early, late = (built / f"{name}.{suffix}" for name in HALVES)
         done = occmap("merge", early, "--subtract", late, "-o", tmp_path / "m.zarr")
         assert "holds observations of" in read_error(done, 1)
-        build([DRIVE], choose(), [tmp_path / f"coarse.{suffix}"])
-        done = occmap("merge", early, tmp_path / f"coarse.{suffix}", "-o", tmp_path / "m.zarr")
+        coarse = tmp_path / f"coarse.{suffix}"
+        build([DRIVE], choose(), [coarse])
+        done = occmap("merge", early, coarse, "-o", tmp_path / "m.zarr")
         assert "its resolution is 0.05" in read_error(done, 1)
     assert not (tmp_path / "m.zarr").exists()
     assert not list(tmp_path.glob(".occmap-*"))
 
 
 def test_a_build_adds_blocks_to_a_store(built: Path, tmp_path: Path) -> None:
-    far = tmp_path / "far.csv"
-    write_csv(far, [(100.0, 100.0, 0.0)], [2.0, 2.0, 2.0], 0.1)
+    far = write_csv(tmp_path / "far.csv", [(100.0, 100.0, 0.0)], [2.0, 2.0, 2.0], 0.1)
     line = ["build", "surface", far, "--resolution", FINE, "--pass-gap", "3"]
     new, plain = tmp_path / "new.zarr", tmp_path / "plain.npz"
     assert occmap(*line, "--resume", built / "early.zarr", "-o", new).code == 0
@@ -202,21 +185,18 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_store_keeps_the_ground_of_clouds(hall: Path, tmp_path: Path) -> None:
-    line = ["build", SAMPLE_LOGS / "hall.mcap", "--start", "2"]
-    for kind in ("npz", "zarr"):
-        parts = [hall / f"{name}.{kind}" for name in ("first", "second")]
-        assert occmap("merge", *parts, "-o", tmp_path / f"sum-{kind}.npz").code == 0
-        assert occmap("render", parts[0], "-o", tmp_path / f"again-{kind}.npz").code == 0
-        resumed = [*line, "--resume", parts[0], "-o", tmp_path / f"resumed-{kind}.npz"]
-        assert occmap(*resumed).code == 0
-        over = [*line, "--ground", parts[0], "-o", tmp_path / f"over-{kind}.npz"]
-        assert occmap(*over).code == 0
-    for name in ("sum", "again"):
-        made = [(tmp_path / f"{name}-{kind}.npz").read_bytes() for kind in ("npz", "zarr")]
-        assert made[0] == made[1], name
-    assert (tmp_path / "again-zarr.npz").read_bytes() == (hall / "first.npz").read_bytes()
+    late = f"build {SAMPLE_LOGS / 'hall.mcap'} --start 2"
+    for line in (
+        "merge IN/first.in IN/second.in -o OUT/sum.npz",
+        "render IN/first.in -o OUT/again.npz",
+        f"{late} --resume IN/first.in -o OUT/resumed.npz",
+        f"{late} --ground IN/first.in -o OUT/over.npz",
+    ):
+        run_both(hall, tmp_path, line)
+    assert_same_files(tmp_path, "sum.npz", "again.npz")
+    assert (tmp_path / "zarr-again.npz").read_bytes() == (hall / "first.npz").read_bytes()
     for name in ("sum", "resumed", "over"):
-        one, other = (read_evidence(tmp_path / f"{name}-{kind}.npz") for kind in ("npz", "zarr"))
+        one, other = (read_evidence(tmp_path / f"{kind}-{name}.npz") for kind in ("npz", "zarr"))
         assert one.ground is not None
         assert other.ground is not None
         assert np.array_equal(one.ground.height_mm, other.ground.height_mm)
@@ -226,7 +206,7 @@ def test_a_store_keeps_the_ground_of_clouds(hall: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["npz", "zarr"])
 def test_explain_says_how_high_the_ground_is(hall: Path, kind: str) -> None:
     heights = [
-        json.loads(occmap("explain", hall / f"first.{kind}", *point, "--json").out)["ground"]
+        ask("explain", hall / f"first.{kind}", *point)["ground"]
         for point in (("2", "1"), ("7.25", "3"), ("50", "3"))
     ]
     assert heights[:2] == pytest.approx([0.0, 0.15], abs=0.03)  # half-way up the ramp
@@ -236,51 +216,45 @@ def test_explain_says_how_high_the_ground_is(hall: Path, kind: str) -> None:
 def test_a_ground_that_was_altered_is_refused(hall: Path, tmp_path: Path) -> None:
     store = shutil.copytree(hall / "first.zarr", tmp_path / "first.zarr")
     shutil.rmtree(store / "ground")
-    done = occmap("render", store, "-o", tmp_path / "map.pgm")
-    assert (done.code, len(done.err.splitlines())) == (1, 1)
-    assert "first.zarr: its table of blocks, or its ground, was altered; build it again" in done.err
+    error = read_error(occmap("render", store, "-o", tmp_path / "map.pgm"), 1)
+    assert "first.zarr: its table of blocks, or its ground, was altered" in error
 
 
 def run_out_of_space(*_: object, **__: object) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_outputs_that_cannot_be_are_refused(built: Path, tmp_path: Path) -> None:
-    (tmp_path / "full.zarr").mkdir()
-    (tmp_path / "full.zarr" / "notes.txt").write_text("mine\n")
-    done = occmap("render", built / "whole.npz", "-o", tmp_path / "full.zarr")
-    assert "not as occmap writes it" in read_error(done, 1)
-    done = occmap("render", built / "whole.zarr", "-o", built / "whole.zarr")
-    assert "is an input" in read_error(done, 2)
-    done = occmap("render", built / "whole.zarr", "-o", tmp_path / "none" / "m.zarr")
-    assert "does not exist" in read_error(done, 1)
+def test_outputs_that_cannot_be_are_refused(built: Path, here: Path) -> None:
+    render, (file, store) = "render", (built / "whole.npz", built / "whole.zarr")
+    (here / "full.zarr").mkdir()
+    (here / "full.zarr" / "notes.txt").write_text("mine\n")
+    assert "not as occmap writes" in read_error(occmap(render, file, "-o", "full.zarr"), 1)
+    assert "is an input" in read_error(occmap(render, store, "-o", store), 2)
+    assert "does not exist" in read_error(occmap(render, store, "-o", "none/m.zarr"), 1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("zarr.storage._local._put", run_out_of_space)
-        done = occmap("render", built / "whole.npz", "-o", tmp_path / "m.zarr")
-    expected = f"{tmp_path / 'm.zarr'}: cannot be written (No space left on device)"
-    assert read_error(done, 1) == expected
-    occmap("render", built / "early.zarr", "-o", tmp_path / "m.zarr")
-    assert occmap("render", built / "whole.zarr", "-o", tmp_path / "m.zarr").code == 0
-    occmap("render", tmp_path / "m.zarr", "-o", tmp_path / "m.npz")
-    assert (tmp_path / "m.npz").read_bytes() == (built / "whole.npz").read_bytes()
-    assert [each.name for each in tmp_path.iterdir() if each.name.startswith(".")] == []
+        error = read_error(occmap(render, file, "-o", "m.zarr"), 1)
+    assert error == "m.zarr: cannot be written (No space left on device)"
 
 
-def test_tiles_are_painted_one_by_one(built: Path, tmp_path: Path) -> None:
-    for extent in ((), ("--extent", "-3,-2,9,4")):
-        run_both(built, tmp_path, "render", "IN/whole.in", "-o", "OUT/m.tiles", *extent)
-        names = [f"{suffix}-m.tiles" for suffix in ("npz", "zarr")]
-        one, other = (
-            {each.relative_to(tmp_path / name): each.read_bytes() for each in files}
-            for name in names
-            for files in [[e for e in (tmp_path / name).rglob("*") if e.is_file()]]
-        )
-        assert one == other
-        assert len(one) > 4
+def test_a_store_replaces_a_store(built: Path, here: Path) -> None:
+    for name in ("early", "whole"):
+        assert occmap("render", built / f"{name}.zarr", "-o", "m.zarr").code == 0
+    occmap("render m.zarr -o m.npz")
+    assert (here / "m.npz").read_bytes() == (built / "whole.npz").read_bytes()
+    assert sorted(each.name for each in here.iterdir()) == ["m.npz", "m.zarr"]
+
+
+@pytest.mark.parametrize("extent", ["", "--extent -3,-2,9,4"])
+def test_tiles_are_painted_one_by_one(built: Path, tmp_path: Path, extent: str) -> None:
+    run_both(built, tmp_path, f"render IN/whole.in -o OUT/m.tiles {extent}")
+    one, other = (list_files(tmp_path / f"{kind}-m.tiles") for kind in ("npz", "zarr"))
+    assert one == other
+    assert len(one) > 4
 
 
 def test_an_image_for_a_gis_is_painted_part_by_part(built: Path, tmp_path: Path) -> None:
-    run_both(built, tmp_path, "render", "IN/whole.in", "-o", "OUT/m.tif")
+    run_both(built, tmp_path, "render IN/whole.in -o OUT/m.tif")
     one, other = (rasterio.open(tmp_path / f"{name}-m.tif") for name in ("npz", "zarr"))
     with one, other:
         assert (one.read() == other.read()).all()
@@ -318,14 +292,16 @@ def test_an_overview_that_is_cut_says_so(built: Path, tmp_path: Path) -> None:
     assert "cannot be read: it is cut or altered; build it again" in read_error(done, 1)
 
 
-def test_overviews_that_cannot_be(built: Path, tmp_path: Path) -> None:
-    line = ("-o", tmp_path / "m.pgm", "--overview")
-    page = "m.html: shows single cells, and --overview has none"
-    for words, expected in {
-        ("whole.npz", "4"): "--overview goes with a store",
-        ("whole.zarr", "5"): "there are those of 1, 4, 16",
-        ("whole.zarr", "4", "--min-passes", "2"): "leave out --overview",
-        ("whole.zarr", "4", "-o", str(tmp_path / "m.html")): page,
-        ("whole.zarr", "4", "--p-hit", "0.8", "--model", "simple"): "leave out --overview",
-    }.items():
-        assert expected in read_error(occmap("render", built / words[0], *line, *words[1:]), 2)
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("whole.npz --overview 4", "--overview goes with a store"),
+        ("whole.zarr --overview 5", "there are those of 1, 4, 16"),
+        ("whole.zarr --overview 4 --min-passes 2", "leave out --overview"),
+        ("whole.zarr --overview 4 -o m.html", "m.html: shows single cells, and --overview has"),
+        ("whole.zarr --overview 4 --p-hit 0.8 --model simple", "leave out --overview"),
+    ],
+)
+def test_overviews_that_cannot_be(built: Path, here: Path, words: str, found: str) -> None:
+    assert found in read_error(occmap(f"render {built}/{words} -o m.pgm"), 2)
+    assert not list(here.iterdir())

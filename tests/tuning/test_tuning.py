@@ -1,9 +1,9 @@
 """Tuning: what was put out of true in a simulated drive is found, and nothing else is."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,29 +20,34 @@ from occmap.scoring.compare import Variant, compare
 from occmap.tuning import tune
 from occmap.tuning.search import TIME, YAW, Correction, KeptLog, Verdict, X, find_mount, keep_logs
 from occmap.types import Float64, Pose, ScanBatch
-from tests.samples import REAL_LOGS, SAMPLE_LOGS, write_csv
-from tests.tuning.simulated import read_drive, write_drive
+from tests.bench.raycast import cast_scans
+from tests.csv_logs import write_poses, write_scans
+from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
+from tests.tuning.simulated import read_drive, write_drive, write_parts
 
 STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
 
 
-def follow(poses: Path, mount: tuple[float, float, float] | None = None) -> BuildOptions:
+def follow(poses: Path, mount: Planar | None = None, **posing: Any) -> BuildOptions:
     """Options by which a drive's scans are posed; the laser is thought to sit at a mount."""
     sensor_pose = None if mount is None else Pose.planar(*mount)
-    posing = PosingOptions(poses=str(poses), sensor_pose=sensor_pose)
-    return BuildOptions(resolution=0.1, posing=posing)
+    posed = PosingOptions(poses=str(poses), sensor_pose=sensor_pose, **posing)
+    return BuildOptions(resolution=0.1, posing=posed)
 
 
-@pytest.mark.parametrize("late", [0.13, -0.31])
-def test_a_known_time_offset_is_found(late: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("late", "given"), [(0.13, 0.0), (-0.31, 0.0), (0.6, -0.5)])
+def test_a_known_time_offset_is_found_and_added_to_what_is_given(
+    late: float, given: float, tmp_path: Path
+) -> None:
     scans, poses = write_drive(tmp_path, lambda _: late)
-    tuning = tune([scans], follow(poses))
+    tuning = tune([scans], follow(poses, time_offset_s=given))
+    found = tuning.correction.time_s
     assert tuning.time.verdict is Verdict.FOUND
-    assert tuning.correction.time_s == pytest.approx(-late, abs=STEP_S + 1e-9)
+    assert found == pytest.approx(-late - given, abs=STEP_S + 1e-9)
     assert tuning.mount.verdict is Verdict.NOTHING
     assert tuning.share > 0.95 > tuning.share_before
     place = tuning.command.index("--time-offset")
-    assert float(tuning.command[place + 1]) == tuning.correction.time_s
+    assert float(tuning.command[place + 1]) == pytest.approx(given + found)
 
 
 @pytest.mark.parametrize(
@@ -85,31 +90,24 @@ def test_a_wrong_mount_is_not_taken_for_a_wrong_clock() -> None:
     assert tuning.share > 0.95
 
 
+ROOM = np.array([(-6, -4, 0, -4), (-6, 0, 0, 0), (-6, -4, -6, 0), (0, -4, 0, 0.0)])
+"""Four walls of no thickness"""
+
+
 def write_spin(folder: Path, increment_s: float) -> tuple[Path, Path]:
     """A laser in a room of 6 x 4 m that turns at 2 rad/s as it drives; and its poses."""
 
     def place(seconds: Float64) -> Float64:
         return np.stack([np.sin(seconds / 3) - 3.5, np.cos(seconds / 4) - 2.2, 2 * seconds])
 
-    beams = np.arange(90)
-    head = f"# angle_min: 0\n# angle_increment: {math.tau / 90!r}\n# range_max: 8\n"
-    lines = [f"{head}# time_increment: 0.0025\nstamp," + ",".join(f"r{it}" for it in beams)]
-    for second in np.arange(1.0, 39.0, 0.25):
-        x, y, yaw = place(second + beams * increment_s)
-        to_wall = yaw + beams * math.tau / 90
-        with np.errstate(divide="ignore"):
-            across = np.maximum(-x / np.cos(to_wall), (-6 - x) / np.cos(to_wall))
-            along = np.maximum(-y / np.sin(to_wall), (-4 - y) / np.sin(to_wall))
-        ranges = np.minimum(across, along).tolist()
-        lines.append(f"{second}," + ",".join(f"{it:.4f}" for it in ranges))
-    (folder / "spin.csv").write_text("\n".join(lines) + "\n")
-    moments = np.arange(0.0, 40.0, 0.02)
-    rows = [
-        f"{second!r},{x!r},{y!r},{yaw!r}"
-        for second, x, y, yaw in zip(moments.tolist(), *place(moments).tolist(), strict=True)
-    ]
-    (folder / "poses.csv").write_text("\n".join(["stamp,x,y,yaw", *rows]) + "\n")
-    return folder / "spin.csv", folder / "poses.csv"
+    angles = np.arange(90) * math.tau / 90
+    stamps, moments, ranges = np.arange(1.0, 39.0, 0.25), np.arange(0.0, 40.0, 0.02), []
+    for second in stamps:
+        poses = place(second + np.arange(90) * increment_s).T + np.outer(angles, (0, 0, 1))
+        ranges.append(cast_scans(poses, np.zeros(1), ROOM)[:, 0])
+    shape = {"angle_min": 0.0, "angle_increment": math.tau / 90, "range_max": 8.0}
+    scans = write_scans(folder / "spin.csv", stamps, ranges, **shape, time_increment=0.0025)
+    return scans, write_poses(folder / "poses.csv", moments, place(moments).T)
 
 
 def test_scans_that_take_long_need_a_pose_for_each_beam(tmp_path: Path) -> None:
@@ -129,8 +127,7 @@ def test_scans_that_only_say_that_they_take_long_are_left_as_they_are(tmp_path: 
     assert tuning.deskew.verdict is Verdict.NOTHING
     assert tuning.correction == Correction()
     assert tuning.share > 0.95
-    asked = replace(follow(poses).posing, deskew=Deskew.AUTO)
-    decided = tune([scans], replace(follow(poses), posing=asked))
+    decided = tune([scans], follow(poses, deskew=Deskew.AUTO))
     assert decided.deskew.verdict is Verdict.UNSEEN
 
 
@@ -145,12 +142,18 @@ def test_a_time_offset_that_a_wrong_mount_hides_is_found(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["drive.mcap", "drive.log"])
-def test_a_right_log_has_nothing_to_gain(name: str) -> None:
-    tuning = tune([SAMPLE_LOGS / name], BuildOptions())
-    assert Verdict.FOUND not in (tuning.time.verdict, tuning.mount.verdict)
-    assert Verdict.DISAGREE not in (tuning.time.verdict, tuning.mount.verdict)
+def test_a_right_log_has_nothing_to_gain_and_scores_what_compare_scores(name: str) -> None:
+    """A drive, with ranges that stand for "no return" in the second, of which no scan is lost."""
+    log = SAMPLE_LOGS / name
+    tuning = tune([log], BuildOptions())
+    assert {tuning.time.verdict, tuning.mount.verdict}.isdisjoint({Verdict.FOUND, Verdict.DISAGREE})
     assert (tuning.correction, tuning.command) == (Correction(), ())
     assert (tuning.gain, tuning.gain_error) == (0.0, 0.0)
+    if name == "drive.log":
+        variant = Variant(DEFAULT_UPDATE, choose_model(DEFAULT_UPDATE))
+        (result,) = compare([log], [variant], BuildOptions()).results
+        scored = tuning.beams, tuning.share_before
+        assert scored == (result.score.beams, result.score.share)
 
 
 def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Path) -> None:
@@ -162,15 +165,6 @@ def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Pa
     assert all(half.certain for half in (first, second))
     assert tuning.mount.verdict is Verdict.UNSEEN
     assert (tuning.correction, tuning.command) == (Correction(), ())
-
-
-def test_a_correction_is_added_to_the_options_given(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path, lambda _: 0.6)
-    options = BuildOptions(posing=PosingOptions(poses=str(poses), time_offset_s=-0.5))
-    tuning = tune([scans], options)
-    assert tuning.correction.time_s == pytest.approx(-0.1, abs=STEP_S + 1e-9)
-    words = tuning.command
-    assert float(words[words.index("--time-offset") + 1]) == pytest.approx(-0.6, abs=STEP_S + 1e-9)
 
 
 def keep(path: Path, options: BuildOptions) -> tuple[list[KeptLog], list[str]]:
@@ -202,15 +196,6 @@ def test_a_mount_that_is_given_as_it_is_changes_no_pose() -> None:
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
 
 
-def test_a_search_scores_what_compare_scores() -> None:
-    """A drive of which no scan is dropped, with ranges that stand for "no return"."""
-    options, log = BuildOptions(), SAMPLE_LOGS / "drive.log"
-    variant = Variant(DEFAULT_UPDATE, choose_model(DEFAULT_UPDATE))
-    (result,) = compare([log], [variant], options).results
-    tuning = tune([log], options)
-    assert (tuning.beams, tuning.share_before) == (result.score.beams, result.score.share)
-
-
 def test_equal_bytes_for_any_number_of_threads() -> None:
     one, two = (
         tune([SAMPLE_LOGS / "drive.csv"], BuildOptions(resolution=0.1, jobs=jobs))
@@ -219,30 +204,22 @@ def test_equal_bytes_for_any_number_of_threads() -> None:
     assert one.to_json() == two.to_json()
 
 
-def test_a_sensor_that_stands_still_shows_nothing(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "still.csv", [(0.0, 0.0, 0.0)] * 20, [1.0, 2.0], 0.3)
-    tuning = tune([log], BuildOptions())
-    assert (tuning.time.verdict, tuning.mount.verdict) == (Verdict.UNSEEN, Verdict.UNSEEN)
-    assert "the sensor hardly moves: neither time nor mount shows in these scans" in (tuning.notes)
-    assert len(tuning.tried) == 1
-
-
 @pytest.mark.parametrize(
     ("poses", "searched", "note"),
     [
         ([(0.1 * i, 0.0, 0.0) for i in range(20)], {"yaw"}, "x and y of the mount are not"),
         ([(0.0, 0.0, 0.1 * i) for i in range(20)], {"x", "y"}, "the yaw of the mount is not"),
+        ([(0.0, 0.0, 0.0)] * 20, set(), "the sensor hardly moves"),
     ],
 )
 def test_only_what_the_motion_shows_is_searched(
-    poses: list[tuple[float, float, float]], searched: set[str], note: str, tmp_path: Path
+    poses: list[Planar], searched: set[str], note: str, tmp_path: Path
 ) -> None:
     log = write_csv(tmp_path / "log.csv", poses, [1.0, 2.0, 1.5], 0.3)
     tuning = tune([log], BuildOptions())
-    changed = {
-        name for each in tuning.tried for name in ("time_s", "yaw", "x", "y") if getattr(each, name)
-    }
-    assert changed == searched
+    names = ("time_s", "yaw", "x", "y")
+    assert {name for each in tuning.tried for name in names if getattr(each, name)} == searched
+    assert (tuning.mount.verdict is Verdict.UNSEEN) == (not searched)
     assert any(text.startswith(note) for text in tuning.notes)
 
 
@@ -250,22 +227,6 @@ def test_lasers_at_different_places_have_no_one_mount() -> None:
     tuning = tune([SAMPLE_LOGS / "drive.bag", SAMPLE_LOGS / "drive.csv"], BuildOptions())
     assert tuning.mount.verdict is Verdict.UNSEEN
     assert any("no single `sensor_pose`" in text for text in tuning.notes)
-
-
-def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Path]:
-    """Write parts of the drive, each in a frame of its own, with its laser turned by so much."""
-    lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
-    first = next(i for i, line in enumerate(lines) if line[0].isdigit())
-    parts = []
-    for part, turn in enumerate(turns_deg):
-        rows, begin = [], first + part * (len(lines) - first) // len(turns_deg)
-        for line in lines[begin : begin + scans]:
-            stamp, x, y, yaw, *ranges = line.split(",")
-            away, ahead = 20.0 * part - float(y), float(yaw) + math.pi / 2 - math.radians(turn)
-            rows.append(",".join([stamp, f"{away!r}", x, f"{ahead!r}", *ranges]))
-        parts.append(folder / f"part{part}.csv")
-        parts[-1].write_text("".join([*lines[:first], *rows]))
-    return parts
 
 
 def test_logs_of_one_robot_are_sure_together_where_none_is_alone(tmp_path: Path) -> None:
@@ -343,8 +304,8 @@ def test_a_long_log_is_thinned_evenly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("occmap.tuning.search.MOST_SCANS", 150)
     ((log,), notes) = keep(SAMPLE_LOGS / "drive.csv", BuildOptions())
     (batch,) = log.batches
-    every = [scan.stamp_ns for scan in read_drive()]
-    assert batch.stamp_ns.tolist() == [every[n] for n in range(414) if n * GOLDEN % 1 < 0.25]
+    kept = [n for n in range(414) if n * GOLDEN % 1 < 0.25]
+    np.testing.assert_allclose(batch.stamp_ns / 1e9, read_drive()[kept, 0], rtol=0, atol=1e-3)
     assert f"{log.scans} of 414 scans are tried, spread over the logs" in notes
 
 

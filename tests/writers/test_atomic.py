@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from occmap.errors import OutputError
-from occmap.writers.atomic import check_target, open_atomic
+from occmap.writers.atomic import open_atomic
 
 
 def test_writes_the_file_and_nothing_else(tmp_path: Path) -> None:
@@ -42,39 +42,6 @@ def test_a_full_disk_is_one_sentence(tmp_path: Path) -> None:
         raise OSError(28, "No space left on device")
     assert str(caught.value) == f"{target}: cannot be written (No space left on device)"
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "found"),
-    [
-        ("nowhere/map.pgm", r"does not exist; create it: mkdir -p .*nowhere"),
-        ("file/map.pgm", "is a file, not a folder"),
-        (".", "is a folder, not a file"),
-        ("new.pgm", None),
-        ("file", None),
-    ],
-)
-def test_what_cannot_be_a_file_is_refused_before_the_work(
-    tmp_path: Path, name: str, found: str | None
-) -> None:
-    (tmp_path / "file").write_bytes(b"")
-    if found is None:
-        check_target(tmp_path / name)
-        return
-    with pytest.raises(OutputError, match=found):
-        check_target(tmp_path / name)
-    with pytest.raises(OutputError), open_atomic(tmp_path / name):
-        pytest.fail("the block must not run")
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write into any folder")
-def test_folder_without_permission(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(OutputError, match="no permission to write"):
-            check_target(tmp_path / "map.pgm")
-    finally:
-        tmp_path.chmod(0o700)
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc on this system")

@@ -1,15 +1,18 @@
 """Edits are drawn where their corners say, and bad files of them are refused in one line."""
 
 import json
+import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from occmap.cells import OccupancyMap
 from occmap.errors import UsageError
-from occmap.writers.edits import apply_edits, find_forbidden, read_edits
+from occmap.writers.edits import Shape, apply_edits, find_forbidden, read_edits
+from tests.writers.maps import map_of_places
 
 
 def make_map(rows: int = 6, cols: int = 8) -> OccupancyMap:
@@ -18,11 +21,16 @@ def make_map(rows: int = 6, cols: int = 8) -> OccupancyMap:
     return OccupancyMap(log_odds, np.ones((rows, cols), np.bool_), 0.5, (-1.0, 2.0))
 
 
-def draw(tmp_path: Path, *lines: str) -> list[str]:
-    """Draw lines of edits over that map; highest y first, as a person sees it."""
+def read(tmp_path: Path, *lines: str) -> tuple[Shape, ...]:
+    """Read lines of edits as from a file."""
     path = tmp_path / "edits.csv"
     path.write_text("\n".join(lines))
-    made = apply_edits(make_map(), read_edits(path))
+    return read_edits(path)
+
+
+def draw(tmp_path: Path, *lines: str) -> list[str]:
+    """Draw lines of edits over that map; highest y first, as a person sees it."""
+    made = apply_edits(make_map(), read(tmp_path, *lines))
     picture = np.full(made.shape, "?")
     picture[made.occupied], picture[made.free], picture[~made.observed] = "#", ".", " "
     return ["".join(row) for row in picture[::-1]]
@@ -30,14 +38,8 @@ def draw(tmp_path: Path, *lines: str) -> list[str]:
 
 def test_a_box_covers_the_cells_whose_middle_is_in_it(tmp_path: Path) -> None:
     # x from -0.5 to 0.6: middles -0.25, 0.25; y from 3.0 to 4.0: middles 3.25, 3.75.
-    assert draw(tmp_path, "free,box,-0.5,3.0,0.6,4.0") == [
-        "????????",
-        "????????",
-        "?..?????",
-        "?..?????",
-        "????????",
-        "????????",
-    ]
+    untouched, drawn = ["????????"] * 2, ["?..?????"] * 2
+    assert draw(tmp_path, "free,box,-0.5,3.0,0.6,4.0") == untouched + drawn + untouched
 
 
 def test_a_later_shape_goes_over_an_earlier_one_and_comments_count_for_nothing(
@@ -69,20 +71,21 @@ def test_a_wide_line_is_as_wide_as_it_says(tmp_path: Path) -> None:
     assert drawn == ["????????", *["########"] * 4, "????????"]
 
 
+def feature(kind: str, coordinates: Any, properties: Any) -> Any:
+    geometry = {"type": kind, "coordinates": coordinates}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
 def test_geojson_says_the_same_as_lines(tmp_path: Path) -> None:
     hole = [[0, 3], [1, 3], [1, 4], [0, 4], [0, 3]]
     area = [[-1, 2], [3, 2], [3, 5], [-1, 5], [-1, 2]]
-    features = [
-        ({"class": "free"}, {"type": "Polygon", "coordinates": [area, hole]}),
-        (
-            {"class": "occupied", "width": 0.1},
-            {"type": "LineString", "coordinates": [[-1, 2.25, 0], [3, 2.25, 0]]},
-        ),
+    across = [[-1, 2.25, 0], [3, 2.25, 0]]
+    listed = [
+        feature("Polygon", [area, hole], {"class": "free"}),
+        feature("LineString", across, {"class": "occupied", "width": 0.1}),
     ]
-    path = tmp_path / "edits.geojson"
-    listed = [{"type": "Feature", "properties": a, "geometry": b} for a, b in features]
-    path.write_text(json.dumps({"type": "FeatureCollection", "features": listed}))
-    made = apply_edits(make_map(), read_edits(path))
+    text = json.dumps({"type": "FeatureCollection", "features": listed})
+    made = apply_edits(make_map(), read(tmp_path, text))
     wanted = np.ones((6, 8), np.bool_)
     wanted[2:4, 2:4] = False  # the hole
     wanted[:1] = False  # the line
@@ -91,17 +94,15 @@ def test_geojson_says_the_same_as_lines(tmp_path: Path) -> None:
 
 
 def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
-    path = tmp_path / "edits.csv"
-    path.write_text("forbidden,box,-1,2,0,3\nforbidden,box,50,50,60,60\n")
-    grid, shapes = make_map(), read_edits(path)
+    grid = make_map()
+    shapes = read(tmp_path, "forbidden,box,-1,2,0,3", "forbidden,box,50,50,60,60")
     assert apply_edits(grid, shapes) is grid
     assert np.argwhere(find_forbidden(grid, shapes)).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
 
 
 def test_a_part_of_a_map_is_drawn_like_the_whole(tmp_path: Path) -> None:
-    path = tmp_path / "edits.csv"
-    path.write_text("occupied,line,-0.75,2.25,2.75,4.75\nfree,polygon,0,2,3,2,3,4\n")
-    grid, shapes = make_map(), read_edits(path)
+    grid, lines = make_map(), ("occupied,line,-0.75,2.25,2.75,4.75", "free,polygon,0,2,3,2,3,4")
+    shapes = read(tmp_path, *lines)
     part = apply_edits(grid.take(slice(1, 4), slice(2, 7)), shapes)
     assert (part.classes == apply_edits(grid, shapes).classes[1:4, 2:7]).all()
 
@@ -119,28 +120,19 @@ def test_a_part_of_a_map_is_drawn_like_the_whole(tmp_path: Path) -> None:
         ("occupied,line,0,0,5,0,-1", "-1"),
         ('{"features": 3', "GeoJSON"),
         ('{"features": [{"properties": {}, "geometry": null}]}', "feature 1"),
-        (
-            '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Polygon", '
-            '"coordinates": [[[1], [2], [3]]]}}]}',
-            "feature 1",
-        ),
-        (
-            '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Polygon", '
-            '"coordinates": [[[0, 0], [1e400, 1], [1, 0]]]}}]}',
-            "feature 1",
-        ),
-        (
-            '{"features": [{"properties": {"class": "free"}, "geometry": {"type": "Point", '
-            '"coordinates": [1, 2]}}]}',
-            "feature 1",
+        *(
+            (json.dumps({"features": [feature(kind, places, {"class": "free"})]}), "feature 1")
+            for kind, places in (
+                ("Polygon", [[[1], [2], [3]]]),
+                ("Polygon", [[[0, 0], [math.inf, 1], [1, 0]]]),
+                ("Point", [1, 2]),
+            )
         ),
     ],
 )
 def test_what_is_no_shape_is_refused_with_its_place(tmp_path: Path, text: str, words: str) -> None:
-    path = tmp_path / "edits.csv"
-    path.write_text(text)
     with pytest.raises(UsageError, match=r"edits\.csv") as caught:
-        read_edits(path)
+        read(tmp_path, text)
     assert words in str(caught.value)
     assert caught.value.fix
 
@@ -151,15 +143,10 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 def test_parts_and_the_whole_agree_where_edges_lie_on_the_middles_of_cells(tmp_path: Path) -> None:
-    path = tmp_path / "edits.csv"
     corners = [(0.05 + 0.1 * a, 0.15 + 0.1 * b) for a, b in ((-7, 3), (2, -9), (11, 4), (-3, 17))]
-    path.write_text(
-        "".join(f"free,box,{x:.2f},{y:.2f},{x + 0.7:.2f},{y + 0.4:.2f}\n" for x, y in corners)
-    )
-    grid = OccupancyMap(
-        np.zeros((40, 40), np.float32), np.ones((40, 40), np.bool_), 0.1, (-1.3, -1.7)
-    )
-    shapes = read_edits(path)
+    boxes = (f"free,box,{x:.2f},{y:.2f},{x + 0.7:.2f},{y + 0.4:.2f}" for x, y in corners)
+    shapes = read(tmp_path, *boxes)
+    grid = map_of_places((40, 40), (-1.3, -1.7), (np.s_[:], 0.0))
     whole = apply_edits(grid, shapes).classes
     assert (whole == 1).any()
     for row in range(0, 40, 7):

@@ -15,14 +15,13 @@ from occmap.writers import Product, WriteOptions, find_writer
 from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
 from occmap.writers.png import PngWriter
 from tests.samples import SAMPLE_LOGS
+from tests.writers.maps import map_of_places, nothing_kept
 
 
 def make_map() -> OccupancyMap:
     """1,500 rows from -400 on, 1,300 columns from 20 on; p = 1 / (1 + e^-l)."""
-    log_odds, observed = np.zeros((1500, 1300), np.float32), np.zeros((1500, 1300), np.bool_)
-    for row, col, odds in [(0, 0, 2), (1499, 1299, -2), (700, 3, 0.5), (1023, 1100, 5)]:
-        log_odds[row, col], observed[row, col] = odds, True
-    return OccupancyMap(log_odds, observed, 0.1, (2.0, -40.0))
+    drawn = ((0, 0), 2.0), ((1499, 1299), -2.0), ((700, 3), 0.5), ((1023, 1100), 5.0)
+    return map_of_places((1500, 1300), (2.0, -40.0), *drawn)
 
 
 def test_cells_are_where_they_are(tmp_path: Path) -> None:
@@ -45,9 +44,8 @@ def test_a_place_on_the_globe_is_where_it_is(name: str, tmp_path: Path) -> None:
     """A point of the map, 10 m and 5 m from its zero, where x points 30 degrees north of east."""
     latitude, longitude = 52.5, 13.4
     options = WriteOptions(georeference=(latitude, longitude, 30.0))
-    files = find_writer(tmp_path / name).write_product(
-        tmp_path / name, Product(make_map(), lambda: make_evidence(None)), options
-    )
+    product = Product(make_map(), nothing_kept)
+    files = find_writer(tmp_path / name).write_product(tmp_path / name, product, options)
     assert sorted(files) == sorted(tmp_path.iterdir())
     with rasterio.open(tmp_path / name) as image:
         # Rows are counted from the top, which is at 110 m; column 0 begins at 2 m.
@@ -102,14 +100,10 @@ def test_nothing_is_left_where_it_cannot_be_written(
 
 
 def write_ground(path: Path, ground: Ground | None) -> None:
-    product = Product(make_map(), lambda: make_evidence(ground))
-    assert GroundWriter().write_product(path, product, WriteOptions()) == (path,)
-
-
-def make_evidence(ground: Ground | None) -> Evidence:
-    """Evidence of nothing, over some ground."""
     nothing = np.zeros((0, 2), np.int64)
-    return Evidence(None, nothing, nothing, ground=ground)  # type: ignore[arg-type]  # not read
+    evidence = Evidence(None, nothing, nothing, ground=ground)  # type: ignore[arg-type]  # not read
+    product = Product(make_map(), lambda: evidence)
+    assert GroundWriter().write_product(path, product, WriteOptions()) == (path,)
 
 
 def test_the_ground_lies_where_it_was_measured(tmp_path: Path) -> None:
@@ -134,14 +128,10 @@ def test_the_ground_of_a_planar_log_is_refused(tmp_path: Path) -> None:
         write_ground(tmp_path / "m.ground.tif", None)
 
 
-def test_the_longer_ending_is_another_format(tmp_path: Path) -> None:
-    assert isinstance(find_writer(tmp_path / "a.ground.TIF"), GroundWriter)
-    assert isinstance(find_writer(tmp_path / "ground.tif"), GroundWriter)
-    assert isinstance(find_writer(tmp_path / "a.underground.tif"), GeoTiffWriter)
+def test_the_ground_of_a_hall_is_a_floor_and_a_ramp_beyond_5_m(tmp_path: Path) -> None:
     build_map(SAMPLE_LOGS / "hall.mcap", outputs=tmp_path / "hall.ground.tif")
     with rasterio.open(tmp_path / "hall.ground.tif") as image:
         assert image.tags()["logs"] == '"hall.mcap"'
         heights = image.read(1)
-        # A floor, and a ramp that begins beyond x = 5.
         assert abs(heights[image.index(1, 3)]) < 0.02
         assert heights[image.index(8, 3)] > 0.2

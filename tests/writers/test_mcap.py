@@ -6,14 +6,14 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from occmap.cells import Evidence, OccupancyMap
+from occmap.cells import OccupancyMap
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing.tracks import rotate_by
 from occmap.types import Journey, Pose, Trajectory
 from occmap.writers import MapMode, Product, WriteOptions, write_outputs
 from tests.map_loaders import load_nav2
-from tests.writers.maps import map_of, map_of_art
+from tests.writers.maps import map_of, map_of_art, nothing_kept
 
 DRIVE = Path("sample_logs/drive.mcap")
 ROOM = map_of_art("""
@@ -24,13 +24,9 @@ ROOM = map_of_art("""
 TRINARY = WriteOptions()
 
 
-def keep_nothing() -> Evidence:
-    raise AssertionError("nobody asked for evidence")
-
-
 def write(path: Path, grid: OccupancyMap, options: WriteOptions, *ways: Trajectory) -> None:
     journey = Journey(ways, ()) if ways else None
-    write_outputs([path], Product(grid, keep_nothing, journey), options)
+    write_outputs([path], Product(grid, nothing_kept, journey), options)
 
 
 def read(path: Path) -> dict[str, list[Any]]:
@@ -52,7 +48,7 @@ def read_cells(path: Path) -> Any:
 def test_cells_are_what_nav2_makes_of_the_pgm(mode: MapMode, tmp_path: Path) -> None:
     grid = map_of([[0.1, 0.9, np.nan], [0.5, 0.33, 0.644]], origin=(-3.05, -0.1))
     options = WriteOptions(mode)
-    write_outputs([tmp_path / "m.pgm"], Product(grid, keep_nothing), options)
+    write_outputs([tmp_path / "m.pgm"], Product(grid, nothing_kept), options)
     write(tmp_path / "m.mcap", grid, options)
     np.testing.assert_array_equal(read_cells(tmp_path / "m.mcap"), load_nav2(tmp_path / "m.yaml"))
 
@@ -74,11 +70,7 @@ def test_a_drive_is_the_map_of_its_pgm_with_the_way_of_its_laser(tmp_path: Path)
     assert grid.info.resolution == np.float32(0.1)
     used = made.report.scans.used
     assert len(path.poses) == len(found["/tf"]) == used
-    lines = [
-        list(map(float, line.split()))
-        for line in (tmp_path / "m.tum").read_text().splitlines()
-        if not line.startswith("#")
-    ]
+    lines = np.loadtxt(tmp_path / "m.tum")
     first, last = path.poses[0], path.poses[-1]
     for line, stamped in ((lines[0], first), (lines[-1], last)):
         place, turn = stamped.pose.position, stamped.pose.orientation

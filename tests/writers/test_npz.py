@@ -119,14 +119,7 @@ def test_writing_twice_gives_the_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("values", "width"),
-    [
-        ([], 1),
-        ([127, -128], 1),
-        ([128], 2),
-        ([-(2**15) - 1], 4),
-        ([2**31], 8),
-        ([-(2**63), 2**63 - 1], 8),
-    ],
+    [([], 1), ([127, -128], 1), ([128], 2), ([-(2**15) - 1], 4), ([2**31], 8), ([-(2**63)], 8)],
 )
 def test_numbers_are_as_narrow_as_they_can_be(values: list[int], width: int) -> None:
     narrowed = narrow(np.array(values, np.int64))
@@ -187,22 +180,21 @@ def to_bytes(text: str) -> Any:
     return np.frombuffer(text.encode(), np.uint8)
 
 
-def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["first", "layers", *SLICES])
+def test_numbers_that_were_altered_on_purpose_are_refused(tmp_path: Path, name: str) -> None:
     path = write(tmp_path / "m.npz")
-    content = rewrite(path, first=np.array([4, 0, 1, 1], np.int8))
-    altered = "the checksum does not fit: the file was altered; build it again"
-    assert altered in damage(path, content)
-    for name in ("layers", *SLICES):
-        write(path)
-        with np.load(path) as file:
-            array = file[name]
-        array.flat[0] ^= 1
-        assert altered in damage(path, rewrite(path, **{name: array})), name
-    write(path)
     with np.load(path) as file:
-        text = bytes(file["manifest"]).decode()
-    content = rewrite(path, manifest=to_bytes(text.replace("0.05", "0.06")))
-    assert "the checksum does not fit" in damage(path, content)
+        array = file[name]
+    array.flat[0] ^= 1
+    altered = "the checksum does not fit: the file was altered; build it again"
+    assert altered in damage(path, rewrite(path, **{name: array}))
+
+
+def test_a_manifest_that_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "m.npz")
+    with np.load(path) as file:
+        text = bytes(file["manifest"]).decode().replace("0.05", "0.06")
+    assert "the checksum does not fit" in damage(path, rewrite(path, manifest=to_bytes(text)))
 
 
 @pytest.mark.parametrize(
@@ -213,11 +205,7 @@ def test_what_was_altered_on_purpose_is_refused(tmp_path: Path) -> None:
         ("{}", "it is cut or altered"),
         ('{"format": "occmap evidence", "version": 5}', "it is cut or altered"),
         ('{"format": "occmap evidence", "version": 6}', "version 6, while this occmap reads 5"),
-        (
-            '{"format": "occmap evidence", "version": 4}',
-            "of version 4, while this occmap reads 5; build it again from its logs, "
-            "with `outputs=m.npz`",
-        ),
+        ('{"format": "occmap evidence", "version": 4}', "build it again from its logs, with `outp"),
         ('{"format": "else", "version": 1}', "holds 'else', not evidence of occmap"),
         ('{"format": "else"}', "holds 'else', not evidence of occmap"),
     ],

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from occmap.cells import Decision, OccupancyMap
 from occmap.errors import OutputError
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import PgmWriter, describe_map, written_thresholds
-from tests.map_loaders import load_nav2, load_ros1, read_pgm
+from tests.map_loaders import Grid, load_nav2, load_ros1, read_pgm
 from tests.writers.maps import map_of, map_of_art
 
 ART = """
@@ -21,6 +22,8 @@ ART = """
 ?..#
 """
 TRINARY = WriteOptions()
+Loader = Callable[[Path], Grid]
+each_loader = pytest.mark.parametrize("load", [load_ros1, load_nav2])
 
 
 def write(folder: Path, grid: OccupancyMap, options: WriteOptions) -> Path:
@@ -70,13 +73,8 @@ def test_golden_yaml(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "is_plain"),
     [
-        *(
-            ("12.pgm", False),
-            ("a: b.pgm", False),
-            ("grüße.PGM", False),
-            ("x " * 60 + ".pgm", False),
-        ),
-        *(("map-0.05.pgm", True), ("v1.2.pgm", True), ("no.pgm", True)),
+        *((name, False) for name in ("12.pgm", "a: b.pgm", "grüße.PGM", "x " * 60 + ".pgm")),
+        *((name, True) for name in ("map-0.05.pgm", "v1.2.pgm", "no.pgm")),
     ],
 )
 def test_yaml_names_the_image_whatever_it_is_called(
@@ -90,12 +88,8 @@ def test_yaml_names_the_image_whatever_it_is_called(
 
 
 def test_numbers_are_python_floats_in_full() -> None:
-    grid = OccupancyMap(
-        np.zeros((1, 1), np.float32),
-        np.ones((1, 1), np.bool_),
-        float(np.float64(0.0125)),
-        (float(np.float64(1 / 3)), 0.1 + 0.2),
-    )
+    cell = np.zeros((1, 1), np.float32), np.ones((1, 1), np.bool_)
+    grid = OccupancyMap(*cell, 0.0125, (1 / 3, 0.1 + 0.2))
     fields = describe_map("m.pgm", grid, TRINARY)
     assert fields["resolution"] == 0.0125
     assert fields["origin"] == [1 / 3, 0.30000000000000004, 0.0]
@@ -111,23 +105,21 @@ def test_numbers_are_numbers_to_yaml_1_1_too(tmp_path: Path) -> None:
 AROUND = [0.01, 0.19, 0.1935, 0.1985, 0.2, 0.5, 0.6475, 0.6525, 0.66, 0.99, np.nan]
 
 
-@pytest.mark.parametrize("load", [load_ros1, load_nav2])
+@each_loader
 @pytest.mark.parametrize(
     ("occupied", "free"),
     [(0.65, 0.196), (0.65, 0.25), (0.9, 0.4), (0.3, 0.1), (0.15, 0.05), (0.9999, 1e-4)],
 )
 def test_trinary_classes_survive_both_loaders(
-    tmp_path: Path, load: object, occupied: float, free: float
+    tmp_path: Path, load: Loader, occupied: float, free: float
 ) -> None:
-    assert callable(load)
     options = WriteOptions(MapMode.TRINARY, occupied, free)
     grid = map_of([AROUND, AROUND[::-1]])
     assert load(write(tmp_path, grid, options)).tolist() == expected_classes(grid, occupied, free)
 
 
-@pytest.mark.parametrize("load", [load_ros1, load_nav2])
-def test_a_cell_on_a_threshold_is_undecided(tmp_path: Path, load: object) -> None:
-    assert callable(load)
+@each_loader
+def test_a_cell_on_a_threshold_is_undecided(tmp_path: Path, load: Loader) -> None:
     for mode in (MapMode.TRINARY, MapMode.SCALE):
         # 0.2 is exactly the grey 204: no loader agrees with the other on that pixel.
         grid = map_of([[0.6, 0.2, 0.601, 0.199]])
@@ -136,11 +128,10 @@ def test_a_cell_on_a_threshold_is_undecided(tmp_path: Path, load: object) -> Non
         assert all(each == -1 or 0 < each < 100 for each in found[:2])
 
 
-@pytest.mark.parametrize("load", [load_ros1, load_nav2])
+@each_loader
 def test_trinary_is_what_the_map_decides_and_the_yaml_tells_greys_apart(
-    tmp_path: Path, load: object
+    tmp_path: Path, load: Loader
 ) -> None:
-    assert callable(load)
     grid = replace(map_of([[0.31, 0.32, 0.33, np.nan]]), decision=Decision(0.32, 0.32))
     yaml = write(tmp_path, grid, TRINARY)
     assert load(yaml).tolist() == [[0, -1, 100, -1]]
@@ -242,26 +233,22 @@ def test_unknown_is_never_a_class_in_scale(tmp_path: Path, free: float) -> None:
     assert 0 < load_nav2(yaml)[0, 0] < 100
 
 
-@pytest.mark.parametrize("load", [load_ros1, load_nav2])
-def test_raw_is_per_cent_and_255(tmp_path: Path, load: object) -> None:
-    assert callable(load)
-    yaml = write(
-        tmp_path, map_of([[0.003, 0.196, 0.5, 0.651, 0.999, np.nan]]), WriteOptions(MapMode.RAW)
-    )
+@each_loader
+def test_raw_is_per_cent_and_255(tmp_path: Path, load: Loader) -> None:
+    grid = map_of([[0.003, 0.196, 0.5, 0.651, 0.999, np.nan]])
+    yaml = write(tmp_path, grid, WriteOptions(MapMode.RAW))
     assert load(yaml).tolist() == [[0, 20, 50, 65, 100, -1]]
     assert read_pgm(yaml.with_suffix(".pgm"))[0, -1] == 255
 
 
 def test_even_odds_are_undecided(tmp_path: Path) -> None:
-    log_odds = np.array([[0.0, 1e-6, -1e-6]], np.float32)
-    grid = OccupancyMap(log_odds, np.ones((1, 3), np.bool_), 0.05, (0.0, 0.0))
+    grid = replace(map_of([[0.5] * 3]), log_odds=np.array([[0.0, 1e-6, -1e-6]], np.float32))
     assert load_nav2(write(tmp_path, grid, TRINARY)).tolist() == [[-1, 100, 0]]
 
 
 def test_extreme_log_odds(tmp_path: Path) -> None:
-    grid = OccupancyMap(
-        np.array([[-3e38, 3e38, -1e4, 1e4]], np.float32), np.ones((1, 4), np.bool_), 1.0, (0.0, 0.0)
-    )
+    log_odds = np.array([[-3e38, 3e38, -1e4, 1e4]], np.float32)
+    grid = replace(map_of([[0.5] * 4]), log_odds=log_odds)
     for mode in MapMode:
         yaml = write(tmp_path, grid, WriteOptions(mode))
         assert load_nav2(yaml).tolist() == [[0, 100, 0, 100]]

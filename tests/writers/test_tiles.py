@@ -10,16 +10,15 @@ from occmap.cells import CellClass, OccupancyMap
 from occmap.difference.maps import load_map
 from occmap.writers import WriteOptions
 from occmap.writers.images import TILE_PIXELS, TilesWriter
+from tests.writers.maps import map_of_places
 
 GREY = {CellClass.NEITHER: 205, CellClass.FREE: 254, CellClass.OCCUPIED: 0}
 
 
 def make_map() -> OccupancyMap:
     """2,500 x 1,200 cells from row -1,100 and column -30 on: a wall at the left, a free corner."""
-    log_odds, observed = np.zeros((2500, 1200), np.float32), np.zeros((2500, 1200), np.bool_)
-    log_odds[:, 3], observed[:, 3] = 2, True
-    log_odds[-10:, -20:], observed[-10:, -20:] = -2, True
-    return OccupancyMap(log_odds, observed, 0.1, (-3.0, -110.0))
+    drawn = (np.s_[:, 3], 2.0), (np.s_[-10:, -20:], -2.0)
+    return map_of_places((2500, 1200), (-3.0, -110.0), *drawn)
 
 
 @pytest.fixture(scope="module")

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from occmap import api
-from occmap.cells import Evidence
-from occmap.cli import run
 from occmap.errors import UsageError
 from occmap.types import Journey, Trajectory
 from occmap.writers import Product, WriteOptions, write_outputs
-from tests.writers.maps import map_of
+from tests.cli.runner import occmap, read_error
+from tests.samples import SAMPLE_LOGS
+from tests.writers.maps import map_of, nothing_kept
 
-DRIVE = "sample_logs/drive.csv"
 TURNED = [1.0, 2.0, 0.5, 0.0, 0.0, 0.6, 0.8]
 WAY = Trajectory(
     "a.bag",
@@ -23,12 +22,8 @@ WAY = Trajectory(
 )
 
 
-def keep_nothing() -> Evidence:
-    raise AssertionError("nobody asked for evidence")
-
-
 def write(path: Path) -> list[str]:
-    product = Product(map_of([[0.9]]), keep_nothing, Journey((WAY,), ()))
+    product = Product(map_of([[0.9]]), nothing_kept, Journey((WAY,), ()))
     write_outputs([path], product, WriteOptions())
     return path.read_text().splitlines()
 
@@ -53,21 +48,17 @@ def test_poses_are_written_by_ascending_time(tmp_path: Path, name: str, lines: l
 
 
 def test_a_trajectory_makes_the_same_map_again(tmp_path: Path) -> None:
-    first = api.build_map(DRIVE, resolution=0.1, outputs=tmp_path / "t.tum")
-    again = api.build_map(DRIVE, resolution=0.1, poses=tmp_path / "t.tum")
+    first = api.build_map(SAMPLE_LOGS / "drive.csv", resolution=0.1, outputs=tmp_path / "t.tum")
+    again = api.build_map(SAMPLE_LOGS / "drive.csv", resolution=0.1, poses=tmp_path / "t.tum")
     assert again.report.scans.used >= first.report.scans.used - 2
     assert again.agreement == pytest.approx(first.agreement, abs=0.002)
 
 
-def test_saved_evidence_has_none_and_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made = api.build_map(DRIVE, resolution=0.2, outputs=tmp_path / "m.npz")
-    assert run(["render", str(tmp_path / "m.npz"), "-o", str(tmp_path / "t.tum")]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
+def test_saved_evidence_has_none_and_says_so(here: Path) -> None:
+    made = api.build_map(SAMPLE_LOGS / "drive.csv", resolution=0.2, outputs="m.npz")
+    told = read_error(occmap("render m.npz -o t.tum"), 2)
     assert "t.tum: evidence does not say where the robot went" in told
     assert "build it from the logs: `occmap build`" in told
     with pytest.raises(UsageError, match="the map does not say where the robot went"):
-        made.save(tmp_path / "t.tum")
-    assert not (tmp_path / "t.tum").exists()
+        made.save("t.tum")
+    assert not (here / "t.tum").exists()

@@ -136,6 +136,34 @@ class Band(NamedTuple):
     """Points farther away are not used (m)"""
 
 
+@kernel
+def widen(
+    edges: Float64, cloud: Cloud, band: Band, blocks: Blocks, height: Int32, place: Float64
+) -> None:
+    """Widen a box by the points of a cloud that observe their cells, as obstacles or as floor.
+
+    Parameters
+    ----------
+    edges
+        (4,) lowest x and y, highest x and y (m), changed in place.
+    place
+        (3, `SOME`) to work with.
+    """
+    least, most = band.nearest * band.nearest, band.farthest * band.farthest
+    for start in range(0, cloud.points.size // 3, SOME):
+        for i in range(place_points(cloud, start, place)):
+            x, y = place[0, i], place[1, i]
+            square = (x - cloud.origin[0]) ** 2 + (y - cloud.origin[1]) ** 2
+            if not least <= square < most:
+                continue
+            ground = ground_at(blocks, height, x, y)
+            above = place[2, i] * 1000 - ground
+            clear = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
+            if ground != NO_GROUND and (abs(above) < band.low or clear <= above < band.high):
+                edges[0], edges[1] = min(edges[0], x), min(edges[1], y)
+                edges[2], edges[3] = max(edges[2], x), max(edges[3], y)
+
+
 @step
 def find_cell(canvas: Canvas, row: int, col: int) -> int:
     """Where a cell lies in the flat arrays of a canvas; -1 where it has no place."""

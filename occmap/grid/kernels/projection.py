@@ -59,7 +59,8 @@ def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
     Parameters
     ----------
     depth
-        How far beyond its range a HIT beam is followed on the map (m).
+        How far beyond its range a HIT beam is followed on the map (m), where a model asks for
+        ranges.
 
     Returns
     -------
@@ -81,13 +82,13 @@ def project_ends(beams: Beams, depth: float) -> tuple[int, int, int, int]:
                 b = np.uint64(beam)
                 along_x = xx * bearing[0, b] + xy * bearing[1, b]
                 along_y = yx * bearing[0, b] + yy * bearing[1, b]
-                length = np.sqrt(along_x * along_x + along_y * along_y)
-                beyond = depth / (length + NO_LENGTH)
-                reach = distance[s, b] + (beyond if kinds[s, b] == HIT else 0.0)
+                reach = np.float64(distance[s, b])
+                if ranges.size:
+                    length = np.sqrt(along_x * along_x + along_y * along_y)
+                    ranges[s, b] = reach * length * scale
+                    reach += depth / (length + NO_LENGTH) if kinds[s, b] == HIT else 0.0
                 ends_x[s, b] = np.int32(np.rint((at_x + reach * along_x) * scale) - anchor_x)
                 ends_y[s, b] = np.int32(np.rint((at_y + reach * along_y) * scale) - anchor_y)
-                if ranges.size:
-                    ranges[s, b] = distance[s, b] * length * scale
         for beam in range(count):  # a loop of its own: many ends are compared at a time
             b = np.uint64(beam)
             left, right = min(left, ends_x[s, b]), max(right, ends_x[s, b])

@@ -13,9 +13,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels import polygon
-from occmap.grid.kernels.polygon import Field, Outline, Spans
+from occmap.grid.kernels.polygon import Field
 from occmap.grid.kernels.projection import Beams
+from occmap.grid.kernels.spans import (
+    Outline,
+    Spans,
+    fill_outline,
+    find_rows,
+    make_outline,
+    make_spans,
+)
 from occmap.grid.kernels.units import (
     AT_A_TIME,
     CELL_SHIFT,
@@ -136,10 +143,10 @@ def trace_radial_polygons(beams: Beams, tables: Tables, field: Field) -> None:
     at_rows, at_cols, places = np.empty((3, room), np.int32)
     listed = Listed(at_rows, at_cols, places, np.empty(2 * room))
     sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
-    limits, outline = np.empty(2 * count + 2), polygon.make_outline(4 * count + 4)
+    limits, outline = np.empty(2 * count + 2), make_outline(4 * count + 4)
     limits[-2:] = np.inf, -np.inf
     while done < scans:
-        spans = polygon.make_spans(rows, crossings), polygon.make_spans(rows, crossings)
+        spans = make_spans(rows, crossings), make_spans(rows, crossings)
         view = Room(sectors, covering, limits, listed, outline, *spans)
         done = trace_scans(beams, done, tables, field, view)
         crossings *= 2
@@ -160,8 +167,8 @@ def trace_scans(beams: Beams, done: int, tables: Tables, field: Field, room: Roo
         side_by_side = cover_bearings(sectors, kinds, sign, room.covering)
         reach_out(beams, s, depth, sectors)
         corners = outline_sectors(at_x, at_y, sectors, outline)
-        touched = polygon.find_rows(outline.y, corners, rows)
-        if polygon.fill_outline(outline, corners, touched, cols, outer) < 0:
+        touched = find_rows(outline.y, corners, rows)
+        if fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):
             limits[2 * b] = TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
@@ -171,7 +178,7 @@ def trace_scans(beams: Beams, done: int, tables: Tables, field: Field, room: Roo
         if side_by_side:
             stay_inside(sign, sectors)
             corners = outline_sectors(at_x, at_y, sectors, outline)
-            if polygon.fill_outline(outline, corners, touched, cols, inner) < 0:
+            if fill_outline(outline, corners, touched, cols, inner) < 0:
                 return s
         view = View((at_x, at_y), room.covering, limits, depth, tables.entries)
         _observe_spans(view, touched, room, field)

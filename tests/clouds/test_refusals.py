@@ -1,0 +1,79 @@
+"""What makes no map of clouds is refused at once, and `check` says so beforehand."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from occmap.clouds import CloudOptions
+from occmap.clouds.engine import CloudEngine, make_band
+from occmap.errors import MapError
+from occmap.grid import Lattice
+from occmap.sensor import ReturnOptions
+from tests.cli.runner import occmap
+from tests.clouds.simulation import HALL, LATTICE, ROOM, Room, drive, find_ground, observe
+from tests.samples import SAMPLE_LOGS
+
+COLUMNS, ROWS = 202, 122
+"""Of the hall's map at 5 cm, which sees the outer sides of no wall"""
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--max-cells", COLUMNS * ROWS - 1), f"--max-cells {COLUMNS * ROWS - 1}"),
+        (("--resolution", "0.0001"), "--max-cells"),
+        (("--max-range", "0.001"), "no point of any cloud observed a cell"),
+        ((SAMPLE_LOGS / "drive.mcap",), "one kind at a time"),
+    ],
+)
+def test_a_check_tells_what_a_build_fails_for(
+    options: tuple[object, ...], told: str, tmp_path: Path
+) -> None:
+    checked = occmap("check", HALL, *options, "--json")
+    built = occmap("build", HALL, *options, "-o", tmp_path / "hall.pgm")
+    (problem,) = json.loads(checked.out)["problems"]
+    assert (checked.code, built.code > 0) == (1, True)
+    assert told in problem
+    assert told in built.err
+
+
+def test_a_check_says_how_large_the_map_will_be(tmp_path: Path) -> None:
+    most = "--max-cells", COLUMNS * ROWS
+    checked = json.loads(occmap("check", HALL, *most, "--json").out)
+    built = json.loads(occmap("build", HALL, *most, "-o", tmp_path / "hall.pgm", "--json").out)
+    for size in (checked["map"], built["map"]):
+        assert (size["columns"], size["rows"]) == (COLUMNS, ROWS)
+    (topic,) = checked["logs"][0]["scans"]
+    assert topic["shapes"] == []
+    assert topic["ranges"]["total"] == 0
+    assert topic["ranges"]["smallest"] is None
+
+
+def test_a_map_that_is_too_large_is_refused_before_room_is_made_for_it() -> None:
+    clouds = drive(Room(), clouds=4)
+    ground = find_ground(clouds)
+    band = make_band(CloudOptions(), ReturnOptions())
+    engine = CloudEngine(Lattice(1e-5), band, ground)
+    with pytest.raises(MapError, match="`max_cells=1000000000`"):
+        engine.add(clouds[0])
+    assert engine.bytes_held == 0
+
+    tight = CloudEngine(LATTICE, band, ground, max_cells=ROOM.cells)
+    for each in clouds:
+        tight.add(each)  # the map is as large as it may be, though its ground goes on
+    assert tight.finish().tiles.keys() == observe(clouds, ground).finish().tiles.keys()
+
+
+@pytest.mark.parametrize("command", ["build", "check"])
+def test_a_limit_on_beams_is_refused_for_clouds(command: str, tmp_path: Path) -> None:
+    outputs = ("-o", tmp_path / "hall.pgm") if command == "build" else ()
+    done = occmap(command, HALL, *outputs, "--fail-if", "hits < 50%")
+    assert done.code == 2
+    assert "clouds of points have none" in done.err
+
+
+def test_a_model_of_beams_is_refused_for_clouds(tmp_path: Path) -> None:
+    done = occmap("build", HALL, "--model", "quadratic", "-o", tmp_path / "hall.pgm")
+    assert done.code == 2
+    assert "--model counting" in done.err
