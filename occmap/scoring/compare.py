@@ -7,7 +7,6 @@ that are kept from the maps of all variants.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from time import thread_time
 from typing import Self
@@ -23,9 +22,10 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model, compose_b
 from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Noted, Share, count, printed_as
 from occmap.report.results import name_frames
 from occmap.scans import make_engine
+from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import Progress, Remarks, ignore_progress
-from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, read_scans, score_map
+from occmap.scans.tracing import Progress, Reading, Remarks, ignore_progress
+from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, score_map
 from occmap.sensor.models import SensorModel, parse_model, shorten_model
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from occmap.workers import Workers
@@ -276,9 +276,12 @@ def compare(
     OccmapError
         As `build`, no held-out beam measured a range, or logs are mapped in different frames.
     """
+    reading = Reading(open_scans(paths, options), options, progress)
     with Workers[Task](lambda it: it[0].add(it[1]), options.jobs) as workers:
-        begin = partial(Trials, variants, options, workers)
-        trials, tally, remarks = read_scans(paths, options, begin, progress)
+        trials = Trials(variants, options, workers)
+        for rays in reading.list_rays():
+            trials.add(rays)
+    tally, remarks = reading.tally, reading.remarks
     fix = "choose one with `map_frame`, or compare each log by itself"
     if apart := name_frames(tally):
         raise UsageError(apart, fix=fix)
