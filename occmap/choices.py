@@ -366,9 +366,11 @@ def check_bounds(options: Any) -> None:
     """Refuse a value out of the bounds of its option; raises UsageError with what to give."""
     for each in fields(options):
         value = getattr(options, each.name)
-        if isinstance(each.default, float) and not isinstance(value, int | float | None):
+        known = each.metadata.get("option", Option())
+        is_number = isinstance(value, int | float) or (value is None and known.none[0])
+        if isinstance(each.default, float) and not is_number:
             raise UsageError(f"`{each.name}` is {value!r}", fix="give a number")
-        low, high = bounds = each.metadata.get("option", Option()).bounds
+        low, high = bounds = known.bounds
         is_bounded = bounds != Option.bounds and isinstance(value, int | float)
         if is_bounded and not low <= value <= high:
             least = "more than 0" if low == ABOVE_ZERO else f"{low:g}"

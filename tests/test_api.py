@@ -591,8 +591,8 @@ def test_explain_gives_what_the_command_prints(halves: Path) -> None:
     for wrong in ("here", None):
         with pytest.raises(UsageError, match=rf"^`x` is {wrong!r}; give a number"):
             occmap.explain(path, wrong, 0)  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="`resolution` is 'fine'; give a number"):
-        occmap.BuildOptions(resolution="fine")  # type: ignore[arg-type]
+        with pytest.raises(UsageError, match=f"`resolution` is {wrong!r}; give a number"):
+            occmap.BuildOptions(resolution=wrong)  # type: ignore[arg-type]
 
 
 def test_the_version_is_that_of_the_package() -> None:

@@ -146,7 +146,7 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
         raise UsageError(f"{first!r} is neither a log nor an update", fix=fix)
     if not words:
         raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
-    return update, [read_value("logs", Path, word) for word in words]
+    return update, [read_value("LOG", Path, word) for word in words]
 
 
 def run_build(

@@ -23,10 +23,7 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
 from occmap.report import HIDDEN, Count, join_names
 from occmap.scans import plan_grid
-from occmap.scans.logs import count_scans
-from occmap.scans.mounts import open_drive
-from occmap.scans.tally import Tally
-from occmap.scans.tracing import Progress
+from occmap.scans.tracing import Progress, Reading
 from occmap.sensor import interpret
 from occmap.types import Pose, PosedScans, PoseSample
 
@@ -358,22 +355,20 @@ def find_sightings(
     """
     from occmap.grid.engine import look_at_cell  # noqa: PLC0415  late: it brings numba
 
-    opened = [(use, open_log(use.log, use.options.reading)) for use in uses]
-    total = sum(count_scans(log, use.options.selection.topics) for use, log in opened)
     sightings: list[Sighting] = []
-    tally = Tally(lambda scans: progress(scans, total))
-    for use, log in opened:
-        drive = open_drive(log, use.options)
-        drive.foresee()
+    used = 0
+    for use in uses:
         spec = plan_grid(use.options)
-        for posed in drive.read(tally):
-            rays, beams = interpret(posed, use.options.returns)
+        reading = Reading([open_log(use.log, use.options.reading)], use.options, progress)
+        (drive,) = reading.list_drives()
+        for posed in drive.read(reading.tally):
+            rays, _ = interpret(posed, use.options.returns)
             numbers = look_at_cell(rays, spec, cell.row, cell.column)
             for scan in np.flatnonzero(numbers.any(axis=1)).tolist():
                 seen = Seen.read(numbers[scan].tolist(), spec.kind)
                 sightings.append(Sighting.note(use, posed, scan, seen, cell))
-            tally.use(len(numbers), beams)
-    return sorted(sightings, key=lambda each: each.stamp_ns), tally.scans_used
+            used += len(numbers)
+    return sorted(sightings, key=lambda each: each.stamp_ns), used
 
 
 def add_up(sightings: Sequence[Sighting]) -> Numbers:

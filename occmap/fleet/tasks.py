@@ -28,7 +28,7 @@ from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_drives
+from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_drive
 from occmap.store.layout import Block, BlockRecord, split_blocks
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
@@ -166,11 +166,11 @@ def trace_log(job: Job) -> Traced:
     runs = RunWriter(job)
     with tally.time("poses"):
         drive = open_drive(log, options)
-    _, (notes,) = trace_drives([drive], runs.begin, tally)
+    trace_drive(drive, runs.begin, tally)
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
-    return Traced(tally, notes, tuple(log.notes), runs.pieces)
+    return Traced(tally, drive.list_notes(), tuple(log.notes), runs.pieces)
 
 
 class RunWriter:

@@ -1,7 +1,7 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,13 +17,13 @@ from occmap.grid.rendering import Reach
 from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
-from occmap.readers import open_log
+from occmap.readers import Log, open_log
 from occmap.report import Note
 from occmap.scans import make_grid, plan_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import encode_cells, open_drive
 from occmap.scans.stream import Drive
-from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally
+from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.types import Float64, PosedScans, Rays, Update
 from occmap.workers import Workers, help_readers
@@ -53,31 +53,27 @@ class TakesRays(Protocol):
 Taker = TypeVar("Taker", bound=TakesRays)
 
 
-def trace_drives(
-    drives: Sequence[Drive], begin: Callable[[], Taker], tally: Tally
-) -> tuple[Taker, list[list[str]]]:
-    """Read drives and trace their scans; return what took them, and the notes on each.
+def trace_drive(drive: Drive, begin: Callable[[], Taker], tally: Tally) -> Taker:
+    """Read a drive and trace its scans; return what took them.
 
     Only a log read to its end shows for sure which ranges mean "no return", and which scans leap
-    away. Where the first scans let something else seem right, all these logs are read once more.
+    away. Where the first scans let something else seem right, the log is read once more.
 
     Parameters
     ----------
     begin
-        Called each time that the logs are read; returns what takes their rays. Where they are read
-        once more, what took them first is of no use.
+        Called each time that the log is read; returns what takes its rays. Where it is read once
+        more, what took them first is of no use.
     """
     for _ in range(2):
         counts, taker = tally.start_over(), begin()
-        right = [trace(drive, taker.add, counts) for drive in drives]
-        if all(right):
+        if trace(drive, taker.add, counts):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
     if counts.recorder:
-        for drive in drives:
-            counts.recorder.trajectories += drive.poser.list_trajectories(str(drive.log.path))
+        counts.recorder.trajectories += drive.poser.list_trajectories(str(drive.log.path))
     tally.add(counts)
-    return taker, [drive.list_notes() for drive in drives]
+    return taker
 
 
 def trace(drive: Drive, add_rays: AddRays, tally: Tally) -> bool:
@@ -257,6 +253,46 @@ class Remarks:
         self.notes += [note.placed(log) for note in (*map(Note, others), *notes)]
 
 
+class Reading:
+    """Logs whose scans are read one after the other, and nothing is mapped on the way.
+
+    Each log is read for its limits and leaps alone first, so that they hold from its first scan on.
+    """
+
+    def __init__(self, logs: Sequence[Log], options: BuildOptions, progress: Progress) -> None:
+        self.options = options
+        self.total = sum(count_scans(log, options.selection.topics) for log in logs)
+        """Of what progress is told; more may be added to it"""
+        self.tally = Tally(lambda scans: progress(scans, self.total))
+        self.remarks = Remarks([str(log.path) for log in logs])
+        self._drives = [open_drive(log, options) for log in logs]
+
+    def list_drives(self) -> Iterator[Drive]:
+        """Give the drive of each log, which is read before the next one is asked for."""
+        for drive in self._drives:
+            drive.foresee()
+            yield drive
+            self.remarks.note(drive.log.path, drive.log.notes, drive.list_notes())
+
+    def list_rays(self) -> Iterator[Rays]:
+        """Read the usable scans of all logs, batch by batch.
+
+        Raises
+        ------
+        OccmapError
+            As a build, also where no scan can be used.
+        """
+        for drive in self.list_drives():
+            reach = Reach(Lattice(self.options.resolution), self.options.max_cells)
+            for posed in drive.read(self.tally):
+                rays, beams = interpret(posed, self.options.returns)
+                self.tally.use(len(rays.kind), beams)
+                with name_log(drive.log.path):
+                    reach.stretch(rays)
+                yield rays
+        refuse_unused(self.remarks.logs, self.tally)
+
+
 def choose_engine(
     options: BuildOptions, keep: Keep, window_cells: int = WINDOW_CELLS
 ) -> "GridEngine | CloudEngine":
@@ -323,13 +359,13 @@ def observe(
         of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs)))
         with of_log.time("poses"), help_readers(options.jobs):
             drive = known[log.path].renew(options) if known else open_drive(log, options)
-        engine, (notes,) = trace_drives([drive], begin, of_log)
+        engine = trace_drive(drive, begin, of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)
         with tally.time("fold"):
-            notes += add_seen(tiles, engine.finish(), drive)
+            misfit = add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
-        remarks.note(log.path, log.notes, notes)
+        remarks.note(log.path, log.notes, [*drive.list_notes(), *misfit])
     with tally.time("fold"):
         kept = (unite(slices),) if keep.slices else ()
         return Observed(tiles, kept, tally, remarks, ground, options)

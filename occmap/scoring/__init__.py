@@ -5,20 +5,14 @@
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.options import BuildOptions
 from occmap.report import Count, Finite, Share
-from occmap.scans.logs import count_scans, open_scans
-from occmap.scans.mounts import open_drive
-from occmap.scans.tally import Tally, refuse_unused
-from occmap.scans.tracing import Progress, Remarks, Taker, trace_drives
 from occmap.types import Float64, Kind, Rays, ScanBatch
 from occmap.workers import Workers
 
@@ -189,40 +183,6 @@ def estimate_error(part: Float64, whole: Float64) -> float:
         return math.inf
     rest = part - math.fsum(part) / total * whole
     return math.sqrt(scans / (scans - 1) * math.fsum(rest**2)) / total
-
-
-def read_scans(
-    paths: Sequence[Path], options: BuildOptions, begin: Callable[[], Taker], progress: Progress
-) -> tuple[Taker, Tally, Remarks]:
-    """Read all usable scans of logs in their order.
-
-    Parameters
-    ----------
-    begin
-        As for `trace_drives`.
-
-    Returns
-    -------
-    taker, tally, remarks
-        What took the scans; what became of them, and what to note.
-
-    Raises
-    ------
-    OccmapError
-        As a build.
-    """
-    tally = Tally()
-    logs = open_scans(paths, options)
-    total = sum(count_scans(log, options.selection.topics) for log in logs)
-    tally.tell = lambda scans: progress(scans, total)
-    remarks = Remarks([str(log.path) for log in logs])
-    with tally.time("poses"):
-        drives = [open_drive(log, replace(options, jobs=1)) for log in logs]
-    taker, told = trace_drives(drives, begin, tally)
-    for log, notes in zip(logs, told, strict=True):
-        remarks.note(log.path, log.notes, notes)
-    refuse_unused(paths, tally)
-    return taker, tally, remarks
 
 
 Taken = TypeVar("Taken", Rays, ScanBatch)

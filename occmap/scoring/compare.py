@@ -5,9 +5,8 @@ that are kept from the maps of all variants.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from time import thread_time
 from typing import Self
@@ -23,9 +22,10 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model, compose_b
 from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Noted, Share, count, printed_as
 from occmap.report.results import name_frames
 from occmap.scans import make_engine
+from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import Progress, Remarks, ignore_progress
-from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, read_scans, score_map
+from occmap.scans.tracing import Progress, Reading, Remarks, ignore_progress
+from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, score_map
 from occmap.sensor.models import SensorModel, parse_model, shorten_model
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 from occmap.workers import Workers
@@ -153,45 +153,27 @@ Task = tuple[SharedEvidence, Rays]
 """Scans for one piece of evidence"""
 
 
-class Trials:
-    """The variants of one comparison. Those that need the same evidence share it."""
+def score_variants(
+    variants: Sequence[Variant],
+    shared: Mapping[str, SharedEvidence],
+    held_out: Sequence[Rays],
+    options: BuildOptions,
+) -> list[ScoredVariant]:
+    """Render every variant and score it on the scans held out, the best share first.
 
-    def __init__(
-        self, variants: Sequence[Variant], options: BuildOptions, workers: Workers[Task]
-    ) -> None:
-        self.hold_out = HoldOut()
-        self._variants, self._options, self._workers = variants, options, workers
-        self._shared = {
-            key: SharedEvidence(replace(options, update=each.update, model=each.model))
-            for key, each in {each.evidence: each for each in variants}.items()
-        }
-
-    def add(self, rays: Rays) -> None:
-        """Hold some scans out, and have the others traced."""
-        seen = self.hold_out.split(rays)
-        if len(seen.kind):
-            for evidence in self._shared.values():
-                self._workers.give((evidence, seen))
-
-    def score(self) -> list[ScoredVariant]:
-        """Render every variant and score it on the scans held out, the best share first.
-
-        Raises
-        ------
-        MapError
-            Nothing was observed, or a map would be too large.
-        """
-        grids = {key: evidence.finish() for key, evidence in self._shared.items()}
-        results = [self._score(each, grids[each.evidence]) for each in self._variants]
-        results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
-        return [each.compare_with(results[0]) for each in results]
-
-    def _score(self, variant: Variant, grid: TileGrid) -> ScoredVariant:
-        start = thread_time()
-        made = render(grid, variant.model, self._options.max_cells)
-        seconds = self._shared[variant.evidence].seconds + thread_time() - start
-        trial = score_map(made, self.hold_out.sample.parts, self._options.jobs)
-        return ScoredVariant(
+    Raises
+    ------
+    MapError
+        Nothing was observed, or a map would be too large.
+    """
+    grids = {key: evidence.finish() for key, evidence in shared.items()}
+    results = []
+    for variant in variants:
+        grid, start = grids[variant.evidence], thread_time()
+        made = render(grid, variant.model, options.max_cells)
+        seconds = shared[variant.evidence].seconds + thread_time() - start
+        trial = score_map(made, held_out, options.jobs)
+        scored = ScoredVariant(
             variant=variant,
             map=made,
             trial=trial,
@@ -204,6 +186,9 @@ class Trials:
             seconds=round(seconds, 4),
             bytes=sum(tile.nbytes for tile in grid.tiles.values()),
         )
+        results.append(scored)
+    results.sort(key=lambda each: (-each.score.share, -each.score.log_likelihood))
+    return [each.compare_with(results[0]) for each in results]
 
 
 @dataclass(frozen=True)
@@ -276,13 +261,21 @@ def compare(
     OccmapError
         As `build`, no held-out beam measured a range, or logs are mapped in different frames.
     """
+    reading = Reading(open_scans(paths, options), options, progress)
+    hold_out = HoldOut()
+    shared = {  # by the variants that need the same
+        each.evidence: SharedEvidence(replace(options, update=each.update, model=each.model))
+        for each in variants
+    }
     with Workers[Task](lambda it: it[0].add(it[1]), options.jobs) as workers:
-        begin = partial(Trials, variants, options, workers)
-        trials, tally, remarks = read_scans(paths, options, begin, progress)
+        for rays in reading.list_rays():
+            seen = hold_out.split(rays)
+            for evidence in shared.values() if len(seen.kind) else ():
+                workers.give((evidence, seen))
+    tally, remarks = reading.tally, reading.remarks
     fix = "choose one with `map_frame`, or compare each log by itself"
     if apart := name_frames(tally):
         raise UsageError(apart, fix=fix)
-    hold_out = trials.hold_out
     held_out = hold_out.sample.scans
     refuse_unscored(remarks.logs, held_out, hold_out.hits)
     remarks.notes += hold_out.sample.list_notes("held-out scans")
@@ -290,7 +283,8 @@ def compare(
         few = count(held_out, "held-out scan")
         remarks.notes.append(f"{few}: too few to tell variants apart; give a longer log")
     scans = HeldOutScans(**vars(tally.scans), held_out=held_out)
-    return choose_best(trials.score(), options, remarks, scans)
+    results = score_variants(variants, shared, hold_out.sample.parts, options)
+    return choose_best(results, options, remarks, scans)
 
 
 def choose_best(

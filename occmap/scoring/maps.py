@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -18,9 +17,10 @@ from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share
 from occmap.report.results import LEAST_AGREEMENT
+from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import Progress, ignore_progress
-from occmap.scoring import MOST_SCANS, Sample, Trial, read_scans, score_map
+from occmap.scans.tracing import Progress, Reading, ignore_progress
+from occmap.scoring import MOST_SCANS, Sample, Trial, score_map
 from occmap.scoring.fit import Match, Walls, fit, list_hits
 from occmap.store.moving import STAY, Transform
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
@@ -232,8 +232,11 @@ def score_by_logs(
     """
     place = find_place(written)
     options = replace(options, resolution=place.resolution)
-    begin = partial(Sample[Rays], MOST_SCANS)
-    sample, tally, remarks = read_scans(paths, options, begin, progress)
+    sample = Sample[Rays](MOST_SCANS)
+    reading = Reading(open_scans(paths, options), options, progress)
+    for rays in reading.list_rays():
+        sample.add(rays)
+    tally, remarks = reading.tally, reading.remarks
     remarks.notes += sample.list_notes()
     hits = list_hits(sample.parts)
     if not len(hits):

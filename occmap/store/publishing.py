@@ -83,36 +83,21 @@ class BlockMap:
     options: RenderOptions
     box: CellBox
     """Its cells"""
+    shape: tuple[int, int]
+    """Rows and columns"""
+    place: Int64
+    """(2,) row and column of its first cell on the lattice"""
+    resolution: float
+    """Side of a cell (m)"""
+    extent: Box
+    """Lowest x and y, highest x and y (m)"""
+    decision: Decision
+    """How its cells are decided"""
 
     @cached_property
     def about(self) -> About:
         """What it is of; a sum of stores is read once more for that."""
         return describe_about(self.source.manifest, identify(self.source), self.options)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.box.shape
-
-    @property
-    def place(self) -> Int64:
-        """(2,) row and column of its first cell on the lattice."""
-        return np.array(self.box[:2])
-
-    @property
-    def resolution(self) -> float:
-        """Side of a cell (m)."""
-        return self.source.manifest.resolution
-
-    @property
-    def decision(self) -> Decision:
-        """How its cells are decided."""
-        return find_decision(self.model)
-
-    @property
-    def extent(self) -> Box:
-        """Lowest x and y, highest x and y (m)."""
-        return Lattice(self.resolution).measure(self.box)
 
     def take(self, rows: slice, cols: slice) -> OccupancyMap:
         """Paint a part of it."""
@@ -171,8 +156,11 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     chosen = options or RenderOptions()
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
     bounds = find_bounds(kept, model, chosen.min_passes)
-    box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
-    return BlockMap(kept, model, chosen, box)
+    lattice = Lattice(source.manifest.resolution)
+    box = choose_box(bounds, chosen.framing, lattice)
+    place, extent = np.array(box[:2]), lattice.measure(box)
+    where = box, box.shape, place, lattice.resolution, extent
+    return BlockMap(kept, model, chosen, *where, find_decision(model))
 
 
 def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:

@@ -10,7 +10,8 @@ import numpy as np
 from occmap.options import BuildOptions, compose_build
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import LEAST_AGREEMENT
-from occmap.scans.tracing import Progress, ignore_progress
+from occmap.scans.logs import open_scans
+from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
 from occmap.tuning import search
@@ -118,7 +119,8 @@ def tune(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    logs, tally, remarks = search.keep_logs(paths, options, progress)
+    reading = Reading(open_scans(paths, options), options, progress)
+    logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_mount(logs), lambda: tally.advance(kept))
     before = scorer.score(Correction())

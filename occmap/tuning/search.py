@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
 
 import numpy as np
 
@@ -18,11 +17,10 @@ from occmap.options import BuildOptions
 from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import MAX_TURN_S
-from occmap.readers import Log
 from occmap.scans import make_engine, mounts
-from occmap.scans.logs import count_scans, open_scans
+from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally, refuse_unused
-from occmap.scans.tracing import Progress, Remarks
+from occmap.scans.tracing import Reading
 from occmap.scoring import SMALL, Gain, HoldOut, Sample, Trial, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
@@ -70,9 +68,7 @@ class KeptLog:
         return sum(len(batch.stamp_ns) for batch in self.batches)
 
 
-def keep_logs(
-    paths: Sequence[Path], options: BuildOptions, progress: Progress
-) -> tuple[list[KeptLog], Tally, Remarks]:
+def keep_logs(reading: Reading) -> list[KeptLog]:
     """Read logs as a build does, and keep scans that have a pose at every time offset.
 
     The tally goes on to show the progress of a search over them.
@@ -82,18 +78,16 @@ def keep_logs(
     OccmapError
         As a build, or no scan is left.
     """
-    logs, tally = open_scans(paths, options), Tally()
-    most = max(min(MOST_SCANS, MOST_OF_ALL // len(logs)), 1)
-    total = sum(count_scans(log, options.selection.topics) for log in logs)
-    planned = total + USUAL_SCORINGS * min(total, most * len(logs))
-    tally.tell = lambda scans: progress(scans, planned)
-    remarks = Remarks([str(log.path) for log in logs])
-    kept = [keep_log(log, options, most, tally, remarks) for log in logs]
+    tally, remarks = reading.tally, reading.remarks
+    logs = len(remarks.logs)
+    most = max(min(MOST_SCANS, MOST_OF_ALL // logs), 1)
+    reading.total += USUAL_SCORINGS * min(reading.total, most * logs)
+    kept = [keep_log(drive, most, tally) for drive in reading.list_drives()]
     refuse_unused(remarks.logs, tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
-    kept = [drop_outer(log, options.posing) for log in kept]
+    kept = [drop_outer(log, reading.options.posing) for log in kept]
     if not any(log.scans for log in kept):
         raise PoseError(
             f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
@@ -101,19 +95,16 @@ def keep_logs(
             where=", ".join(remarks.logs),
             fix="give a longer log",
         )
-    return kept, tally, remarks
+    return kept
 
 
-def keep_log(log: Log, options: BuildOptions, most: int, tally: Tally, remarks: Remarks) -> KeptLog:
+def keep_log(drive: Drive, most: int, tally: Tally) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
-    drive = mounts.open_drive(log, options)
-    drive.foresee()
     sample = Sample[ScanBatch](most)
     for posed in drive.read(tally):
         sample.add(posed.batch)
     tally.scans_used += sample.seen
-    remarks.note(log.path, log.notes, drive.list_notes())
-    return KeptLog(str(log.path), drive.poser, tuple(sample.parts))
+    return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts))
 
 
 def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:

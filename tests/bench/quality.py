@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap import scoring
 from occmap.cells import OccupancyMap
 from occmap.errors import OccmapError
 from occmap.evidence import render
@@ -30,7 +29,8 @@ from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import BuildOptions
 from occmap.posing import PosingOptions
-from occmap.scans.tracing import ignore_progress
+from occmap.scans.logs import open_scans
+from occmap.scans.tracing import Reading, ignore_progress
 from occmap.scoring import HoldOut, Score, estimate_error, score_map
 from occmap.scoring.compare import SharedEvidence, refuse_unscored
 from occmap.sensor import ReturnOptions
@@ -90,7 +90,11 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     """
     posing = replace(recording.posing, deskew=options.posing.deskew)
     options = replace(options, posing=posing)
-    kept, _, _ = scoring.read_scans([recording.path], options, Scans, ignore_progress)
+    kept = Scans()
+    for rays in Reading(
+        open_scans([recording.path], options), options, ignore_progress
+    ).list_rays():
+        kept.add(rays)
     refuse_unscored([str(recording.path)], kept.hold_out.sample.scans, kept.hold_out.hits)
     return kept
 

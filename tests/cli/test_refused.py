@@ -125,6 +125,7 @@ REFUSED = [
     ("compare none.csv -o a.png -o a.html", 2, "--output takes one file, and is given 2: a.png,"),
     ("compare log.csv -o no/m.png", 1, "mkdir -p no"),
     ("compare log.csv --update polygn", 2, "--update"),
+    ("compare log.csv --update cloud", 2, "choose of beam, polygon, surface"),
     ("compare log.csv --model simpel", 2, "did you mean 'simple'?"),
     ("compare log.csv --model counting:p_hit=0.7", 2, "has no parameter 'p_hit'"),
     ("compare log.csv --resolution 0", 2, "a resolution of 0.0 m is not possible"),

@@ -14,7 +14,8 @@ from occmap.errors import LogError, PoseError
 from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.posing import Deskew, PosingOptions
-from occmap.scans.tracing import ignore_progress
+from occmap.scans.logs import open_scans
+from occmap.scans.tracing import Reading, ignore_progress
 from occmap.scoring import GOLDEN, Gain, Sample
 from occmap.scoring.compare import Variant, compare
 from occmap.tuning import tune
@@ -169,8 +170,8 @@ def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Pa
 
 def keep(path: Path, options: BuildOptions) -> tuple[list[KeptLog], list[str]]:
     """Read a log as tune does; give what is kept, and the notes."""
-    logs, _, remarks = keep_logs([path], options, ignore_progress)
-    return logs, remarks.notes
+    reading = Reading(open_scans([path], options), options, ignore_progress)
+    return keep_logs(reading), reading.remarks.notes
 
 
 @pytest.mark.parametrize(
