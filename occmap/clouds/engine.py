@@ -4,8 +4,10 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions
@@ -39,8 +41,12 @@ class Sheet:
 
     def __init__(self, lattice: Lattice, blocks: Blocks, height: Int32, box: CellBox) -> None:
         self.lattice, self.blocks, self.height = lattice, blocks, height
-        table = np.full(box.shape, -2, np.int32)
-        self.canvas = allocate(table, np.array(box[:2], np.int64), FIRST_TILES)
+        table, corner = np.full(box.shape, -2, np.int32), np.array(box[:2], np.int64)
+        tiles = Blocks(table, corner, np.zeros((FIRST_TILES, 2), np.int64))
+        of_tiles, of_cells = FIRST_TILES, FIRST_TILES * TILE * TILE
+        base, ground = np.zeros(of_tiles, np.int32), np.zeros(of_cells, np.int16)
+        state, counts = np.zeros(of_cells, np.uint8), np.zeros(2 * of_cells, np.int32)
+        self.canvas = Canvas(tiles, base, ground, state, counts, np.zeros(1, np.int64))
         self.number = 0
         """The slice of time of what it holds"""
         self.counts = np.zeros(COUNTS, np.int64)
@@ -54,17 +60,16 @@ class Sheet:
     def reach(self, origins: Float64, metres: float) -> None:
         """Lay out the tiles up to so far from places (N, 3)."""
         box = self.lattice.enclose(origins[:, :2], metres).align(TILE).shrink(TILE)
-        table, corner = self.canvas.table, self.canvas.corner
+        table, corner, _ = self.canvas.tiles
         low = np.maximum(np.array(box[:2]) - corner, 0)
         high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
         inside, heights = np.concatenate([low, high]), np.empty(TILE * TILE, np.int32)
         where = inside, self.lattice.resolution, heights
         while not tracing.lay_ground(self.blocks, self.height, self.canvas, *where):
-            grown = allocate(table, corner, 2 * self.used)
-            for layer in ("places", "base", "ground", "state", "counts", "used"):
-                old = getattr(self.canvas, layer)
-                getattr(grown, layer)[: len(old)] = old
-            self.canvas = grown
+            names = "base", "ground", "state", "counts"
+            layers = {name: double(getattr(self.canvas, name)) for name in names}
+            tiles = self.canvas.tiles._replace(places=double(self.canvas.tiles.places))
+            self.canvas = self.canvas._replace(tiles=tiles, **layers)
 
     def observe(self, clouds: Sequence[Cloud], band: Band) -> None:
         """Observe the cells of some clouds."""
@@ -84,7 +89,7 @@ class Sheet:
         """Give the places of tiles in which something was observed, and their cells."""
         cells = self.canvas.counts.reshape(-1, 2, TILE, TILE)[: self.used]
         seen = cells.any(axis=(1, 2, 3))
-        places, taken = self.canvas.places[: self.used][seen], cells[seen]
+        places, taken = self.canvas.tiles.places[: self.used][seen], cells[seen]
         cells[seen] = 0
         return places, taken
 
@@ -124,12 +129,11 @@ class Extent:
         return self._lattice.enclose(np.stack([low, high])) if low[0] <= high[0] else None
 
 
-def allocate(table: Int32, corner: Int64, tiles: int) -> Canvas:
-    """Make a canvas with room for so many tiles."""
-    places, size = np.zeros((tiles, 2), np.int64), tiles * TILE * TILE
-    ground, state = np.zeros(size, np.int16), np.zeros(size, np.uint8)
-    counts, used = np.zeros(2 * size, np.int32), np.zeros(1, np.int64)
-    return Canvas(table, corner, places, np.zeros(tiles, np.int32), ground, state, counts, used)
+def double(layer: NDArray[Any]) -> NDArray[Any]:
+    """Make room for twice as many tiles in a layer of a canvas."""
+    grown = np.zeros((2 * len(layer), *layer.shape[1:]), layer.dtype)
+    grown[: len(layer)] = layer
+    return grown
 
 
 class CloudEngine(Engine):

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.growth import NO_GROUND, Blocks, find_column
+from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, find_column, locate
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
-from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, TILE_BITS
+from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT
 from occmap.jit import kernel, step
-from occmap.types import COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
 
 STEP_MM = 80
 """The ground is bilinear between columns that differ by no more."""
@@ -29,19 +29,16 @@ NOTHING = 1 << 62
 """Farther than anything is"""
 END_BITS, HALF_END = 32, 1 << 31
 """Bits of the column in which a bearing ends, which may be negative"""
-CELLS, INSIDE, HIGHEST = 1 << 2 * TILE_BITS, (1 << TILE_BITS) - 1, 1 << 30
+CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
 
 class Canvas(NamedTuple):
     """What the second pass writes to, tile by tile."""
 
-    table: Int32
-    """(R, C) number of each tile; -1: without ground, -2: not looked at"""
-    corner: Int64
-    """(2,) row and column of the first tile"""
-    places: Int64
-    """(T, 2) row and column of each tile"""
+    tiles: Blocks
+    """Where cells lie in flat arrays, tile by tile, as columns do in blocks; the number of a tile
+    is -1 where it is without ground, and -2 where nobody looked"""
     base: Int32
     """(T,) height of the tile (mm)"""
     ground: Int16
@@ -90,27 +87,27 @@ def lay_ground(
     heights
         (4096,) to work with.
     """
+    table, corner, places = canvas.tiles
     for up in range(box[0], box[2] + 1):
         for right in range(box[1], box[3] + 1):
-            if canvas.table[up, right] != -2:
+            if table[up, right] != -2:
                 continue
             lowest, tile = HIGHEST, canvas.used[0]
             for i in range(CELLS):
-                row = ((canvas.corner[0] + up) << TILE_BITS) + (i >> TILE_BITS)
-                col = ((canvas.corner[1] + right) << TILE_BITS) + (i & INSIDE)
+                row = ((corner[0] + up) << BLOCK_BITS) + (i >> BLOCK_BITS)
+                col = ((corner[1] + right) << BLOCK_BITS) + (i & INSIDE)
                 x, y = (col + 0.5) * resolution, (row + 0.5) * resolution
                 heights[i] = ground_at(blocks, height, x, y)
                 if heights[i] != NO_GROUND:
                     lowest = min(lowest, heights[i])
             if lowest == HIGHEST:
-                canvas.table[up, right] = -1
+                table[up, right] = -1
                 continue
             if tile == len(canvas.base):
                 return False
             canvas.used[0] += 1
-            canvas.table[up, right], canvas.base[tile] = tile, lowest
-            canvas.places[tile, 0] = canvas.corner[0] + up
-            canvas.places[tile, 1] = canvas.corner[1] + right
+            table[up, right], canvas.base[tile] = tile, lowest
+            places[tile, 0], places[tile, 1] = corner[0] + up, corner[1] + right
             for i in range(CELLS):
                 if heights[i] == NO_GROUND:
                     canvas.state[tile * CELLS + i] = UNKNOWN
@@ -162,18 +159,6 @@ def widen(
             if ground != NO_GROUND and (abs(above) < band.low or clear <= above < band.high):
                 edges[0], edges[1] = min(edges[0], x), min(edges[1], y)
                 edges[2], edges[3] = max(edges[2], x), max(edges[3], y)
-
-
-@step
-def find_cell(canvas: Canvas, row: int, col: int) -> int:
-    """Where a cell lies in the flat arrays of a canvas; -1 where it has no place."""
-    up, right = (row >> TILE_BITS) - canvas.corner[0], (col >> TILE_BITS) - canvas.corner[1]
-    if up < 0 or right < 0 or up >= canvas.table.shape[0] or right >= canvas.table.shape[1]:
-        return -1
-    tile: int = canvas.table[up, right]
-    if tile < 0:
-        return -1
-    return (tile << 2 * TILE_BITS) | ((row & INSIDE) << TILE_BITS) | (col & INSIDE)
 
 
 class Aside(NamedTuple):
@@ -278,9 +263,9 @@ def trace_cloud(
     near = NEAR_M * scale / (1 << CELL_SHIFT)
     for i in range(many):
         at = touched[i]
-        tile, inside = at >> 2 * TILE_BITS, at & (CELLS - 1)
-        up = (canvas.places[tile, 0] << TILE_BITS) + (inside >> TILE_BITS) - row
-        right = (canvas.places[tile, 1] << TILE_BITS) + (inside & INSIDE) - col
+        tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
+        of_row, of_col = locate(canvas.tiles, at)
+        up, right = of_row - row, of_col - col
         weight = NEAR_WEIGHT if up * up + right * right < near * near else 1
         layer = 2 * tile + (0 if state[at] & HIT else 1)
         canvas.counts[layer * CELLS + inside] += weight
@@ -307,11 +292,11 @@ def find_ends(
         measure_points(some, size, origin, band, scale)
         for i in range(size):
             row, col = (at_y + up[i]) >> CELL_SHIFT, (at_x + right[i]) >> CELL_SHIFT
-            at = find_cell(canvas, row, col)
+            at = find_column(canvas.tiles, row, col)
             if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
                 counts[NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR] += 1
                 continue
-            above = level[i] - canvas.base[at >> 2 * TILE_BITS] - ground[at]
+            above = level[i] - canvas.base[at >> 2 * BLOCK_BITS] - ground[at]
             kind = GROUND if above < band.low else OBSTACLE
             kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
             is_doubtful = kind == OBSTACLE and above < some.clear[i]
@@ -358,8 +343,8 @@ def clear_line(
         left = min(steps - done, ahead + 1)
         if fewer:
             left = min(left, (2 * steps * (aside + 1) - rest + 2 * fewer - 1) // (2 * fewer))
-        at, moved = find_cell(canvas, row, col), (rest + 2 * fewer * left) // (2 * steps)
-        row_pace, col_pace = row_way << TILE_BITS, col_way
+        at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
+        row_pace, col_pace = row_way << BLOCK_BITS, col_way
         pace, sideways = (row_pace, col_pace) if is_steep else (col_pace, row_pace)
         going = rest
         for _ in range(left if at >= 0 else 0):
