@@ -164,13 +164,34 @@ def test_a_file_that_is_not_there_and_two_that_are(log: Path, tmp_path: Path) ->
     error = read_error(occmap(*words, "--config", tmp_path / "none.toml"), 2)
     found = "cannot be read (No such file or directory); check the path of --config"
     assert error == f"{tmp_path / 'none.toml'}: {found}"
-    write(log, "stride = 2")
+    path = write(log, "stride = 2")
     (tmp_path / "other").mkdir()
     other = Path(shutil.copy(log, tmp_path / "other" / "b.csv"))
-    write(other, "stride = 3")
     error = read_error(occmap("check", log, other), 2)
-    assert "the logs have several files of options" in error
-    assert error.endswith("name one with --config")
+    assert f": {path}, none; " in error
+    beside = write(other, "stride = 3")
+    error = read_error(occmap("check", log, other), 2)
+    assert f": {path}, {beside}; " in error
+    assert error.endswith("with --config")
+    assert occmap("check", log, other, "--config", path).code == 0
+
+
+def test_an_update_is_no_log_that_lacks_a_file(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(log, "resolution = 0.1")
+    (tmp_path / "elsewhere" / "beam").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    words = ["beam", log, "-o", log.parent / "m.pgm"]
+    assert ask("build", *words)["map"]["resolution"] == 0.1
+
+
+def test_the_logs_of_an_option_have_their_file_beside_them(log: Path) -> None:
+    assert occmap("build", log, "-o", log.parent / "m.pgm").code == 0
+    path = write(log, "stride = 4\n")
+    told = ask("score", log.parent / "m.yaml", "--log", log)
+    assert told["notes"][0] == f"{path}: stride = 4"
+    assert told["by_logs"]["scans"]["used"] == 104  # of 414
 
 
 def test_files_are_looked_for_beside_the_file_that_names_them(
