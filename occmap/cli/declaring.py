@@ -28,6 +28,7 @@ from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
 from occmap.report.limits import Failed, Limit, Measures, judge, parse_bound, parse_limit
+from occmap.types import Update
 
 SHORT_EQUALS = re.compile("-[a-z]=")
 LIMIT_BROKEN = 3
@@ -314,17 +315,21 @@ def find_config(typed: Mapping[str, Any]) -> Path | None:
     Raises
     ------
     UsageError
-        There is one in each of several folders.
+        There is one in each of several folders, or one beside some of the logs only.
     """
     if isinstance(named := typed.get("config"), str):
         return Path(named)
-    given = [each for name in ("words", "logs") if isinstance(each := typed.get(name), tuple)]
-    logs = [log for log in map(Path, chain(*given)) if log.exists() or has_magic(str(log))]
+    # The logs of arguments come as a tuple, those of an option as a list.
+    several = (tuple, list)
+    given = [each for name in ("words", "logs") if isinstance(each := typed.get(name), several)]
+    words = [word for word in chain(*given) if word not in list(Update)]  # it may be a folder, too
+    logs = [log for log in map(Path, words) if log.exists() or has_magic(str(log))]
     beside = [[path for path in (log / NAME, log.parent / NAME) if path.is_file()] for log in logs]
-    found = list(dict.fromkeys(paths[0] for paths in beside if paths))
+    found = list(dict.fromkeys(next(iter(paths), None) for paths in beside))
     if len(found) > 1:
-        several = f"the logs have several files of options: {', '.join(map(str, found))}"
-        raise UsageError(several, fix="name one with --config")
+        files = ", ".join(str(path or "none") for path in found)
+        differ = f"the logs do not have one file of options beside them all: {files}"
+        raise UsageError(differ, fix="name the one that is for all of them with --config")
     return next(iter(found), None)
 
 

@@ -297,20 +297,21 @@ def paint_lasting(
     Parameters
     ----------
     around
-        The box, or a larger one in which cells are counted that do not last.
+        The box, or a larger one in which hits and cells are counted that do not last.
 
     Returns
     -------
     map, found
-        (4,) hits in occupied cells and all hits of the box; cells that would be occupied if all
-        hits lasted, and those of them that are.
+        (4,) hits in occupied cells and all hits, those that do not last among them; cells that
+        would be occupied if all hits lasted, and those of them that are.
     """
     made, found = paint_box(lasting, model, box), np.zeros(4, np.int64)
-    found[:2] = count_agreeing(lasting, made.occupied, box)
+    occupied = np.zeros(around.shape, np.bool_)
+    occupied[box.within(around)] = made.occupied
+    found[:2] = count_agreeing(grid, occupied, around)
     if lasting is not grid:
         before = paint_box(grid, model, around).occupied
-        found[2] = np.count_nonzero(before)
-        found[3] = np.count_nonzero(before[box.within(around)] & made.occupied)
+        found[2:] = np.count_nonzero(before), np.count_nonzero(before & occupied)
     return made, found
 
 

@@ -85,8 +85,8 @@ class MapSummary:
     undecided: Share
     """Share of the map's cells that were observed and are neither occupied nor free"""
     agreement: Share | None
-    """Share of hits that lie in cells called occupied, low where poses are wrong; null where hits
-    are not kept"""
+    """Share of hits, also of those that `min_passes` takes away, that lie in cells called
+    occupied: low where poses are wrong; null where hits are not kept"""
 
     @property
     def cells(self) -> int:
@@ -215,13 +215,14 @@ def tell_map(grid: MapSummary, looked_up: bool = False) -> list[Row]:
     size = f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m"
     turned = f", turned by {grid.align:g} degrees" if grid.align else ""
     # Between occupied and free there may be undecided cells.
-    shares = {name: getattr(grid, name) for name in ("occupied", "free", "unknown", "undecided")}
-    cells = ", ".join(f"{share:.1%} {name}" for name, share in shares.items() if share > 5e-4)
+    shares = {name: getattr(grid, name) for name in ("occupied", "free", "unknown")}
+    shares |= {"undecided": grid.undecided} if grid.undecided > 5e-4 else {}
+    cells = ", ".join(f"{share:.1%} {name}" for name, share in shares.items())
     rows = [("map", f"{size}, {write_box(grid.extent)}{turned}"), ("cells", cells)]
     if grid.agreement is not None:
         found = f"{grid.agreement:.1%} of the hits lie in occupied cells"
-        hint = hint_at_tune(grid.agreement) if looked_up and grid.update != Update.CLOUD else ""
-        rows.append(("agree", found + hint))
+        is_of_poses = looked_up and grid.update != Update.CLOUD and grid.min_passes is None
+        rows.append(("agree", found + (hint_at_tune(grid.agreement) if is_of_poses else "")))
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
     model = shorten_model(parse_model(grid.model))
     return [*rows, ("update", f"{grid.update}, model {model}{passes}")]
@@ -290,7 +291,7 @@ def list_notes(
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
-    yield from list_disagreement(facts, tally.looked_up)
+    yield from list_disagreement(facts, options.min_passes, tally.looked_up)
     yield from list_misfits(paths, options, facts.agreement, tally)
 
 
@@ -318,17 +319,20 @@ def name_frames(tally: Tally) -> str:
     return f"the logs are mapped in different frames: {named}" if len(first) > 1 else ""
 
 
-def list_disagreement(facts: MapFacts, looked_up: bool = True) -> Iterator[str]:
+def list_disagreement(
+    facts: MapFacts, min_passes: int | None, looked_up: bool = True
+) -> Iterator[str]:
     """Say that the scans of a map contradict each other; without walls none of its hits agrees.
 
     Times matter only where poses were `looked_up` by them.
     """
     if facts.agreement and facts.agreement < LEAST_AGREEMENT:
         timed = "`occmap tune`, another `time_offset_s`, `deskew=on` or " if looked_up else ""
+        less = ", or `min_passes` takes away what they hit" if min_passes else ""
         yield (
             f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
-            f"poses do not fit the scans; see `occmap check`, try {timed}another trajectory by "
-            "`poses=FILE`"
+            f"poses do not fit the scans{less}; see `occmap check`, try {timed}another trajectory "
+            "by `poses=FILE`"
         )
 
 

@@ -396,7 +396,7 @@ def summarise(
             *writers.list_idle(outputs, options.writing),
             *results.list_vain_edits(facts, options.writing),
             *facts.lost,
-            *results.list_disagreement(facts),
+            *results.list_disagreement(facts, options.min_passes),
         ),
     )
 

@@ -166,10 +166,28 @@ def test_a_file_that_is_not_there_and_two_that_are() -> None:
     assert error.startswith("none.toml: cannot be read (No such file or directory); check the path")
     write("stride = 2")
     shutil.copytree("site", "other")
+    Path("other/occmap.toml").unlink()
+    both = f"check {LOG} other/drive.csv"
+    assert f": {FILE_BESIDE}, none; " in read_error(occmap(both), 2)
     write("stride = 3", "other/occmap.toml")
-    error = read_error(occmap(f"check {LOG} other/drive.csv"), 2)
-    assert "the logs have several files of options" in error
-    assert error.endswith("name one with --config")
+    error = read_error(occmap(both), 2)
+    assert f": {FILE_BESIDE}, other/occmap.toml; " in error
+    assert error.endswith("with --config")
+    assert occmap(f"{both} --config {FILE_BESIDE}").code == 0
+
+
+def test_an_update_is_no_log_that_lacks_a_file() -> None:
+    write("resolution = 0.1")
+    Path("beam").mkdir()
+    assert ask(f"build beam {LOG} -o m.pgm")["map"]["resolution"] == 0.1
+
+
+def test_the_logs_of_an_option_have_their_file_beside_them() -> None:
+    assert occmap(f"build {LOG} -o m.pgm").code == 0
+    write("stride = 4")
+    told = ask(f"score m.yaml --log {LOG}")
+    assert told["notes"][0] == f"{FILE_BESIDE}: stride = 4"
+    assert told["by_logs"]["scans"]["used"] == 104  # of 414
 
 
 def test_files_are_looked_for_beside_the_file_that_names_them() -> None:

@@ -114,6 +114,8 @@ def test_walls_that_one_visit_hit_do_not_vanish_without_a_word(log: Path, tmp_pa
     built = occmap("build", *plain, log, "-o", saved, "--pass-gap", 100, *lasting)
     found = r"note: --min-passes takes away 100% of the occupied cells \(179 of 179\), since .*\n"
     assert re.fullmatch(found, built.err)
+    assert "cells    0.0% occupied, " in built.out
+    assert "agree    0.0% of the hits" in built.out
     assert occmap("render", saved, *lasting).err == built.err
     assert occmap("render", saved, "-o", target, "--min-passes", 1).err == ""
     assert occmap("build", *plain, log, *lasting).err == ""
@@ -128,7 +130,9 @@ def test_a_quarter_of_the_occupied_cells_is_not_lost_without_a_word(
     others = [(0, 5, 0, 1)] * 9 + [(1, 50, 1, 1)] * 7 + [(9, 50, 2, 2)]
     grid, slices = observe(cells + others)
     options = RenderOptions(min_passes=2)
-    _, notes = render_lasting(grid, [slices], parse_model("simple:spread=0"), options)
+    made, notes = render_lasting(grid, [slices], parse_model("simple:spread=0"), options)
+    # Of 60 + 7 + 9 hits; those that are lost, some of them beside the map, agree with nothing.
+    assert made.agreement == (3 * (20 - lost) + 9) / 76
     if share is None:
         assert not notes
     else:
