@@ -164,7 +164,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         table = [TUNED, *map(list_tuned, tuning.by_log)]
         yield from ("", *align(table, labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or tuning.is_doubtful or (found and not tuning.is_sure)
+    unsure = disagree or tuning.is_doubtful or found
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 
