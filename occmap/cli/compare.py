@@ -153,7 +153,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     if tuning.deskew.verdict is not Verdict.UNSEEN:
         yield f"deskew   {format_finding(tuning.deskew, ['deskew'])}"
-    yield f"time     {format_finding(tuning.time, ['time_s'])}"
+    alone = "by itself " * (tuning.together.correction.time_s != tuning.time.correction.time_s)
+    yield f"time     {alone}{format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
         together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from occmap.inspection import inspect
 from occmap.options import BuildOptions, compose_build
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import LEAST_AGREEMENT
@@ -143,6 +144,8 @@ def tune(
     )
     better = replace(options, posing=best.apply(options.posing, scorer.mount))
     doubts = list(list_doubts(tuning, scorer))
+    if tuning.time.verdict in (Verdict.FOUND, Verdict.DISAGREE):
+        doubts += list_better_stamps(paths, options)
     command = compose_build(remarks.logs, better, {}) if best.is_any and not doubts else ()
     return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
 
@@ -168,7 +171,18 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
     both = [*timed, *place] if timed and mount.verdict is Verdict.FOUND else []
     again = [replace(knob, steps=knob.steps[-3:]) for knob in both]
     together = search.find_correction(scorer, best, again)
+    timeless = replace(together.correction, time_s=best.time_s)
+    if not search.is_better(scorer, timeless, together.correction):
+        together = search.find_correction(scorer, best, again[1:])
     return {"time": time, "mount": mount, "deskew": deskew, "together": together}, unsearched
+
+
+def list_better_stamps(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
+    """Say where the scans fit the other of their two times better than any time offset."""
+    for topic in inspect(paths, options).topics:
+        if (stamps := topic.times.suggested_stamps) is not options.posing.stamps:
+            found = f"{topic.topic}: stamps drift by {topic.times.drift_s:.3g} s against the record"
+            yield f"{found} times; the scans fit better: tune again with `stamps={stamps.value}`"
 
 
 def improve(before: Trial, after: Trial) -> dict[str, Any]:

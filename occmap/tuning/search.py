@@ -362,6 +362,11 @@ def judge(
     return Finding(verdict=Verdict.NOTHING, correction=start, **vars(gain), halves=of_best)
 
 
+def is_better(scorer: Scorer, start: Correction, other: Correction) -> bool:
+    """Whether a correction is one that was started from, or surely better."""
+    return start == other or judge(scorer, start, other, [start, other]).verdict is Verdict.FOUND
+
+
 def find_deskew(scorer: Scorer, best: Correction) -> Finding:
     """Judge whether poses for single beams alone gain on the best that was found without."""
     if not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
