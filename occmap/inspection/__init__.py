@@ -24,7 +24,7 @@ from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT
+from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
@@ -360,6 +360,9 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     times = topic.stamps.sum_up(options.posing.stamps, moving_ns)
     suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
+    posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
+    agreement = estimate_agreement(topic.sample.parts, options)
+    is_other = posed.stated or suggested is not options.posing.stamps or (mount and mount.better)
     return ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
@@ -371,7 +374,8 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=replace(times, suggested_stamps=suggested),
-        poses=poses.sum_up_poses(topic, posing),
-        mount=poses.describe_mount(topic, posing, options),
-        agreement=estimate_agreement(topic.sample.parts, options),
+        poses=posed,
+        mount=mount,
+        agreement=agreement,
+        hint="" if is_other else hint_at_tune(agreement, [str(log.path)], options),
     )
