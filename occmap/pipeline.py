@@ -210,5 +210,5 @@ def make_report(
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),
-        looked_up=tally.looked_up,
+        hint=results.hint_at_tune(facts.agreement, remarks.logs, options) * tally.looked_up,
     )

@@ -59,6 +59,23 @@ def parse_nanoseconds(text: str) -> int:
     raise ValueError(f"{shorten(text)} is not a time in nanoseconds")
 
 
+BEYOND_A_TURN = 7.0
+JUMP_SHARE = 0.01
+"""Headings that are radians stay within a turn, or count on without a jump of half a turn"""
+
+
+def suspect_degrees(yaw: ArrayLike) -> str:
+    """Say if headings, one after the other, can hardly be radians; "" if they can."""
+    known = np.asarray(yaw, np.float64)
+    known = known[np.isfinite(known)]
+    jumps = np.abs(np.diff(known)) > np.pi
+    if len(jumps) and np.median(np.abs(known)) > BEYOND_A_TURN and jumps.mean() > JUMP_SHARE:
+        return (
+            "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
+        )
+    return ""
+
+
 def as_text(value: Any) -> str:
     """Check that text can be written as UTF-8; raises DamageError."""
     if not isinstance(value, str):

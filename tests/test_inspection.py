@@ -28,6 +28,7 @@ from occmap.types import Float32, Float64, Pose, PosedScans, PoseSample, Scan, S
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
+from tests.readers.ros import SECOND
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, copy_mcap
 from tests.samples import write_csv as write_row
 
@@ -282,6 +283,33 @@ def test_stamps_of_another_clock_suggest_the_record_times(tmp_path: Path) -> Non
     told = look(path, BuildOptions(posing=PosingOptions(stamps=Stamps.RECORD)))
     assert told.buildable
     assert topic(told).poses.posed == SCANS
+
+
+@pytest.mark.parametrize(("late_s", "words"), [(3, "better with `stamps=record`"), (0, "")])
+def test_a_clock_that_jumps_midway_is_told_with_what_fits_better(
+    late_s: int, words: str, tmp_path: Path
+) -> None:
+    """The robot turns by 0.33 rad meanwhile."""
+
+    def jump(stamp: int) -> int:
+        return stamp + late_s * SECOND * (stamp >= 120 * SECOND)
+
+    path = write_bag(tmp_path / "jump.bag", Drive(), [(0.0, 0.0)], scan_stamp=jump)
+    found = look(path)
+    assert topic(found).times.drift_s == late_s
+    assert [words in text for text in found.warnings if "drift" in text] == [True] * bool(late_s)
+    assert ("--stamps" in found.command) == bool(late_s)
+    by_record = BuildOptions(posing=PosingOptions(stamps=Stamps.RECORD))
+    told = look(path, by_record)
+    assert (topic(told).agreement or 0) > (topic(found).agreement or 0) + 0.05 or not late_s
+    assert ["no better with the other" in text for text in told.warnings] == [True] * bool(late_s)
+
+
+def test_other_times_are_not_tried_for_scans_that_no_time_helps(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "none.bag", Drive(spoil=lambda it: it[:0]), [(0.0, 0.0)])
+    found = look(path)
+    assert "none of 40 scans can be used: 40 no beams" in found.problems[0]
+    assert found.command == ()
 
 
 def test_stamps_that_jump_back_and_drift() -> None:

@@ -92,7 +92,7 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     # What took long; the stages of several threads add up.
     stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
     rows = [
-        *tell_map(report.map, report.looked_up),
+        *tell_map(report.map, report.hint),
         *tell_scans(report),
         *tell_beams(report),
         ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"),

@@ -153,7 +153,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     if tuning.deskew.verdict is not Verdict.UNSEEN:
         yield f"deskew   {format_finding(tuning.deskew, ['deskew'])}"
-    yield f"time     {format_finding(tuning.time, ['time_s'])}"
+    alone = "by itself " * (tuning.together.correction.time_s != tuning.time.correction.time_s)
+    yield f"time     {alone}{format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
         together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
@@ -164,7 +165,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         table = [TUNED, *map(list_tuned, tuning.by_log)]
         yield from ("", *align(table, labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or tuning.is_doubtful or (found and not tuning.is_sure)
+    unsure = disagree or tuning.is_doubtful or found
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 

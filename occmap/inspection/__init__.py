@@ -24,7 +24,7 @@ from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT
+from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive, find_oddity
@@ -33,8 +33,6 @@ from occmap.scans.tracing import find_ground
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
-DRIFT_S = 0.1
-"""Stamps that drift by more against the record times are worth a warning (s)."""
 FAR_M = 50.0
 """Some beam of a laser that measures metres is shorter."""
 BYTES_PER_CELL = 4 + 1 + 8
@@ -187,19 +185,23 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
     return advised
 
 
-def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> list[Concern]:
+def list_concerns(
+    log: LogFindings, spoilers: Sequence[tuple[str, Concern]], stamps: Stamps
+) -> list[Concern]:
     """List what will spoil a map, or surprise its maker.
 
     Parameters
     ----------
     spoilers
         What the poses show, with the topics of the scans.
+    stamps
+        Those that the scans were posed by.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
     found = []
     for topic in log.scans:
         mine = [concern for name, concern in spoilers if name == topic.topic]
-        mine += list_doubts(topic, has_poses)
+        mine += list_doubts(topic, has_poses, stamps)
         if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
             share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
             text = f"{share} lie in occupied cells: the poses do not fit the scans; "
@@ -214,7 +216,7 @@ def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> 
     return found
 
 
-def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
+def list_doubts(topic: ScanFindings, has_poses: bool, stamps: Stamps) -> Iterator[Concern]:
     """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
     oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
     yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
@@ -223,7 +225,7 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     lost = topic.poses.dropped
     if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         yield Concern(f"scans without a pose: {write_counts(lost)}")
-    yield from map(Concern, list_clock_faults(topic))
+    yield from list_clock_faults(topic, stamps)
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
@@ -240,17 +242,23 @@ def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         yield Concern(found, None) if is_beyond else no_range
 
 
-def list_clock_faults(topic: ScanFindings) -> list[str]:
+def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
     """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
     times = topic.times
-    faults = {
-        "all stamps are equal": times.all_equal,
-        f"stamps jump back {count(times.jumps_back, 'time')}": times.jumps_back,
-        f"stamps drift by {times.drift_s:.3g} s against the record times; see `stamps=record`": (
-            abs(times.drift_s) > DRIFT_S
-        ),
-    }
-    return [] if topic.poses.stated else [text for text, holds in faults.items() if holds]
+    if topic.poses.stated:
+        return
+    if times.all_equal:
+        yield Concern("all stamps are equal")
+        return
+    if times.jumps_back:
+        yield Concern(f"stamps jump back {count(times.jumps_back, 'time')}")
+    if abs(times.drift_s) > poses.DRIFT_S:
+        mended, better = {}, "no better with the other of the two times"
+        if times.suggested_stamps is not stamps:
+            mended = {"stamps": times.suggested_stamps.value}
+            better = f"better with `stamps={times.suggested_stamps.value}`"
+        drift = f"stamps drift by {times.drift_s:.3g} s against the record times"
+        yield Concern(f"{drift}; the scans fit {better}", mended)
 
 
 __all__ = ["Inspection", "inspect"]
@@ -321,7 +329,9 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         longest=survey.extent.longest,
         problem=problem,
     )
-    return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
+    return replace(
+        findings, concerns=tuple(list_concerns(findings, spoilers, options.posing.stamps))
+    )
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
@@ -348,6 +358,11 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     ranked = [] if is_of_clouds else topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
+    times = topic.stamps.sum_up(options.posing.stamps, moving_ns)
+    suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
+    posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
+    agreement = estimate_agreement(topic.sample.parts, options)
+    is_other = posed.stated or suggested is not options.posing.stamps or (mount and mount.better)
     return ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
@@ -358,8 +373,9 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
-        times=topic.stamps.sum_up(poses.suggest_stamps(log, posing, topic), moving_ns),
-        poses=poses.sum_up_poses(topic, posing),
-        mount=poses.describe_mount(topic, posing, options),
-        agreement=estimate_agreement(topic.sample.parts, options),
+        times=replace(times, suggested_stamps=suggested),
+        poses=posed,
+        mount=mount,
+        agreement=agreement,
+        hint="" if is_other else hint_at_tune(agreement, [str(log.path)], options),
     )

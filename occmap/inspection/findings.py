@@ -11,7 +11,6 @@ from occmap.posing import Concern, Stamps
 from occmap.posing.frames import Source
 from occmap.readers import Stream
 from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
-from occmap.report.results import hint_at_tune
 from occmap.scans.tally import count_wanted
 
 
@@ -192,6 +191,8 @@ class ScanFindings:
     agreement: Share | None
     """Share of the hits of a sample of scans that lie in cells which their map calls occupied;
     null where they make no map"""
+    hint: str = field(default="", metadata=HIDDEN)
+    """What to try where these are few, and nothing else that was found may be why"""
 
     @property
     def wanted(self) -> int:
@@ -336,7 +337,7 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
         share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
-        yield "", share + ("" if topic.poses.stated else hint_at_tune(topic.agreement))
+        yield "", share + topic.hint
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 

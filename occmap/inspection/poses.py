@@ -27,24 +27,36 @@ from occmap.posing.sources import Sources
 from occmap.readers import Log
 from occmap.scans import mounts
 from occmap.scans.logs import count_scans, read_poser
-from occmap.scans.mounts import Posing
+from occmap.scans.mounts import Posing, estimate_agreement, sample_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.types import Float64, Pose, PosedScans
 
 WELL_POSED = 0.9
 """If a smaller share of the scans has poses, the other of the two times is tried."""
+DRIFT_S = 0.1
+"""Where stamps drift by more against the record times, the other of the two is tried, too (s)."""
+BETTER = 0.05
+"""So many more of the hits agree by times that fit the scans clearly better."""
 
 
-def suggest_stamps(log: Log, posing: Posing, topic: TopicSurvey) -> Stamps:
-    """Find out by which of the two times of a message more scans have a pose."""
-    chosen = posing.poser.options.stamps
-    if topic.stated or not posing.poser.chains or topic.posed >= WELL_POSED * topic.read:
+def suggest_stamps(
+    log: Log, posing: Posing, topic: TopicSurvey, drift_s: float, options: BuildOptions
+) -> Stamps:
+    """Find out by which of the two times of a message more scans have a pose, or fit better."""
+    chosen, wanted = posing.poser.options.stamps, topic.read - topic.left_out.total()
+    is_posed = topic.posed >= WELL_POSED * wanted
+    if topic.stated or not posing.poser.chains or (is_posed and abs(drift_s) <= DRIFT_S):
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     others = replace(posing.poser.options, stamps=other)
     poser = read_poser(log, others)
     poser.find_chains(topic.frames)
+    if is_posed:
+        drive = Drive(log, poser, replace(options, posing=others))
+        parts = [it for it in sample_scans(drive) if it.batch.topic == topic.stream.topic]
+        fits = [estimate_agreement(some, options) or 0.0 for some in (parts, topic.sample.parts)]
+        return other if fits[0] > fits[1] + BETTER else chosen
     stamps = other.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
     chain = poser.chains.get(next(iter(topic.frames)))

@@ -42,7 +42,7 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     about = product.grid.about
     names = [("evidence", about.evidence), ("rendering", about.rendering)] if about else []
     if report is not None:
-        made = tell_map(report.map, report.looked_up)
+        made = tell_map(report.map, report.hint)
         scans = [*tell_scans(report), *tell_beams(report)]
         sections += [
             Section("The map", [Block("facts", [*made, *names])], wide=False),

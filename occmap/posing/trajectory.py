@@ -17,7 +17,7 @@ import numpy as np
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.tracks import to_quaternions
 from occmap.types import Moments, Pose, PoseSample
-from occmap.values import parse_nanoseconds, parse_seconds, shorten
+from occmap.values import parse_nanoseconds, parse_seconds, shorten, suspect_degrees
 
 Parsed = TypeVar("Parsed")
 TimedPose: TypeAlias = tuple[int, Pose]
@@ -137,7 +137,13 @@ def _read_timed(path: Path, notes: list[str], moments: Moments | None) -> Iterat
     if first[1].partition(",")[0].strip().lstrip("-").isdecimal():
         return _parse_lines(path, whole, EUROC.parse)
     (layout,) = _parse_lines(path, [first], _parse_header)
-    return _parse_lines(path, lines, layout.parse)
+    rows = list(lines)
+    poses = list(_parse_lines(path, rows, layout.parse))
+    if "yaw" in layout.columns:
+        at = layout.columns.index("yaw")
+        doubt = suspect_degrees([float(text.split(",")[at]) for _, text in rows])
+        notes += [f"{path}: {doubt}"] * bool(doubt)
+    return iter(poses)
 
 
 def _read_matrices(

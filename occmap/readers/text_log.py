@@ -17,6 +17,7 @@ from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import GZIP_MAGIC, NoteList
 from occmap.readers.decimals import Words, parse_words
 from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun
+from occmap.values import suspect_degrees
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is not of a text log."""
@@ -329,6 +330,9 @@ class TextLog(ABC):
             alike = rest[words.alike].tolist()
             rest = np.delete(rest, words.alike)
             faults |= {alike[line]: fault for line, fault in found.items()}
+            yaw = words.numbers[pattern.columns["yaw"]] if "yaw" in pattern.columns else ()
+            if doubt := suspect_degrees(yaw):
+                self.notes.add(doubt)
             if sound := [line for line in range(len(alike)) if line not in found]:
                 run = pattern.make_run(words.take(sound) if found else words)
                 yield [alike[line] for line in sound], run

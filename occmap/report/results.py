@@ -1,6 +1,7 @@
 """What a build did: numbers for programs, rows that a terminal and a page lay out, and doubts."""
 
 import math
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,8 +11,9 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
+from occmap.choices import list_values
 from occmap.grid.tiles import TileGrid
-from occmap.options import BuildOptions
+from occmap.options import OPTIONS, BuildOptions, choose_model
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally
@@ -152,9 +154,8 @@ class Report(Noted):
     seconds: dict[str, float] = field(default_factory=dict)
     """Time by stage (s); where threads work at the same time, their times add up; empty where no
     log was read"""
-    looked_up: bool = field(default=False, metadata=HIDDEN)
-    """Some poses were looked up by time, so that a wrong clock or mount may be why walls double.
-    Poses that stand beside their scans were corrected together with them"""
+    hint: str = field(default="", metadata=HIDDEN)
+    """What to try where scans fit each other poorly; empty where nothing need be wrong"""
 
     @property
     def has_beams(self) -> bool:
@@ -196,22 +197,30 @@ def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:
     return np.array([np.count_nonzero(mask) for mask in masks])
 
 
-def hint_at_tune(agreement: float) -> str:
+MEASURED_WITH = ("resolution", "update", "hit_offset", "jump", "no_return", "min_passes")
+"""What the bounds of the agreement hold for: these options as they are by default, and the model"""
+MOST_NAMED = 3
+"""Logs that a command in a sentence names"""
+
+
+def hint_at_tune(agreement: float | None, logs: Sequence[str], options: BuildOptions) -> str:
     """What to try where the agreement is poor, though it may be as good as it gets; else empty.
 
-    It stands beside the number and not among the notes, as nothing need be wrong. Where the
-    agreement is poorer still, a note says more.
+    It is for poses that were looked up by time: those beside scans were corrected with these. It
+    stands beside the number and not among the notes, as nothing need be wrong. Where the agreement
+    is poorer still, a note says more.
     """
-    if not LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT:
+    values = list_values(options)
+    is_usual = all(values[name] == OPTIONS[name].default for name in MEASURED_WITH)
+    is_poor = agreement is not None and LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT
+    if not is_poor or not is_usual or options.model != choose_model(options.update):
         return ""
-    return "; walls may be doubled: `occmap tune LOG` looks for a wrong clock or mount"
+    named = shlex.join(logs[:MOST_NAMED]) + " ..." * (len(logs) > MOST_NAMED)
+    return f"; walls may be doubled: `occmap tune {named}` looks for a wrong clock or mount"
 
 
-def tell_map(grid: MapSummary, looked_up: bool = False) -> list[Row]:
-    """Say how large a map is, what its cells are, how well scans fit it, and how it was made.
-
-    Where poses were `looked_up` by time, and scans do not fit well, `occmap tune` is named.
-    """
+def tell_map(grid: MapSummary, hint: str = "") -> list[Row]:
+    """Say how large a map is, what its cells are, how well scans fit it, and how it was made."""
     size = f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m"
     turned = f", turned by {grid.align:g} degrees" if grid.align else ""
     # Between occupied and free there may be undecided cells.
@@ -221,8 +230,7 @@ def tell_map(grid: MapSummary, looked_up: bool = False) -> list[Row]:
     rows = [("map", f"{size}, {write_box(grid.extent)}{turned}"), ("cells", cells)]
     if grid.agreement is not None:
         found = f"{grid.agreement:.1%} of the hits lie in occupied cells"
-        is_of_poses = looked_up and grid.update != Update.CLOUD and grid.min_passes is None
-        rows.append(("agree", found + (hint_at_tune(grid.agreement) if is_of_poses else "")))
+        rows.append(("agree", found + hint))
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
     model = shorten_model(parse_model(grid.model))
     return [*rows, ("update", f"{grid.update}, model {model}{passes}")]

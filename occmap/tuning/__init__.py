@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from occmap.inspection import inspect
 from occmap.options import BuildOptions, compose_build
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import LEAST_AGREEMENT
@@ -98,12 +99,6 @@ class Tuning(Improvement, Scored):
         """Whether scans contradict each other even with the best that was found."""
         return self.agreement is not None and self.agreement < LEAST_AGREEMENT
 
-    @property
-    def is_sure(self) -> bool:
-        """Whether enough scans say what was found, fit each other with it, and no log loses."""
-        enough = self.scans.held_out // 2 >= FEW_SCANS
-        return enough and not self.is_doubtful and not any(each.loses for each in self.by_log)
-
 
 def tune(
     paths: Sequence[Path], options: BuildOptions, progress: Progress = ignore_progress
@@ -123,14 +118,20 @@ def tune(
     logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_mount(logs), lambda: tally.advance(kept))
-    before = scorer.score(Correction())
     findings, unsearched = search_all(scorer)
-    best = findings["together"].correction
+    while scorer.is_at_edge(findings["together"].correction) and (wider := scorer.widen()):
+        scorer = wider
+        findings, unsearched = search_all(scorer)
+    best, before = findings["together"].correction, scorer.score(Correction())
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
     tuning = Tuning(
         **vars(remarks),
-        scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
+        scans=KeptScans(
+            **vars(tally.scans),
+            held_out=len(before.predicted),
+            kept=sum(log.scans for log in scorer.logs),
+        ),
         resolution=options.resolution,
         **improve(before, after),
         correction=best,
@@ -144,9 +145,10 @@ def tune(
         agreement=after.agreement,
     )
     better = replace(options, posing=best.apply(options.posing, scorer.mount))
-    is_told = tuning.is_sure and best.is_any
-    command = compose_build(remarks.logs, better, {}) if is_told else ()
-    doubts = list_doubts(tuning, options.posing.time_offset_s)
+    doubts = list(list_doubts(tuning, scorer))
+    if tuning.time.verdict in (Verdict.FOUND, Verdict.DISAGREE):
+        doubts += list_better_stamps(paths, options)
+    command = compose_build(remarks.logs, better, {}) if best.is_any and not doubts else ()
     return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
 
 
@@ -166,11 +168,23 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
     if deskew.verdict is Verdict.FOUND:
         time, mount, best = search.find_both(scorer, deskew.correction, timed, place)
     if place and mount.verdict is Verdict.UNSEEN:
-        unsearched.append("the mount is not searched: it would make up for times that change")
+        unsearched.append("the mount is not searched: it would make up for a wrong time")
     # Both once more, since one may have hidden part of the other.
-    again = search.TOGETHER if timed and mount.verdict is Verdict.FOUND else []
+    both = [*timed, *place] if timed and mount.verdict is Verdict.FOUND else []
+    again = [replace(knob, steps=knob.steps[-3:]) for knob in both]
     together = search.find_correction(scorer, best, again)
+    timeless = replace(together.correction, time_s=best.time_s)
+    if not search.is_better(scorer, timeless, together.correction):
+        together = search.find_correction(scorer, best, again[1:])
     return {"time": time, "mount": mount, "deskew": deskew, "together": together}, unsearched
+
+
+def list_better_stamps(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
+    """Say where the scans fit the other of their two times better than any time offset."""
+    for topic in inspect(paths, options).topics:
+        if (stamps := topic.times.suggested_stamps) is not options.posing.stamps:
+            found = f"{topic.topic}: stamps drift by {topic.times.drift_s:.3g} s against the record"
+            yield f"{found} times; the scans fit better: tune again with `stamps={stamps.value}`"
 
 
 def improve(before: Trial, after: Trial) -> dict[str, Any]:
@@ -202,7 +216,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
         return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
-    timed, notes = [search.TIME], list[str]()
+    timed, notes = [replace(search.TIME, reach=scorer.reach_s)], list[str]()
     if all(log.stated for log in scorer.logs):
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")
@@ -230,7 +244,7 @@ def measure_motion(scorer: Scorer, log: KeptLog) -> tuple[float, float]:
     return float(travel.max()), float(np.arccos(np.clip(cosine, -1, 1)).max())
 
 
-def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
+def list_doubts(tuning: Tuning, scorer: Scorer) -> Iterator[str]:
     """Say what makes the result less sure."""
     if tuning.is_doubtful:
         yield (
@@ -248,6 +262,6 @@ def list_doubts(tuning: Tuning, time_offset_s: float) -> Iterator[str]:
     if half < FEW_SCANS:
         few = f"{count(half, 'held-out scan')} in each half: too few to tell"
         yield f"{few}; give a longer log, or more logs of this robot"
-    if abs(tuning.correction.time_s) > search.TIME.reach - search.TIME.steps[-1]:
-        offset = time_offset_s + tuning.correction.time_s
+    if scorer.is_at_edge(tuning.correction):
+        offset = scorer.options.posing.time_offset_s + tuning.correction.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"

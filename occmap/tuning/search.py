@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 
@@ -31,8 +32,8 @@ MOST_SCANS, MOST_OF_ALL = 1000, 4000
 """Scans of a log, and of all: more tell little more, and each is traced over thirty times."""
 USUAL_SCORINGS = 35
 """About how many maps a search scores, for the progress bar"""
-MOST_OFFSET_S = 0.5
-"""No larger time offset is tried, either way."""
+FIRST_REACH_S, LAST_REACH_S = 0.5, 2.0
+"""No larger time offset is tried, either way; twice as large ones where the best is near that."""
 ALIKE = 1e-3
 """Mounts that differ by less (m, rad) count as one: no map shows the difference."""
 
@@ -87,10 +88,10 @@ def keep_logs(reading: Reading) -> list[KeptLog]:
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
-    kept = [drop_outer(log, reading.options.posing) for log in kept]
+    kept = [drop_outer(log, reading.options.posing, FIRST_REACH_S) for log in kept]
     if not any(log.scans for log in kept):
         raise PoseError(
-            f"no scan has a pose both {MOST_OFFSET_S:g} s before its time and {MOST_OFFSET_S:g} s "
+            f"no scan has a pose both {FIRST_REACH_S:g} s before its time and {FIRST_REACH_S:g} s "
             "after it",
             where=", ".join(remarks.logs),
             fix="give a longer log",
@@ -107,11 +108,11 @@ def keep_log(drive: Drive, most: int, tally: Tally) -> KeptLog:
     return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts))
 
 
-def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
+def drop_outer(log: KeptLog, options: PosingOptions, reach_s: float) -> KeptLog:
     """Drop the scans without a pose at some offset, so that all maps are of the same scans."""
     if log.may_deskew(options):
         options = replace(options, deskew=Deskew.ON)
-    for offset in (-MOST_OFFSET_S, MOST_OFFSET_S):
+    for offset in (-reach_s, reach_s):
         shifted = replace(options, time_offset_s=options.time_offset_s + offset)
         log = replace(log, batches=tuple(posed.batch for posed in log.pose(shifted)))
     return log
@@ -188,12 +189,11 @@ class Knob:
     """No larger correction is tried, either way"""
 
 
-TIME = Knob("time_s", (0.16, 0.08, 0.04, 0.02, 0.01), MOST_OFFSET_S)
+TIME = Knob("time_s", (0.16, 0.08, 0.04, 0.02, 0.01), FIRST_REACH_S)
 QUARTER_DEG = round(math.radians(0.25), 9)  # as corrections are: steps back end at 0
 YAW = Knob("yaw", tuple(n * QUARTER_DEG for n in (8, 4, 2, 1)), math.radians(20))
 X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
 Y = replace(X, name="y")
-TOGETHER = [replace(knob, steps=knob.steps[-3:]) for knob in (TIME, YAW, X, Y)]
 
 
 @dataclass(eq=False)
@@ -206,7 +206,21 @@ class Scorer:
     """The sensor's pose as it is now"""
     advance: Callable[[], None]
     """Called for each correction"""
+    reach_s: float = FIRST_REACH_S
+    """No larger time offset is tried"""
     tried: dict[Correction, Trial] = field(default_factory=dict)
+
+    def is_at_edge(self, correction: Correction) -> bool:
+        """Whether a larger time offset, which is not tried, may well be better."""
+        return abs(correction.time_s) > self.reach_s - TIME.steps[1]
+
+    def widen(self) -> Self | None:
+        """Try offsets twice as large; None: too large, or too few scans have poses at all."""
+        logs = [drop_outer(log, self.options.posing, 2 * self.reach_s) for log in self.logs]
+        left, scans = (sum(log.scans for log in some) for some in (logs, self.logs))
+        if self.reach_s >= LAST_REACH_S or 2 * left < scans:
+            return None
+        return replace(self, logs=logs, reach_s=2 * self.reach_s, tried={})
 
     def score(self, correction: Correction) -> Trial:
         """Score maps of the scans posed with a correction, all logs together."""
@@ -339,6 +353,11 @@ def judge(
     return Finding(verdict=Verdict.NOTHING, correction=start, **vars(gain), halves=of_best)
 
 
+def is_better(scorer: Scorer, start: Correction, other: Correction) -> bool:
+    """Whether a correction is one that was started from, or surely better."""
+    return start == other or judge(scorer, start, other, [start, other]).verdict is Verdict.FOUND
+
+
 def find_deskew(scorer: Scorer, best: Correction) -> Finding:
     """Judge whether poses for single beams alone gain on the best that was found without."""
     if not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
@@ -363,5 +382,7 @@ def find_both(
     if mount.verdict is Verdict.FOUND and mount.gain > time.gain:
         time = find_correction(scorer, mount.correction, timed)
         return time, mount, time.correction
+    # At the edge of what is tried, it would make up for the rest of the time.
+    place = [] if scorer.is_at_edge(time.correction) else place
     mount = find_correction(scorer, time.correction, place)
     return time, mount, mount.correction

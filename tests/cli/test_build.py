@@ -10,7 +10,7 @@ from occmap.cli.console import Console
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
+from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT, hint_at_tune
 from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
@@ -121,19 +121,45 @@ def test_the_report_is_aligned_and_says_what_was_done() -> None:
     assert " scans/s (open " in time
 
 
+LOG = SAMPLE_LOGS / "drive.mcap"
+
+
 @pytest.mark.parametrize(
     ("late_s", "hint", "notes"),
-    [(0.0, "", 0), (0.1, "; walls may be doubled: `occmap tune LOG` looks for", 0), (0.4, "", 1)],
+    [(0.0, "", 0), (0.1, f"; walls may be doubled: `occmap tune {LOG}` looks", 0), (0.4, "", 1)],
 )
 def test_tune_is_named_where_walls_may_be_doubled(late_s: float, hint: str, notes: int) -> None:
     """On this drive 0, 100 and 400 ms leave 100%, 56% and 31% of the hits in occupied cells."""
-    words = [SAMPLE_LOGS / "drive.mcap", "--time-offset", late_s]
+    words = [LOG, "--time-offset", late_s]
     built = occmap("build", *words, "-o", "m.pgm")
     (line,) = (line for line in built.out.splitlines() if line.startswith("agree"))
     assert line.partition("occupied cells")[2].startswith(hint)
     assert bool(hint) == ("occmap tune" in built.out)
     assert built.err.count("occmap tune") == notes
     assert bool(hint) == ("walls may be doubled" in occmap("check", *words).out)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("polygon",),
+        ("-r", 0.04),
+        ("--hit-offset", 0.4),
+        ("--spread", 0),
+        ("--no-return", "clear"),
+        ("--model", "simple"),
+    ],
+)
+def test_tune_is_not_named_where_walls_may_be_thin_by_choice(words: tuple[object, ...]) -> None:
+    built = occmap("build", *words, LOG, "--time-offset", 0.1, "-o", "m.pgm")
+    assert (built.code, "occmap tune" in built.out) == (0, False)
+
+
+def test_a_hint_names_a_few_logs_as_they_are_typed() -> None:
+    options = BuildOptions()
+    assert hint_at_tune(0.7, ["a b", "c"], options).split("`")[1] == "occmap tune 'a b' c"
+    assert hint_at_tune(0.7, list("abcd"), options).split("`")[1] == "occmap tune a b c ..."
+    assert [hint_at_tune(share, ["a"], options) for share in (None, 0.5, 0.8)] == [""] * 3
 
 
 def test_where_poses_stand_beside_scans_no_clock_is_blamed() -> None:

@@ -9,7 +9,11 @@ from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.sources import gather
 from occmap.posing.trajectory import read_trajectory
+from occmap.readers import open_log
 from occmap.types import PoseSample
+from occmap.values import suspect_degrees
+from tests.csv_logs import write_poses
+from tests.samples import write_csv
 
 
 def read(tmp_path: Path, text: str) -> list[PoseSample]:
@@ -53,6 +57,32 @@ def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
     tum, csv = "1 nan nan nan nan nan nan nan\n", "stamp,x,y,yaw\n1,2,3,inf\n"
     assert math.isnan(read(tmp_path, tum)[0].pose.qw)
     assert math.isnan(read(tmp_path, csv)[0].pose.qw)
+
+
+@pytest.mark.parametrize(
+    ("yaws", "is_told"),
+    [
+        ([170, 176, -178, -172, 180], True),
+        ([0, 90, 180, 270, 0, 90], True),
+        ([3.0, 3.1, -3.1, -3.0, 3.1], False),
+        ([20.0, 22.5, 25.0, 27.5], False),  # turns that are counted
+        ([0.0, 5.0, 0.0, 6.2], False),
+        ([math.nan, math.inf], False),
+        ([], False),
+    ],
+)
+def test_degrees_are_told_from_radians(yaws: list[float], is_told: bool) -> None:
+    assert bool(suspect_degrees(yaws)) == is_told
+
+
+@pytest.mark.parametrize("unit", [1.0, 180 / math.pi])
+def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path: Path) -> None:
+    poses = [(0.1 * i, 0.0, unit * math.remainder(2.5 + i / 8, math.tau)) for i in range(40)]
+    notes: list[str] = []
+    list(read_trajectory(write_poses(tmp_path / "p.csv", range(40), poses), notes))
+    log = open_log(write_csv(tmp_path / "log.csv", poses, [1.0]))
+    for told in (notes, log.notes):
+        assert any("are these degrees?" in note for note in told) == (unit > 1)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 
 from occmap import tuning as tuning_package
 from occmap.choices import to_rpy
+from occmap.cli.compare import format_tuning
 from occmap.errors import LogError, PoseError
 from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
@@ -18,11 +19,24 @@ from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Reading, ignore_progress
 from occmap.scoring import GOLDEN, Gain, Sample
 from occmap.scoring.compare import Variant, compare
-from occmap.tuning import tune
-from occmap.tuning.search import TIME, YAW, Correction, KeptLog, Verdict, X, find_mount, keep_logs
+from occmap.tuning import list_better_stamps, tune
+from occmap.tuning.search import (
+    TIME,
+    YAW,
+    Correction,
+    KeptLog,
+    Scorer,
+    Verdict,
+    X,
+    find_mount,
+    is_better,
+    keep_logs,
+)
 from occmap.types import Float64, Pose, ScanBatch
 from tests.bench.plans import cast_scans
 from tests.csv_logs import write_poses, write_scans
+from tests.inspection_logs import Drive, write_bag
+from tests.readers.ros import SECOND
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
 from tests.tuning.simulated import read_drive, write_drive, write_parts
 
@@ -49,6 +63,19 @@ def test_a_known_time_offset_is_found_and_added_to_what_is_given(
     assert tuning.share > 0.95 > tuning.share_before
     place = tuning.command.index("--time-offset")
     assert float(tuning.command[place + 1]) == pytest.approx(given + found)
+
+
+@pytest.mark.parametrize(("last_reach_s", "is_sure"), [(2.0, True), (0.5, False)])
+def test_where_the_best_is_at_the_edge_of_what_is_tried_larger_offsets_are(
+    last_reach_s: float, is_sure: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("occmap.tuning.search.LAST_REACH_S", last_reach_s)
+    scans, poses = write_drive(tmp_path, lambda _: 0.9)
+    tuning = tune([scans], follow(poses))
+    found = pytest.approx(-0.9, abs=STEP_S + 1e-9)
+    assert (tuning.correction.time_s == found) == bool(tuning.command) == is_sure
+    assert tuning.mount.verdict is (Verdict.NOTHING if is_sure else Verdict.UNSEEN)
+    assert any("tune again with `time_offset_s=-" in text for text in tuning.notes) != is_sure
 
 
 @pytest.mark.parametrize(
@@ -120,6 +147,32 @@ def test_scans_that_take_long_need_a_pose_for_each_beam(tmp_path: Path) -> None:
     assert tuning.command[-4:-2] == ("--deskew", "on")
     (warning,) = inspect([scans], replace(follow(poses), resolution=0.02)).warnings
     assert "the poses do not fit the scans; try `occmap tune`, `deskew=on`, or" in warning
+
+
+def test_no_command_is_given_where_the_other_times_fit_better(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clock of a laser jumps by three seconds, in which its robot turns by 0.33 rad."""
+
+    def jump(stamp: int) -> int:
+        return stamp + 3 * SECOND * (stamp >= 120 * SECOND)
+
+    log = write_bag(tmp_path / "jump.bag", Drive(), [(0.0, 0.0)], scan_stamp=jump)
+    (told,) = list_better_stamps([log], BuildOptions())
+    assert "tune again with `stamps=record`" in told
+    monkeypatch.setattr(tuning_package, "list_better_stamps", lambda *_: [told])
+    scans, poses = write_drive(tmp_path, lambda _: 0.1)
+    tuning = tune([scans], follow(poses))
+    assert (tuning.time.verdict, tuning.command) == (Verdict.FOUND, ())
+    assert told in tuning.notes
+
+
+def test_better_is_what_surely_gains(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: 0.1)
+    logs, _ = keep(scans, follow(poses))
+    scorer = Scorer(logs, follow(poses), None, lambda: None)
+    late, right, far = (Correction(time_s=-each) for each in (0.0, 0.1, 0.5))
+    assert [is_better(scorer, late, each) for each in (late, right, far)] == [True, True, False]
 
 
 def test_scans_that_only_say_that_they_take_long_are_left_as_they_are(tmp_path: Path) -> None:
@@ -347,6 +400,20 @@ def test_a_mount_that_halves_disagree_about_is_not_made_up_from_a_wrong_time() -
     tuning = tune([REAL_LOGS / "ros1" / "test_turtlebot.bag"], EVERY_THIRD)
     assert tuning.mount.verdict is Verdict.DISAGREE
     assert tuning.correction == Correction(time_s=tuning.correction.time_s)
+
+
+@real
+@pytest.mark.parametrize("is_sure", [True, False])
+def test_a_time_that_only_the_right_mount_shows_is_told_as_such_and_must_be_sure(
+    is_sure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not is_sure:
+        monkeypatch.setattr("occmap.tuning.search.is_better", lambda *_: False)
+    posing = PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi))
+    tuning = tune([REAL_LOGS / "ros1" / "mylaserdata2.bag"], BuildOptions(posing=posing))
+    assert tuning.time.verdict is Verdict.NOTHING
+    assert bool(tuning.correction.time_s) == ("--time-offset" in tuning.command) == is_sure
+    assert any("time     by itself" in line for line in format_tuning(tuning)) == is_sure
 
 
 @real
