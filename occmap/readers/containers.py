@@ -4,17 +4,20 @@ Decompression never gives more than was announced, and gives what lies before da
 """
 
 from bz2 import BZ2File
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, Self, TypeAlias
 
+import numpy as np
 import zstandard
 from lz4.frame import LZ4FrameFile  # type: ignore[import-untyped]  # it ships no types
 
 from occmap.readers import NoteList
+from occmap.types import Bool, Int64, UInt8
 
 
 def normalise_type(name: str) -> str:
@@ -51,8 +54,118 @@ class Channel:
         return normalise_type(self.type)
 
 
-RawMessage: TypeAlias = tuple[Channel, int, memoryview]
-"""A message as it lies in a log: its channel, when it was recorded (ns), and its bytes."""
+Buffer: TypeAlias = bytes | memoryview
+
+BLOCK_BYTES = 1 << 20
+"""Messages that do not lie in a chunk of their file are put together until they are so long."""
+MESSAGE_BYTES = 100
+"""What a message that is held takes in memory beside its own bytes."""
+
+
+class Messages(NamedTuple):
+    """Messages that lie in one block of bytes, in the order in which they were written.
+
+    They come many at a time, since a log has tens of thousands.
+    """
+
+    channels: Mapping[int, Channel]
+    """By the numbers that stand for them"""
+    data: UInt8
+    """The block"""
+    key: Int64
+    """(M,) the number of the channel of each"""
+    record_ns: Int64
+    """(M,) when each was recorded"""
+    start: Int64
+    end: Int64
+    """(M,) where each lies in the block"""
+
+    @property
+    def channel(self) -> Channel:
+        """That of the first one."""
+        return self.channels[int(self.key[0])]
+
+    @property
+    def length(self) -> int:
+        """How many bytes the first one has."""
+        return int(self.end[0] - self.start[0])
+
+    @property
+    def first(self) -> tuple[int, memoryview]:
+        """The time and the bytes of the first one."""
+        return next(self.take(slice(1)).split())[1:]
+
+    def split(self) -> Iterator[tuple[Channel, int, memoryview]]:
+        """Give the channel, the time and the bytes of each."""
+        columns, data = (self.key, self.record_ns, self.start, self.end), self.data.data
+        for key, record_ns, start, end in zip(*(each.tolist() for each in columns), strict=True):
+            yield self.channels[key], record_ns, data[start:end]
+
+    def take(self, some: slice | Bool | Int64) -> Self:
+        """Select some."""
+        key, record_ns, start, end = (column[some] for column in self[2:])
+        return self._replace(key=key, record_ns=record_ns, start=start, end=end)
+
+    def group(self, most_bytes: int, *, in_order: bool) -> Iterator[Self]:
+        """Give those of one channel and length together; where order counts, those in a row."""
+        length = self.end - self.start
+        order = np.arange(len(length)) if in_order else np.lexsort((length, self.key))
+        key, length = self.key[order], length[order]
+        cuts = np.flatnonzero((np.diff(key) != 0) | (np.diff(length) != 0)) + 1
+        for first, last in pairwise([0, *cuts.tolist(), len(order)]):
+            parts = -(-(last - first) * int(length[first]) // most_bytes) or 1
+            yield from map(self.take, np.array_split(order[first:last], parts))
+
+    def read(self, start: int, end: int) -> UInt8:
+        """Copy the same bytes of each (M, end - start)."""
+        return gather(self.data, self.start + start, end - start)
+
+    def copy(self) -> Self:
+        """Copy those of one length, so that all else which lies in the block need not be kept."""
+        end = np.arange(1, len(self.key) + 1) * self.length
+        data = self.read(0, self.length).reshape(-1)
+        return self._replace(data=data, start=end - self.length, end=end)
+
+
+def join(parts: Sequence[Messages]) -> Messages:
+    """Put messages of one channel and length into one block."""
+    if len(parts) == 1:
+        return parts[0]
+    data = np.concatenate([part.read(0, part.length) for part in parts])
+    end = np.arange(1, len(data) + 1) * parts[0].length
+    key, record_ns = (np.concatenate([part[at] for part in parts]) for at in (2, 3))
+    channels, start = parts[0].channels, end - parts[0].length
+    return Messages(channels, data.reshape(-1), key, record_ns, start, end)
+
+
+def pack(
+    channels: Mapping[int, Channel], messages: Iterable[tuple[int, int, Buffer]]
+) -> Iterator[Messages]:
+    """Put messages that come one by one, by the number of their channel, into blocks."""
+    held: list[tuple[int, int, Buffer]] = []
+    size = 0
+    for message in messages:
+        held.append(message)
+        size += len(message[2]) + MESSAGE_BYTES
+        if size >= BLOCK_BYTES:
+            yield _pack(channels, held)
+            held, size = [], 0
+    if held:
+        yield _pack(channels, held)
+
+
+def _pack(channels: Mapping[int, Channel], held: Sequence[tuple[int, int, Buffer]]) -> Messages:
+    key, record_ns, texts = zip(*held, strict=True)
+    data, end = np.frombuffer(b"".join(texts), np.uint8), np.cumsum([*map(len, texts)])
+    start = np.append(0, end[:-1])
+    return Messages(channels, data, np.array(key), np.array(record_ns), start, end)
+
+
+def gather(data: UInt8, start: Int64, length: int) -> UInt8:
+    """Copy so many bytes from each of some places on (M, length)."""
+    # One copy for each row: an index of every byte would take eight times the bytes.
+    windows = np.ndarray((len(data) - length + 1, length), np.uint8, data, strides=(1, 1))
+    return np.asarray(windows[start])
 
 
 class Source(Protocol):
@@ -65,11 +178,9 @@ class Source(Protocol):
     def channels(self) -> Sequence[Channel]:
         """Every channel, also those that no map needs."""
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
         """Give the messages of some channels, in file order."""
 
-
-Buffer: TypeAlias = bytes | memoryview
 
 MAX_INFLATED = 1 << 30
 """No recorder writes blocks near this size (bytes); one that claims more is damaged or a bomb."""

@@ -20,19 +20,18 @@ from typing import Any, TypeAlias, TypeVar, cast
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
-from occmap.readers.containers import Buffer, Channel, RawMessage, Source
+from occmap.readers.containers import MESSAGE_BYTES, Buffer, Channel, Messages, Source, join
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
-from occmap.readers.messages import PARSERS, Stacked
+from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
 Convert: TypeAlias = Callable[[Any, str, int], Any]
 """From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
-MESSAGE_BYTES = 100
-"""What a message that is held takes in memory beside its own bytes."""
-STACK_BYTES = 1 << 20
-"""Messages of one channel and length are held until they take this much memory."""
+STACK_BYTES = 1 << 19
+"""Messages of one channel and length are held until they take this much memory; of a longer block
+at most twice so many are read at once."""
 MOST_KINDS = 32
 """Channels and lengths for which poses are held at once; a log that has more is damaged."""
 
@@ -127,9 +126,10 @@ class RosLog:
         """Read the first message of a channel that can be read."""
         with suppress(LogError), refuse_unreadable(self.path):
             reader = _ChannelReader(channel, UNUSED, lambda message, *_: read(message))
-            for _, record_ns, data in self._source.messages({channel}):
-                for found in reader.read(data, record_ns):
-                    return cast(T, found)
+            for some in self._source.messages({channel}):
+                for _, record_ns, data in some.split():
+                    for found in reader.read(data, record_ns):
+                        return cast(T, found)
         return None
 
     def _make_pose_readers(self) -> "_Readers":
@@ -157,40 +157,40 @@ class RosLog:
 
     def _read(self, readers: "_Readers") -> Iterator[Any]:
         """Read messages one by one, passing over those that are damaged."""
-        for channel, record_ns, data in self._messages(readers):
-            yield from readers[channel].read(data, record_ns)
+        for some in self._messages(readers):
+            for channel, record_ns, data in some.split():
+                yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
     def _read_stacked(self, readers: "_Readers", most_kinds: int) -> Iterator[Any]:
-        """Read messages of one channel and length together, of `most_kinds` kinds at a time."""
-        for channel, stack in self._stack(readers, most_kinds):
-            yield from readers[channel].read_many(stack)
+        """Read messages of one channel and length together, of `most_kinds` kinds at a time.
+
+        They are kept in their order only where that is one kind.
+        """
+        held: dict[tuple[Channel, int], list[Messages]] = {}
+        for block in self._messages(readers):
+            for some in block.group(2 * STACK_BYTES, in_order=most_kinds == 1):
+                kind = some.channel, some.length
+                if kind not in held and len(held) == most_kinds:
+                    yield from _read_held(readers, held)
+                parts = held.setdefault(kind, [])
+                parts.append(some)
+                messages = sum(len(part.key) for part in parts)
+                if messages * (some.length + MESSAGE_BYTES) >= STACK_BYTES:
+                    yield from readers[some.channel].read_many(join(held.pop(kind)))
+                else:
+                    parts[-1] = some.copy()
+        yield from _read_held(readers, held)
         self._note_damage(readers)
 
-    def _stack(
-        self, readers: "_Readers", most_kinds: int
-    ) -> Iterator[tuple[Channel, Sequence[Stacked]]]:
-        """Gather messages by channel and length."""
-        stacks: dict[tuple[Channel, int], list[Stacked]] = {}
-        for channel, record_ns, data in self._messages(readers):
-            kind = channel, len(data)
-            if kind not in stacks and len(stacks) == most_kinds:
-                yield from ((of, stack) for (of, _), stack in stacks.items())
-                stacks.clear()
-            stack = stacks.setdefault(kind, [])
-            # Copied, so that the chunk of the file that it lies in need not be kept.
-            stack.append((bytes(data), record_ns))
-            if len(stack) * (len(data) + MESSAGE_BYTES) >= STACK_BYTES:
-                yield channel, stacks.pop(kind)
-        yield from ((of, stack) for (of, _), stack in stacks.items())
-
-    def _messages(self, readers: "_Readers") -> Iterator[RawMessage]:
+    def _messages(self, readers: "_Readers") -> Iterator[Messages]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
         if readers:
             with refuse_unreadable(self.path):
-                for message in self._source.messages(readers):
-                    readers[message[0]].messages += 1
-                    yield message
+                for some in self._source.messages(readers):
+                    for key, many in Counter(some.key.tolist()).items():
+                        readers[some.channels[key]].messages += many
+                    yield some
 
     def _note_damage(self, readers: "_Readers") -> None:
         """Say what of the messages was lost or damaged."""
@@ -246,14 +246,23 @@ class _ChannelReader:
             self.first_fault = self.first_fault or str(error)
         return ()
 
-    def read_many(self, stack: Sequence[Stacked]) -> Iterator[Any]:
+    def read_many(self, rows: Messages) -> Iterator[Any]:
         """Read messages of one length; one by one those that are damaged or not alike."""
         if self._parser.locate and self._many:
             with suppress(DamageError):  # of the first; one by one it is counted
-                together, stack = self._many(stack, self._parser.locate, self.decode)
+                together, rows = self._many(rows, self._parser.locate, self.decode)
                 yield from together
-        for data, record_ns in stack:
+        for _, record_ns, data in rows.split():
             yield from self.read(data, record_ns)
+
+
+def _read_held(
+    readers: "_Readers", held: dict[tuple[Channel, int], list[Messages]]
+) -> Iterator[Any]:
+    """Read messages that were held, by their channel and length."""
+    for (channel, _), parts in held.items():
+        yield from readers[channel].read_many(join(parts))
+    held.clear()
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader]

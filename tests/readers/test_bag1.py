@@ -36,7 +36,7 @@ class Blocks(Bag1Source):
         self._cut_at = -1
 
     def list_wanted(self, block: bytes, wanted: Sequence[int]) -> list[Found]:
-        found = self._walk_chunk(0, memoryview(block))
+        found = self._list_records(0, memoryview(block)).tolist()
         return [
             (key, time, block[start:end]) for key, time, _, start, end in found if key in wanted
         ]

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers import ros_log
-from occmap.readers.containers import Channel, RawMessage
+from occmap.readers import containers, ros_log
+from occmap.readers.containers import Channel, Messages
 from occmap.readers.ros_log import RosLog
 from occmap.types import PoseBatch, PoseSample
 from tests.readers.ros import POSED, ROS1, ROS2, TF, Memory, posed, transforms
@@ -94,13 +94,12 @@ def test_messages_laid_out_alike_are_read_at_a_stroke(
     messages = [
         (channel, i, write([("odom", "base", float(i))], i, "", encoding, kind)) for i in range(100)
     ]
-    monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
-    monkeypatch.setattr(ros_log, "STACK_BYTES", 40 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 20 * len(messages[0][2]))
 
     items = list(RosLog(Memory(messages)).stacked_poses())
 
     batches = [item for item in items if isinstance(item, PoseBatch)]
-    assert [len(batch.stamp_ns) for batch in batches] == [40, 40, 20]
+    assert [len(batch.stamp_ns) for batch in batches] == [34, 33, 33]
     assert len(items) == 3
     assert np.concatenate([batch.pose[:, 0] for batch in batches]).tolist() == list(range(100))
 
@@ -114,10 +113,11 @@ def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
         (channel, i, write([("odom", "base", float(k)) for k in range(i)], i)) for i in range(30)
     ]
 
+    monkeypatch.setattr(containers, "BLOCK_BYTES", 1)
     taken = []
 
     class Watched(Memory):
-        def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
             for message in super().messages(wanted):
                 taken.append(message)
                 yield message

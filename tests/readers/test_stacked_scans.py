@@ -84,18 +84,17 @@ def test_what_nobody_uses_may_differ_within_a_run(
     messages = [
         (channel, 100 + i, write(encoding, "laser", i, [i, 0.5], changes[i])) for i in range(10)
     ]
-    monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
-    monkeypatch.setattr(ros_log, "STACK_BYTES", 4 * len(messages[0][2]))
-    monkeypatch.setattr(module, "SHORTEST_RUN", 4)
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 3 * len(messages[0][2]))
+    monkeypatch.setattr(module, "SHORTEST_RUN", 5)
 
     items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
 
     runs = [item for item in items if isinstance(item, ScanRun)]
-    assert [len(run.stamp_ns) for run in runs] == [4, 4]
-    assert len(items) == 2 + 2  # two are too few for a run
-    assert runs[1].stamp_ns.tolist() == [4, 5, 6, 7]
-    assert runs[1].record_ns.tolist() == [104, 105, 106, 107]
-    assert runs[1].ranges.tolist() == [[4, 0.5], [5, 0.5], [6, 0.5], [7, 0.5]]
+    assert [len(run.stamp_ns) for run in runs] == [5, 5]
+    assert len(items) == 2
+    assert runs[1].stamp_ns.tolist() == [5, 6, 7, 8, 9]
+    assert runs[1].record_ns.tolist() == [105, 106, 107, 108, 109]
+    assert runs[1].ranges.tolist() == [[k, 0.5] for k in range(5, 10)]
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
