@@ -130,16 +130,23 @@ def test_garbage_words_do_not_fill_the_memory(tmp_path: Path) -> None:
     assert sum(stream.count for stream in log.streams) == 1001
 
 
-def test_a_malformed_line_names_file_and_line(tmp_path: Path) -> None:
-    content = HEADER + flaser(1) + flaser(2).replace("2.5", "2,5") + flaser(3)
+@pytest.mark.parametrize("at", [0, 1, 2])
+@pytest.mark.parametrize("bad", ["2,5", "2.5 2.5"])
+def test_a_malformed_line_is_left_out_wherever_it_is(tmp_path: Path, at: int, bad: str) -> None:
+    lines = [flaser(1), flaser(2), flaser(3)]
+    lines[at] = lines[at].replace("2.5", bad)
+    log = open_text(tmp_path, HEADER + "".join(lines))
+    assert len(stamps(log)) == 2
+    (damage,) = [note.text for note in log.notes if note.damage]
+    assert damage.startswith(f"1 of 3 lines are malformed and left out, the first is line {at + 2}")
+
+
+def test_malformed_lines_alone_are_an_error_with_file_and_line(tmp_path: Path) -> None:
     with pytest.raises(LogError) as caught:
-        open_text(tmp_path, content)
+        open_text(tmp_path, HEADER + flaser(2).replace("2.5", "2,5"))
     assert str(caught.value) == (
-        f"{tmp_path}/hand.log:3: '2,5' where a number belongs; correct or delete this line"
+        f"{tmp_path}/hand.log:2: '2,5' where a number belongs; correct or delete this line"
     )
-
-
-def test_a_malformed_odometry_line_names_file_and_line(tmp_path: Path) -> None:
     log = open_text(tmp_path, flaser(1) + "ODOM 1 2 three 0 0 0 1 host 1\n" + flaser(2))
     with pytest.raises(LogError, match=r"hand.log:2: 'three' where"):
         list(log.poses())

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.carmen import CarmenLog, imply_increment
-from occmap.readers.text_log import SOUND_START
 from occmap.types import Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32
 from tests.readers.runs import flatten, list_fields
@@ -27,7 +26,7 @@ def open_lines(*lines: str, path: Path | None = None) -> CarmenLog:
     """A log that states times, and of which a few lines may be damaged."""
     with TemporaryDirectory() as folder:
         path = path or Path(folder, "hand.log")
-        path.write_text("".join(f"{line}\n" for line in (*SOUND_START * [TIMED], *lines)))
+        path.write_text("".join(f"{line}\n" for line in (TIMED, *lines)))
         return CarmenLog(path)
 
 
@@ -223,9 +222,8 @@ def test_a_number_is_what_python_reads(written: list[str]) -> None:
 
 def read_odometry(tmp_path: Path, line: str) -> list[PoseSample]:
     """Read a line of odometry between sound ones; ValueError where it is malformed."""
-    sound = SOUND_START * ["ODOM 9 9 0 0 0 0 1 robot 1"]
-    log = open_lines(*sound, line, path=tmp_path / "hand.log")
-    samples = list(log.poses())[SOUND_START:]
+    log = open_lines("ODOM 9 9 0 0 0 0 1 robot 1", line, path=tmp_path / "hand.log")
+    samples = list(log.poses())[1:]
     if damage := [note.text for note in log.notes if note.damage]:
         raise ValueError(damage[0])
     return samples
@@ -267,7 +265,6 @@ def test_front_offset(line: str, offset: float | None) -> None:
 
 @pytest.mark.parametrize("value", ["", " far", " nan"])
 def test_a_front_offset_that_is_no_number_is_damage(value: str) -> None:
-    others = SOUND_START * ["PARAM robot_length 0.4 1 merci 1"]
-    log = open_lines(*others, f"PARAM robot_frontlaser_offset{value}")
+    log = open_lines("PARAM robot_length 0.4 1 merci 1", f"PARAM robot_frontlaser_offset{value}")
     assert list(log.poses()) == []
     assert any(note.damage and "number" in note.text for note in log.notes)

@@ -216,13 +216,21 @@ def test_a_constant_that_no_row_can_use_names_its_line(
         (",inf", ",inf,1", "13 cells where the header has 12"),
     ],
 )
-def test_a_bad_row_names_line_and_column(
+def test_a_bad_row_is_left_out_wherever_it_is(
     tmp_path: Path, good: str, bad: str, complaint: str
 ) -> None:
-    content = "\n".join([HEADER, ROW, ROW.replace(good, bad), ROW, ""])
+    for at in range(3):
+        rows = [ROW, ROW]
+        rows.insert(at, ROW.replace(good, bad))
+        log = open_text(tmp_path, "\n".join([HEADER, *rows, ""]))
+        (note,) = log.notes
+        assert note.damage
+        assert f"1 of 3 lines are malformed and left out, the first is line {at + 2}" in note.text
+        assert complaint in note.text
+        assert len(list(log.scans(["scan"]))) == 2
     with pytest.raises(LogError) as caught:
-        open_text(tmp_path, content)
-    assert f"log.csv:3: {complaint}" in str(caught.value)
+        open_text(tmp_path, f"{HEADER}\n{ROW.replace(good, bad)}\n")
+    assert f"log.csv:2: {complaint}" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -236,9 +244,8 @@ def test_rows_that_are_all_unlike_the_header_are_one_error_with_their_count(tmp_
 
 
 def test_bytes_that_are_no_text_name_the_line(tmp_path: Path) -> None:
-    content = f"{HEADER}\n{ROW}\n".encode() + b"\xff\x00\n"
-    with pytest.raises(LogError, match=r"log.csv:3: 1 cells"):
-        open_text(tmp_path, content)
+    (note,) = open_text(tmp_path, f"{HEADER}\n{ROW}\n".encode() + b"\xff\x00\n").notes
+    assert "line 3: 1 cells" in note.text
 
 
 def test_a_constant_far_behind_the_rows_is_refused_with_its_line(tmp_path: Path) -> None:
