@@ -106,10 +106,10 @@ class Messages(NamedTuple):
         key, record_ns, start, end = (column[some] for column in self[2:])
         return self._replace(key=key, record_ns=record_ns, start=start, end=end)
 
-    def group(self, most_bytes: int, *, in_order: bool) -> Iterator[Self]:
-        """Give those of one channel and length together; where order counts, those in a row."""
+    def group(self, most_bytes: int) -> Iterator[Self]:
+        """Give those of one channel and length together, in their order."""
         length = self.end - self.start
-        order = np.arange(len(length)) if in_order else np.lexsort((length, self.key))
+        order = np.lexsort((length, self.key))
         key, length = self.key[order], length[order]
         cuts = np.flatnonzero((np.diff(key) != 0) | (np.diff(length) != 0)) + 1
         for first, last in pairwise([0, *cuts.tolist(), len(order)]):

@@ -212,8 +212,6 @@ PARSERS: Mapping[str, Callable[[Channel], Parser]] = {
 channel's message definition cannot be understood."""
 
 
-SHORTEST_RUN = 64
-"""Fewer scans are read one by one, to be stacked with others of their kind."""
 _LITTLE_ENDIAN = b"\0\1"
 """What a CDR message begins with whose numbers are read so."""
 _OF_ALL = ("angle_min", "angle_increment", "range_min", "range_max")
@@ -338,15 +336,13 @@ def read_scan_run(
     Returns
     -------
     runs, others
-        One run, or all messages where they are few, or not alike but for times and ranges.
+        One run, or all messages where they are not alike but for times and ranges.
 
     Raises
     ------
     DamageError
         The first message is damaged, or its numbers cannot be found.
     """
-    if len(rows.key) < SHORTEST_RUN:
-        return [], rows
     # Decoded first: that it could be says that all its parts lie within the message.
     record_ns, data = rows.first
     (first,) = read(data, record_ns)

@@ -2,11 +2,12 @@
 
 The way of a message:
 
-1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes.
+1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes, with those of many
+   others that lie in one block.
 2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
    (`message_types`).
 3. Scans of one laser, and poses of one source, are laid out alike. So most are not read one by
-   one, but gathered by channel and length (`_stack`) and read many at once.
+   one, but gathered by channel and length (`Messages.group`) and read many at once.
 """
 
 from collections import Counter
@@ -14,6 +15,8 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import chain
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -32,6 +35,8 @@ Convert: TypeAlias = Callable[[Any, str, int], Any]
 STACK_BYTES = 1 << 19
 """Messages of one channel and length are held until they take this much memory; of a longer block
 at most twice so many are read at once."""
+SHORTEST_RUN = 64
+"""Fewer scans are read one by one, to be stacked with others of their kind."""
 MOST_KINDS = 32
 """Channels and lengths for which poses are held at once; a log that has more is damaged."""
 
@@ -165,22 +170,28 @@ class RosLog:
     def _read_stacked(self, readers: "_Readers", most_kinds: int) -> Iterator[Any]:
         """Read messages of one channel and length together, of `most_kinds` kinds at a time.
 
-        They are kept in their order only where that is one kind.
+        Where that is one kind, all come in their order.
         """
         held: dict[tuple[Channel, int], list[Messages]] = {}
+        fewest = SHORTEST_RUN if most_kinds == 1 else 2
         for block in self._messages(readers):
-            for some in block.group(2 * STACK_BYTES, in_order=most_kinds == 1):
+            groups = list(block.group(2 * STACK_BYTES))
+            if most_kinds == 1 and len({(some.channel, some.length) for some in groups}) > 1:
+                yield from _read_held(readers, held, fewest)
+                yield from _read_mixed(readers, groups)
+                continue
+            for some in groups:
                 kind = some.channel, some.length
                 if kind not in held and len(held) == most_kinds:
-                    yield from _read_held(readers, held)
+                    yield from _read_held(readers, held, fewest)
                 parts = held.setdefault(kind, [])
                 parts.append(some)
                 messages = sum(len(part.key) for part in parts)
                 if messages * (some.length + MESSAGE_BYTES) >= STACK_BYTES:
-                    yield from readers[some.channel].read_many(join(held.pop(kind)))
+                    yield from _read_held(readers, {kind: held.pop(kind)}, fewest)
                 else:
                     parts[-1] = some.copy()
-        yield from _read_held(readers, held)
+        yield from _read_held(readers, held, fewest)
         self._note_damage(readers)
 
     def _messages(self, readers: "_Readers") -> Iterator[Messages]:
@@ -246,23 +257,39 @@ class _ChannelReader:
             self.first_fault = self.first_fault or str(error)
         return ()
 
-    def read_many(self, rows: Messages) -> Iterator[Any]:
-        """Read messages of one length; one by one those that are damaged or not alike."""
-        if self._parser.locate and self._many:
+    def read_together(self, some: Messages, fewest: int) -> tuple[Sequence[Any], Messages]:
+        """Read messages of one length; give what was read, and those to be read one by one.
+
+        These are damaged or not alike, or there are too few.
+        """
+        if self._parser.locate and self._many and len(some.key) >= fewest:
             with suppress(DamageError):  # of the first; one by one it is counted
-                together, rows = self._many(rows, self._parser.locate, self.decode)
-                yield from together
-        for _, record_ns, data in rows.split():
-            yield from self.read(data, record_ns)
+                return self._many(some, self._parser.locate, self.decode)
+        return (), some
 
 
 def _read_held(
-    readers: "_Readers", held: dict[tuple[Channel, int], list[Messages]]
+    readers: "_Readers", held: dict[tuple[Channel, int], list[Messages]], fewest: int
 ) -> Iterator[Any]:
-    """Read messages that were held, by their channel and length."""
+    """Read messages that were held, by their channel and length; hold none from then on."""
     for (channel, _), parts in held.items():
-        yield from readers[channel].read_many(join(parts))
+        together, rest = readers[channel].read_together(join(parts), fewest)
+        yield from together
+        for _, record_ns, data in rest.split():
+            yield from readers[channel].read(data, record_ns)
     held.clear()
+
+
+def _read_mixed(readers: "_Readers", groups: Iterable[Messages]) -> Iterator[Any]:
+    """Read scans of several kinds that lie among each other in a block, in their order."""
+    found: list[tuple[int, Any]] = []
+    for some in groups:
+        reader = readers[some.channel]
+        runs, rest = reader.read_together(some, 2)
+        found += zip(some.start.tolist(), chain(*(run.split() for run in runs)), strict=False)
+        for start, (_, record_ns, data) in zip(rest.start.tolist(), rest.split(), strict=True):
+            found += ((start, scan) for scan in reader.read(data, record_ns))
+    yield from (scan for _, scan in sorted(found, key=itemgetter(0)))
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader]

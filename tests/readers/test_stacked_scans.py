@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.readers import messages as module
 from occmap.readers import ros_log
 from occmap.readers.containers import Channel
 from occmap.readers.ros_log import RosLog
@@ -67,7 +66,7 @@ def test_scans_of_a_run_are_those_read_one_by_one(encoding: str, data: st.DataOb
     topics = ["/front", "/rear"]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "SHORTEST_RUN", 2)
+        patch.setattr(ros_log, "SHORTEST_RUN", 2)
         scans = flatten(stacked.stacked_scans(topics))
 
     assert list_fields(scans) == list_fields(alone.scans(topics))
@@ -85,7 +84,7 @@ def test_what_nobody_uses_may_differ_within_a_run(
         (channel, 100 + i, write(encoding, "laser", i, [i, 0.5], changes[i])) for i in range(10)
     ]
     monkeypatch.setattr(ros_log, "STACK_BYTES", 3 * len(messages[0][2]))
-    monkeypatch.setattr(module, "SHORTEST_RUN", 5)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 5)
 
     items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
 
@@ -104,7 +103,7 @@ def test_each_scan_of_a_run_has_its_own_time_between_beams(
     channel = make_channel(encoding)
     changes = ["", "time_increment", ""]
     messages = [(channel, i, write(encoding, "laser", i, [1, 2], changes[i])) for i in range(3)]
-    monkeypatch.setattr(module, "SHORTEST_RUN", 3)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 3)
 
     (run,) = RosLog(Memory(messages)).stacked_scans(["/scan"])
 
@@ -124,7 +123,7 @@ def test_scans_of_another_geometry_are_no_run(
         (channel, i, write(encoding, "laser", i, [1, 2], change if i == 7 else ""))
         for i in range(9)
     ]
-    monkeypatch.setattr(module, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
 
     items = list(RosLog(Memory(messages)).stacked_scans(["/scan"]))
 
@@ -135,7 +134,7 @@ def test_messages_of_an_own_definition_are_read_by_it(monkeypatch: pytest.Monkey
     definition = ROS2.generate_msgdef(SCAN)[0].replace("float32 scan_time", "float32 scan_times")
     channel = Channel("/scan", SCAN, "cdr", definition, 9)
     messages = [(channel, i, write("cdr", "laser", i, [1, 2])) for i in range(9)]
-    monkeypatch.setattr(module, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
 
     log = RosLog(Memory(messages))
     (run,) = log.stacked_scans(["/scan"])
