@@ -62,6 +62,10 @@ MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
 
 
+RawMessage: TypeAlias = tuple[int, int, Buffer]
+"""The number of a message's channel, when it was recorded (ns), and its bytes"""
+
+
 class Messages(NamedTuple):
     """Messages that lie in one block of bytes, in the order in which they were written.
 
@@ -91,15 +95,24 @@ class Messages(NamedTuple):
         return int(self.end[0] - self.start[0])
 
     @property
+    def size(self) -> int:
+        """How many bytes all of them have."""
+        return int((self.end - self.start).sum())
+
+    @property
     def first(self) -> tuple[int, memoryview]:
         """The time and the bytes of the first one."""
         return next(self.take(slice(1)).split())[1:]
 
-    def split(self) -> Iterator[tuple[Channel, int, memoryview]]:
-        """Give the channel, the time and the bytes of each."""
+    def list_raw(self) -> Iterator[tuple[int, int, memoryview]]:
+        """Give the number of the channel, the time and the bytes of each."""
         columns, data = (self.key, self.record_ns, self.start, self.end), self.data.data
         for key, record_ns, start, end in zip(*(each.tolist() for each in columns), strict=True):
-            yield self.channels[key], record_ns, data[start:end]
+            yield key, record_ns, data[start:end]
+
+    def split(self) -> Iterator[tuple[Channel, int, memoryview]]:
+        """Give the channel, the time and the bytes of each."""
+        return ((self.channels[key], at, data) for key, at, data in self.list_raw())
 
     def take(self, some: slice | Bool | Int64) -> Self:
         """Select some."""
@@ -121,28 +134,27 @@ class Messages(NamedTuple):
         return gather(self.data, self.start + start, end - start)
 
     def copy(self) -> Self:
-        """Copy those of one length, so that all else which lies in the block need not be kept."""
-        end = np.arange(1, len(self.key) + 1) * self.length
-        data = self.read(0, self.length).reshape(-1)
-        return self._replace(data=data, start=end - self.length, end=end)
+        """Copy them, so that all else which lies in the block need not be kept."""
+        data, places = self.data.data, zip(self.start.tolist(), self.end.tolist(), strict=True)
+        text = b"".join([data[start:end] for start, end in places])
+        length = self.end - self.start
+        end = np.cumsum(length)
+        return self._replace(data=np.frombuffer(text, np.uint8), start=end - length, end=end)
 
 
 def join(parts: Sequence[Messages]) -> Messages:
-    """Put messages of one channel and length into one block."""
-    if len(parts) == 1:
-        return parts[0]
-    data = np.concatenate([part.read(0, part.length) for part in parts])
-    end = np.arange(1, len(data) + 1) * parts[0].length
-    key, record_ns = (np.concatenate([part[at] for part in parts]) for at in (2, 3))
-    channels, start = parts[0].channels, end - parts[0].length
-    return Messages(channels, data.reshape(-1), key, record_ns, start, end)
+    """Put the messages of several blocks, of the same channels, into one."""
+    begin = np.cumsum([0, *(len(part.data) for part in parts[:-1])])
+    shift = np.repeat(begin, [len(part.key) for part in parts])
+    data, key, record_ns, start, end = (
+        np.concatenate([part[at] for part in parts]) for at in range(1, len(Messages._fields))
+    )
+    return Messages(parts[0].channels, data, key, record_ns, start + shift, end + shift)
 
 
-def pack(
-    channels: Mapping[int, Channel], messages: Iterable[tuple[int, int, Buffer]]
-) -> Iterator[Messages]:
+def pack(channels: Mapping[int, Channel], messages: Iterable[RawMessage]) -> Iterator[Messages]:
     """Put messages that come one by one, by the number of their channel, into blocks."""
-    held: list[tuple[int, int, Buffer]] = []
+    held: list[RawMessage] = []
     size = 0
     for message in messages:
         held.append(message)
@@ -154,7 +166,7 @@ def pack(
         yield _pack(channels, held)
 
 
-def _pack(channels: Mapping[int, Channel], held: Sequence[tuple[int, int, Buffer]]) -> Messages:
+def _pack(channels: Mapping[int, Channel], held: Sequence[RawMessage]) -> Messages:
     key, record_ns, texts = zip(*held, strict=True)
     data, end = np.frombuffer(b"".join(texts), np.uint8), np.cumsum([*map(len, texts)])
     start = np.append(0, end[:-1])

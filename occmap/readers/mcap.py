@@ -103,8 +103,8 @@ class McapSource(RecordSource):
         return kind, 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Records:
-        records = _list_messages(block)
-        return super()._list_records(position, block) if records is None else records
+        found = _list_messages(block)
+        return super()._list_records(position, block) if found is None else found
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""

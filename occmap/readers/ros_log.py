@@ -15,7 +15,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from itertools import chain
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -33,12 +32,10 @@ Convert: TypeAlias = Callable[[Any, str, int], Any]
 """From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
 STACK_BYTES = 1 << 19
-"""Messages of one channel and length are held until they take this much memory; of a longer block
-at most twice so many are read at once."""
+"""Messages that lie in a block are read where they lie, if they are so long; of one channel at most
+twice as many bytes are read at once."""
 SHORTEST_RUN = 64
 """Fewer scans are read one by one, to be stacked with others of their kind."""
-MOST_KINDS = 32
-"""Channels and lengths for which poses are held at once; a log that has more is damaged."""
 
 
 class RosReader:
@@ -97,7 +94,7 @@ class RosLog:
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as from `poses`, but many at once where messages are laid out alike."""
-        return self._read_stacked(self._make_pose_readers(), MOST_KINDS)
+        return self._read_stacked(self._make_pose_readers())
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -105,8 +102,7 @@ class RosLog:
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        readers = self._make_sensor_readers(Role.SCAN, topics)
-        return self._read_stacked(readers, 1)
+        return self._read_in_order(self._make_sensor_readers(Role.SCAN, topics))
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
@@ -167,32 +163,54 @@ class RosLog:
                 yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
-    def _read_stacked(self, readers: "_Readers", most_kinds: int) -> Iterator[Any]:
-        """Read messages of one channel and length together, of `most_kinds` kinds at a time.
-
-        Where that is one kind, all come in their order.
-        """
-        held: dict[tuple[Channel, int], list[Messages]] = {}
-        fewest = SHORTEST_RUN if most_kinds == 1 else 2
-        for block in self._messages(readers):
-            groups = list(block.group(2 * STACK_BYTES))
-            if most_kinds == 1 and len({(some.channel, some.length) for some in groups}) > 1:
-                yield from _read_held(readers, held, fewest)
-                yield from _read_mixed(readers, groups)
-                continue
-            for some in groups:
-                kind = some.channel, some.length
-                if kind not in held and len(held) == most_kinds:
-                    yield from _read_held(readers, held, fewest)
-                parts = held.setdefault(kind, [])
-                parts.append(some)
-                messages = sum(len(part.key) for part in parts)
-                if messages * (some.length + MESSAGE_BYTES) >= STACK_BYTES:
-                    yield from _read_held(readers, {kind: held.pop(kind)}, fewest)
-                else:
-                    parts[-1] = some.copy()
-        yield from _read_held(readers, held, fewest)
+    def _read_stacked(self, readers: "_Readers") -> Iterator[Any]:
+        """Read messages of one channel and length together, in any order."""
+        for block in self._blocks(readers):
+            for some in block.group(2 * STACK_BYTES):
+                together, rest = readers[some.channel].read_together(some, 2)
+                yield from together
+                for channel, record_ns, data in rest.split():
+                    yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
+
+    def _read_in_order(self, readers: "_Readers") -> Iterator[Any]:
+        """Read scans of one channel and length together, and split those of several kinds."""
+        for block in self._blocks(readers):
+            groups = list(block.group(2 * STACK_BYTES))
+            is_mixed = len({(some.channel, some.length) for some in groups}) > 1
+            found: list[tuple[int, Any]] = []
+            for some in groups:
+                reader = readers[some.channel]
+                runs, rest = reader.read_together(some, 2 if is_mixed else SHORTEST_RUN)
+                for run in runs:
+                    scans = run.split() if is_mixed else [run]
+                    found += zip(some.start.tolist(), scans, strict=False)
+                alone = zip(rest.start.tolist(), rest.split(), strict=True)
+                for start, (_, record_ns, data) in alone:
+                    found += ((start, scan) for scan in reader.read(data, record_ns))
+            yield from (scans for _, scans in sorted(found, key=itemgetter(0)))
+        self._note_damage(readers)
+
+    def _blocks(self, readers: "_Readers") -> Iterator[Messages]:
+        """Give raw messages in blocks of which most can be read together.
+
+        Of blocks with few of them these are copied, and put together.
+        """
+        held: list[Messages] = []
+        size = 0
+        for some in self._messages(readers):
+            own = some.size + MESSAGE_BYTES * len(some.key)
+            is_other = bool(held) and some.channels is not held[0].channels
+            if held and (is_other or max(size, own) >= STACK_BYTES):
+                yield join(held)
+                held, size = [], 0
+            if own >= STACK_BYTES:
+                yield some
+            else:
+                held.append(some.copy())
+                size += own
+        if held:
+            yield join(held)
 
     def _messages(self, readers: "_Readers") -> Iterator[Messages]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
@@ -266,30 +284,6 @@ class _ChannelReader:
             with suppress(DamageError):  # of the first; one by one it is counted
                 return self._many(some, self._parser.locate, self.decode)
         return (), some
-
-
-def _read_held(
-    readers: "_Readers", held: dict[tuple[Channel, int], list[Messages]], fewest: int
-) -> Iterator[Any]:
-    """Read messages that were held, by their channel and length; hold none from then on."""
-    for (channel, _), parts in held.items():
-        together, rest = readers[channel].read_together(join(parts), fewest)
-        yield from together
-        for _, record_ns, data in rest.split():
-            yield from readers[channel].read(data, record_ns)
-    held.clear()
-
-
-def _read_mixed(readers: "_Readers", groups: Iterable[Messages]) -> Iterator[Any]:
-    """Read scans of several kinds that lie among each other in a block, in their order."""
-    found: list[tuple[int, Any]] = []
-    for some in groups:
-        reader = readers[some.channel]
-        runs, rest = reader.read_together(some, 2)
-        found += zip(some.start.tolist(), chain(*(run.split() for run in runs)), strict=False)
-        for start, (_, record_ns, data) in zip(rest.start.tolist(), rest.split(), strict=True):
-            found += ((start, scan) for scan in reader.read(data, record_ns))
-    yield from (scan for _, scan in sorted(found, key=itemgetter(0)))
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader]

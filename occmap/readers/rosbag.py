@@ -159,9 +159,8 @@ class Bag2Source:
 
 def _inflate(messages: Messages) -> Iterator[Messages]:
     """Decompress messages each of which was compressed on its own."""
-    texts = (inflate_message(data) for _, _, data in messages.split())
-    columns = messages.key.tolist(), messages.record_ns.tolist(), texts
-    return pack(messages.channels, zip(*columns, strict=True))
+    inflated = ((key, at, inflate_message(data)) for key, at, data in messages.list_raw())
+    return pack(messages.channels, inflated)
 
 
 def _parse_metadata(path: Path) -> _Metadata:

@@ -10,8 +10,10 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from occmap.errors import LogError
-from occmap.readers import Note, Role, Stream, open_log, probe_path
-from occmap.readers.mcap import McapReader
+from occmap.readers import Note, NoteList, Role, Stream, open_log, probe_path
+from occmap.readers.mcap import McapReader, McapSource
+from occmap.readers.records import RecordSource
+from occmap.types import Int64
 from tests.readers.ros import RANGES, ROS2, SCAN, Written, drive, scan, write_mcap
 from tests.readers.runs import count_scans
 from tests.test_damage import time_limit
@@ -252,3 +254,25 @@ def test_no_damage_is_answered_with_anything_but_a_log_error(
         assert len(list(log.poses())) <= 7
     except LogError:
         pass
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.binary(max_size=9)), max_size=6), st.data())
+def test_messages_of_a_chunk_are_listed_as_one_by_one(
+    messages: list[tuple[int, bytes]], data: st.DataObject
+) -> None:
+    block = bytearray(b"")
+    for key, text in messages:
+        block += struct.pack("<BQHIQQ", 5, 22 + len(text), key, 7, 2**64 - 1 - key, 8) + text
+    if block and data.draw(st.booleans()):
+        block[data.draw(st.integers(0, len(block) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    source = McapSource.__new__(McapSource)
+    source.notes, source._cut_at = NoteList(), -1
+
+    def list_messages(found: Int64) -> list[list[int]]:
+        return [record for record in found.tolist() if record[0] >= 0]
+
+    expected = list_messages(RecordSource._list_records(source, 0, memoryview(block)))
+    damage = list(source.notes)
+
+    assert list_messages(source._list_records(0, memoryview(block))) == expected
+    assert list(source.notes) == damage
