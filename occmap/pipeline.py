@@ -88,9 +88,10 @@ def build(
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
-    bags = [path / "metadata.yaml" for path in paths]  # of a folder that is a bag
-    bags += [storage for path in paths if path.is_dir() for storage in path.glob("*.mcap")]
-    return [*paths, *bags, *options.posing.files]
+    inputs = [*paths, *options.posing.files]
+    bags = [path / "metadata.yaml" for path in inputs]  # of a folder that is a bag
+    bags += [storage for path in inputs if path.is_dir() for storage in path.glob("*.mcap")]
+    return [*inputs, *bags]
 
 
 def open_past(

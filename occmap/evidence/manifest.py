@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
-from itertools import combinations
+from itertools import combinations, takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -102,17 +102,20 @@ def list_files(path: Path) -> list[Path]:
     return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
 
 
-def find_trajectory(build: BuildRecord) -> dict[str, Any] | None:
-    """Find the entry of the trajectory file: the last input, where poses are of its name."""
-    last: dict[str, Any] = build["inputs"][-1]
+def list_trajectory(build: BuildRecord) -> list[dict[str, Any]]:
+    """List the entries of the trajectory: the last input, or all files of that folder."""
+    inputs = build["inputs"]
+    name, slash, _ = inputs[-1]["name"].partition("/")
     poses = build["options"]["posing"]["poses"] or ""
-    # Of another recording, its topic may follow.
-    return last if poses == last["name"] or poses.startswith(f"{last['name']}:") else None
+    if poses != name and not poses.startswith(f"{name}:"):  # of a recording, its topic may follow
+        return []
+    last = takewhile(lambda entry: slash and entry["name"].startswith(f"{name}/"), inputs[::-1])
+    return list(last) or [inputs[-1]]
 
 
 def list_inputs(build: BuildRecord) -> list[dict[str, Any]]:
     """List the entries of a build's logs, without its trajectory."""
-    return list(build["inputs"][:-1] if find_trajectory(build) else build["inputs"])
+    return list(build["inputs"][: len(build["inputs"]) - len(list_trajectory(build))])
 
 
 def write_value(value: Any) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from occmap.cells import Box, Evidence, Manifest, Slices
 from occmap.choices import take
 from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError
-from occmap.evidence.manifest import BuildRecord, describe_files, find_trajectory, list_inputs
+from occmap.evidence.manifest import BuildRecord, describe_files, list_inputs, list_trajectory
 from occmap.grid import CellBox, Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.options import OPTIONS, BuildOptions
@@ -67,8 +67,8 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -
         for at in times:
             options = recall_build(builds[at], evidence.where, log, given)
             uses.append(Use(log, hashes, at, options))
-    trajectories = filter(None, [find_trajectory(builds[use.build]) for use in uses])
-    idle = given.keys() - {trajectory["sha256"] for trajectory in trajectories}
+    used = {entry["sha256"] for use in uses for entry in list_trajectory(builds[use.build])}
+    idle = given.keys() - used
     if idle:
         found = "is not a trajectory that these logs were built with"
         raise PoseError(found, where=given[min(idle)], fix="leave it out")
@@ -123,16 +123,17 @@ def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Pat
         As `recall_options`.
     """
     options = recall_options(build["options"], where)
-    trajectory = find_trajectory(build)
-    if trajectory is None:
+    trajectory = list_trajectory(build)
+    if not trajectory:
         return options
-    path = given.get(trajectory["sha256"])
+    name = trajectory[0]["name"].partition("/")[0]
+    path = given.get(trajectory[0]["sha256"])
     if path is None:
-        others = ", ".join(map(str, given.values()))
+        others = ", ".join(dict.fromkeys(map(str, given.values())))
         differs = f" (the SHA-256 of {others} is another)" if others else ""
-        found = f"its poses came from {trajectory['name']}, which is needed again{differs}"
-        raise PoseError(found, where=log, fix=f"add `poses={trajectory['name']}`")
-    topic = (options.posing.poses or "").removeprefix(trajectory["name"])  # as in ":/path"
+        found = f"its poses came from {name}, which is needed again{differs}"
+        raise PoseError(found, where=log, fix=f"add `poses={name}`")
+    topic = (options.posing.poses or "").removeprefix(name)  # as in ":/path"
     return replace(options, posing=replace(options.posing, poses=f"{path}{topic}"))
 
 

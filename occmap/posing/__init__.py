@@ -178,14 +178,26 @@ class PosingOptions:
     @property
     def recording(self) -> tuple[Path, str] | None:
         """The other recording that `poses` names, and the topic in it; "" where it names none."""
-        named = RECORDING.fullmatch(self.poses or "")
-        return (Path(named[1]), named[2] or "") if named and Path(named[1]).is_file() else None
+        poses = self.poses or ""
+        named = RECORDING.fullmatch(poses)
+        if named and Path(named[1]).is_file():
+            return Path(named[1]), named[2] or ""
+        folder, _, topic = poses.rpartition(":")
+        bags = ((Path(path), name) for path, name in ((poses, ""), (folder, topic)) if path)
+        return next((bag for bag in bags if _is_bag(bag[0])), None)
 
     @property
     def files(self) -> list[Path]:
-        """The file that `poses` names, a trajectory or a recording; none where it is a topic."""
-        path = self.recording[0] if self.recording else Path(self.poses or "")
+        """The trajectory or recording that `poses` names; none where it is a topic."""
+        if self.recording:
+            return [self.recording[0]]
+        path = Path(self.poses or "")
         return [path] if path.is_file() else []
+
+
+def _is_bag(path: Path) -> bool:
+    """Whether a path is a folder with a recording of ROS 2."""
+    return any(True for name in ("metadata.yaml", "*.db3*", "*.mcap*") for _ in path.glob(name))
 
 
 def _check_pose(pose: Pose, name: str) -> None:

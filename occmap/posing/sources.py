@@ -167,8 +167,8 @@ def _find_trajectory(
     name = options.poses or ""
     recording, topic = options.recording or (None, name)
     if recording is None and Path(name).is_file():
-        samples = read_trajectory(Path(name), notes, moments)
-        edges, unusable, _ = _build_edges(samples, Stamps.HEADER)
+        poses_of_file = read_trajectory(Path(name), notes, moments)
+        edges, unusable, _ = _build_edges([poses_of_file], Stamps.HEADER)
         notes.extend(unusable)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)

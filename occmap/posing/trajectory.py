@@ -16,7 +16,7 @@ import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.tracks import to_quaternions
-from occmap.types import Moments, Pose, PoseSample
+from occmap.types import Moments, Pose, PoseBatch
 from occmap.values import parse_nanoseconds, parse_seconds, shorten, suspect_degrees
 
 Parsed = TypeVar("Parsed")
@@ -81,14 +81,12 @@ EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 EUROC = _Layout(EUROC_COLUMNS, ",", parse_nanoseconds, has_more=True)
 
 
-def read_trajectory(
-    path: Path, notes: list[str], moments: Moments | None = None
-) -> Iterator[PoseSample]:
+def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None) -> PoseBatch:
     """Read the poses of a body in the map, in file order.
 
-    The samples' `child` is "", for such files do not name the body. Empty lines and lines that
-    start with # are passed over. A pose with a nan or inf in it is yielded as it is: trackers
-    write them where they were lost.
+    Their `child` is "", for such files do not name the body. Empty lines and lines that start with
+    # are passed over. A pose with a nan or inf in it stays as it is: trackers write them where they
+    were lost.
 
     Parameters
     ----------
@@ -109,8 +107,8 @@ def read_trajectory(
     times = [stamp_ns for stamp_ns, _ in poses]
     if moments is not None and not moments.is_timed:  # only the order of the scans is known
         times = _pair(path, len(poses), moments)
-    for stamp_ns, (_, pose) in zip(times, poses, strict=True):
-        yield PoseSample(stamp_ns, TRAJECTORY_FRAME, "", pose, record_ns=stamp_ns)
+    stamp_ns, values = np.array(times, np.int64), np.array([pose for _, pose in poses])
+    return PoseBatch(stamp_ns, stamp_ns, values, TRAJECTORY_FRAME, "", static=False, topic="")
 
 
 def _pair(path: Path, poses: int, moments: Moments) -> list[int]:

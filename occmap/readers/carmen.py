@@ -205,7 +205,7 @@ class CarmenReader:
         Raises
         ------
         LogError
-            The first scan line is malformed, or so many are that it is not damage.
+            All lines of scans are malformed.
         """
         return CarmenLog(path)
 
@@ -216,10 +216,10 @@ class CarmenLog(TextLog):
     Raises
     ------
     LogError
-        The first scan line is malformed, or so many are that it is not damage.
+        All lines of scans are malformed.
     """
 
-    fix = fix_all = "correct or delete this line"
+    fix = "correct or delete this line"
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -288,10 +288,10 @@ class CarmenLog(TextLog):
         words = line.raw.split()
         keyword = words[0].decode()
         kind = LINES[keyword]
-        if self._lacks_time is None:
-            self._lacks_time = lacks_time(words, kind)
-        is_timed = not (self._lacks_time and keyword in UNTIMED)
+        lacks = lacks_time(words, kind) if self._lacks_time is None else self._lacks_time
+        is_timed = not (lacks and keyword in UNTIMED)
         lists, behind = find_lists(words, kind, is_timed)
+        self._lacks_time = lacks
         kinds = np.full(len(words), decimals.NUMBER)
         kinds[[0, *(each.start - 1 for each in lists)]] = decimals.SAME
         kinds[behind + kind.behind :] = decimals.OTHER
@@ -321,14 +321,13 @@ class CarmenLog(TextLog):
                 known = word in self._words or len(self._words) < MAX_WORDS
                 self._words[word[:40] if known else "other"] += len(rows)
         faults = {}
-        rows = [] if self._front_offset else lines.get("PARAM", [])
-        for row in rows:
+        for row in () if self._front_offset else lines.get("PARAM", ()):
             try:
                 found = parse_front_offset(block.get_line(row).raw.split())
                 self._front_offset = self._front_offset or found
             except ValueError as error:
                 faults[row] = str(error)
-        self._tally.add(block, rows, faults)
+        self._tally.add(block, len(faults), faults)
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
         topic, beams = some.first.topic, some.first.ranges.size

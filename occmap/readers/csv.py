@@ -155,12 +155,10 @@ class CsvLog(TextLog):
     Raises
     ------
     LogError
-        A column is missing or stands twice, a constant is not a number, or the first row is
-        malformed, or so many are that it is not damage.
+        A column is missing or stands twice, a constant is not a number, or all rows are malformed.
     """
 
-    fix = "correct or delete this row"
-    fix_all = "correct the header or these rows"
+    fix = "correct the header or these rows"
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)

@@ -7,9 +7,11 @@ import re
 import struct
 import zlib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -17,8 +19,16 @@ from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers import Probe, records
-from occmap.readers.containers import Buffer, Channel, inflate
-from occmap.readers.records import Bytes, Descriptions, FileBytes, Record, RecordSource, Summary
+from occmap.readers.containers import Buffer, Channel, gather, inflate
+from occmap.readers.records import (
+    Bytes,
+    Descriptions,
+    FileBytes,
+    Record,
+    Records,
+    RecordSource,
+    Summary,
+)
 from occmap.readers.ros_log import RosReader
 from occmap.report import count
 
@@ -28,6 +38,10 @@ _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
 _SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack
 """By names of their own, since a log has tens of thousands of messages"""
+_MESSAGE_FIELDS = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("key", "<u2"), ("sequence", "<u4"), ("record_ns", "<u8")]
+)
+"""The same, for many at once"""
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
@@ -88,6 +102,10 @@ class McapSource(RecordSource):
             kind = records.CHUNK  # whatever its opcode says
         return kind, 0, at, at, end
 
+    def _list_records(self, position: int, block: memoryview) -> Records:
+        found = _list_messages(block)
+        return super()._list_records(position, block) if found is None else found
+
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
         stream = _open_body(bytes(record[:_MOST_HEAD]))
@@ -105,7 +123,7 @@ class McapSource(RecordSource):
             problem = f"has {count(left, 'byte')} that it does not state"
         if not problem and position not in self._verified:
             self._verified.add(position)
-            if crc not in {0, zlib.crc32(block)}:
+            if crc and crc != zlib.crc32(block):
                 problem = "has a wrong checksum, and is used as far as it can be read"
         if problem:
             self._note(position, problem)
@@ -174,6 +192,27 @@ class McapSource(RecordSource):
             described = {key for key, channel in summary.channels.items() if channel.type}
             summary.is_whole = summary.counts.keys() <= described
         return summary
+
+
+def _list_messages(block: memoryview) -> Records | None:
+    """List the records of a chunk if all are messages, as they are in most; None where not."""
+    starts, at = [], 0
+    with suppress(struct.error):
+        while at < len(block):
+            starts.append(at)
+            at += _SHORT + _HEAD.unpack_from(block, at)[1]
+    if at != len(block) or not starts:
+        return None
+    start = np.array([*starts, at], np.int64)
+    if np.diff(start).min() < _MESSAGE_DATA:
+        return None
+    raw = gather(np.frombuffer(block, np.uint8), start[:-1], _LONG)
+    heads = raw.view(_MESSAGE_FIELDS)[:, 0]
+    if (heads["opcode"] != Opcode.MESSAGE).any():
+        return None
+    record_ns = np.minimum(heads["record_ns"], _LATEST_NS)
+    data = start[:-1] + _MESSAGE_DATA
+    return np.array([heads["key"], record_ns, start[:-1], data, start[1:]], np.int64).T
 
 
 def _open_body(record: bytes) -> ReadDataStream:

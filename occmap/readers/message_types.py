@@ -16,7 +16,7 @@ import numpy as np
 
 from occmap.errors import DamageError
 from occmap.readers import Echo, Role, cloud_messages
-from occmap.readers.containers import Channel
+from occmap.readers.containers import Channel, Messages
 from occmap.readers.fields import (
     get,
     get_bytes,
@@ -27,7 +27,7 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.messages import FromBytes, Locate, Parser, Rows, Stacked, read_scan_run
+from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
 from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
 from occmap.values import as_float32, as_number
 
@@ -35,9 +35,7 @@ ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 """From a decoded message, its topic and its record time in ns"""
 
 
-ReadMany: TypeAlias = Callable[
-    [Sequence[Stacked], Locate, FromBytes[Any]], tuple[Sequence[Any], Sequence[Stacked]]
-]
+ReadMany: TypeAlias = Callable[[Messages, Locate, FromBytes[Any]], tuple[Sequence[Any], Messages]]
 """From messages of one length, what finds numbers in one, and what reads one, to what is read many
 at once, and the messages that are left to be read one by one; raises DamageError"""
 
@@ -100,28 +98,28 @@ class PoseFields(NamedTuple):
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
 
     def read_many(
-        self, messages: Sequence[Stacked], locate: Locate, read: FromBytes[list[PoseSample]]
-    ) -> tuple[list[PoseBatch], Sequence[Stacked]]:
+        self, rows: Messages, locate: Locate, read: FromBytes[list[PoseSample]]
+    ) -> tuple[list[PoseBatch], Messages]:
         """Read messages of one length: the samples of each pose, and the messages left over."""
         batches: list[PoseBatch] = []
         for _ in range(MOST_GROUPS):
-            if len(messages) < 2:
+            if len(rows.key) < 2:
                 break
             # Decoded first: that it could be says that all its parts lie within the message.
-            samples = read(memoryview(messages[0][0]), 0)
-            rows = Rows(messages, locate)
-            alike = rows.find_alike()
+            record_ns, data = rows.first
+            samples, fields = read(data, record_ns), Fields(rows, locate(data))
+            alike = fields.find_alike()
+            fields = fields._replace(rows=rows.take(alike))
             for at, sample in enumerate(samples):
                 _, parent, child, first, static, topic, _ = sample
                 item = f"{self.items}.{at}." if self.items else ""
-                pose = rows.read(f"{item}{self.position}.x", f"{item}{self.rotation}.w")[alike]
+                pose = fields.read(f"{item}{self.position}.x", f"{item}{self.rotation}.w")
                 if not np.array_equal(pose[0], first, equal_nan=True):
                     raise DamageError("has its numbers in another order")
-                stamp_ns = rows.read_stamps(f"{item}{self.stamp}")[alike]
-                times = stamp_ns, rows.record_ns[alike]
+                times = fields.read_stamps(f"{item}{self.stamp}"), fields.rows.record_ns
                 batches.append(PoseBatch(*times, pose, parent, child, static, topic))
-            messages = [each for each, is_read in zip(messages, alike, strict=True) if not is_read]
-        return batches, messages
+            rows = rows.take(~alike)
+        return batches, rows
 
 
 def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:

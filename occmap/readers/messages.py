@@ -7,7 +7,7 @@ are laid out alike are taken from the bytes of many messages together.
 
 import json
 import struct
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import cache, lru_cache, partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.containers import Channel, normalise_type
+from occmap.readers.containers import Channel, Messages, normalise_type
 from occmap.types import Bool, Int64, Scan, ScanRun
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ class Place(NamedTuple):
     kind: np.dtype[Any]
 
 
-Locate: TypeAlias = Callable[[bytes], Mapping[str, Place]]
+Locate: TypeAlias = Callable[[memoryview], Mapping[str, Place]]
 """From a message to where its numbers lie, by their dotted names; raises DamageError"""
 
 
@@ -212,11 +212,6 @@ PARSERS: Mapping[str, Callable[[Channel], Parser]] = {
 channel's message definition cannot be understood."""
 
 
-Stacked: TypeAlias = tuple[bytes, int]
-"""A message of one channel and length, and its record time (ns)."""
-
-SHORTEST_RUN = 64
-"""Fewer scans are read one by one, to be stacked with others of their kind."""
 _LITTLE_ENDIAN = b"\0\1"
 """What a CDR message begins with whose numbers are read so."""
 _OF_ALL = ("angle_min", "angle_increment", "range_min", "range_max")
@@ -229,7 +224,7 @@ class _Finder:
     CDR aligns each number to its size, from behind four bytes on; ROS 1 aligns none.
     """
 
-    def __init__(self, types: Typesdict, message: bytes, is_cdr: bool) -> None:
+    def __init__(self, types: Typesdict, message: memoryview, is_cdr: bool) -> None:
         self.places: dict[str, Place] = {}
         self._types, self._message, self._is_cdr = types, message, is_cdr
         self._at = 4 if is_cdr else 0
@@ -281,35 +276,30 @@ def _find_dtype(kind: str) -> np.dtype[Any]:
     return np.dtype("uint8" if kind == "octet" else kind).newbyteorder("<")
 
 
-def _locate(types: Typesdict, name: str, is_cdr: bool, message: bytes) -> Mapping[str, Place]:
-    if is_cdr and not message.startswith(_LITTLE_ENDIAN):
+def _locate(types: Typesdict, name: str, is_cdr: bool, message: memoryview) -> Mapping[str, Place]:
+    if is_cdr and message[:2] != _LITTLE_ENDIAN:
         raise DamageError("is not little-endian")
     finder = _Finder(types, message, is_cdr)
     finder.find("", Nodetype.NAME, name)
     return finder.places
 
 
-class Rows:
-    """Messages of one length as rows, and where the first has its numbers.
+class Fields(NamedTuple):
+    """The numbers of messages of one length, which lie where the first has its own."""
 
-    Raises
-    ------
-    DamageError
-        The numbers of the first cannot be found.
-    """
-
-    def __init__(self, messages: Sequence[Stacked], locate: Locate) -> None:
-        self._places = locate(messages[0][0])
-        raw = np.frombuffer(b"".join(data for data, _ in messages), np.uint8)
-        self._raw = raw.reshape(len(messages), -1)
-        self.record_ns = np.array([record_ns for _, record_ns in messages], np.int64)
+    rows: Messages
+    places: Mapping[str, Place]
 
     def find_alike(self, same: Collection[str] = ()) -> Bool:
         """Say which messages (M,) are as the first but for their numbers, save some."""
-        fixed = np.ones(self._raw.shape[1], np.bool_)
-        for name, place in self._places.items():
+        fixed = np.ones(self.rows.length, np.bool_)
+        for name, place in self.places.items():
             fixed[place.start : place.end] = name in same
-        alike: Bool = (self._raw[:, fixed] == self._raw[0, fixed]).all(axis=1)
+        alike = np.ones(len(self.rows.key), np.bool_)
+        edges = np.flatnonzero(np.diff(fixed, prepend=False, append=False))
+        for start, end in edges.reshape(-1, 2).tolist():
+            part = self.rows.read(start, end)
+            alike &= (part == part[0]).all(axis=1)
         return alike
 
     def read(self, first: str, last: str = "") -> NDArray[Any]:
@@ -320,10 +310,10 @@ class Rows:
         DamageError
             They are not there, or not so.
         """
-        start, end = self._places.get(first), self._places.get(last or first)
+        start, end = self.places.get(first), self.places.get(last or first)
         if not start or not end or (end.end - start.start) % start.kind.itemsize:
             raise DamageError(f"has no numbers {first}")
-        return np.ascontiguousarray(self._raw[:, start.start : end.end]).view(start.kind)
+        return self.rows.read(start.start, end.end).view(start.kind)
 
     def read_stamps(self, name: str) -> Int64:
         """Read times (M,) in ns; raises DamageError."""
@@ -334,8 +324,8 @@ class Rows:
 
 
 def read_scan_run(
-    messages: Sequence[Stacked], locate: Locate, read: FromBytes[list[Scan]]
-) -> tuple[list[ScanRun], Sequence[Stacked]]:
+    rows: Messages, locate: Locate, read: FromBytes[list[Scan]]
+) -> tuple[list[ScanRun], Messages]:
     """Read scans of one length that follow one another.
 
     Parameters
@@ -346,21 +336,20 @@ def read_scan_run(
     Returns
     -------
     runs, others
-        One run, or all messages where they are few, or not alike but for times and ranges.
+        One run, or all messages where they are not alike but for times and ranges.
 
     Raises
     ------
     DamageError
         The first message is damaged, or its numbers cannot be found.
     """
-    if len(messages) < SHORTEST_RUN:
-        return [], messages
     # Decoded first: that it could be says that all its parts lie within the message.
-    (first,) = read(memoryview(messages[0][0]), messages[0][1])
-    rows = Rows(messages, locate)
-    if not rows.find_alike(_OF_ALL).all():
-        return [], messages
-    ranges = rows.read("ranges").astype(np.float32, copy=False)
-    increments = rows.read("time_increment")[:, 0].astype(np.float64)
-    times = rows.read_stamps("header.stamp"), rows.record_ns
-    return [ScanRun(first, *times, ranges, increments)], []
+    record_ns, data = rows.first
+    (first,) = read(data, record_ns)
+    fields = Fields(rows, locate(data))
+    if not fields.find_alike(_OF_ALL).all():
+        return [], rows
+    ranges = fields.read("ranges").astype(np.float32, copy=False)
+    increments = fields.read("time_increment")[:, 0].astype(np.float64)
+    times = fields.read_stamps("header.stamp"), rows.record_ns
+    return [ScanRun(first, *times, ranges, increments)], rows.take(slice(0))

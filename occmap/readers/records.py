@@ -15,25 +15,26 @@ have.
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Container, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, NoReturn, TypeAlias
+from typing import BinaryIO, ClassVar, NoReturn, TypeAlias
+
+import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
-from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, RawMessage
+from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, Messages
 from occmap.report import count
+from occmap.types import Int64
 from occmap.workers import HAS_HELP
 
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
 and for any other."""
-_EVERY_ID = range(1 << 32)
-"""Stands for all channels that there can be by their numbers: at each is the number itself"""
 _ANY, _PLAIN, _FRAME = range(OTHER, 1 << 32), range(DESCRIPTION, 1 << 32), (CHUNK, OTHER)
 """All kinds of records, those that lie in chunks (or in the open if a recorder makes none, or died
 before it closed one), and those that do not"""
@@ -67,6 +68,12 @@ Record: TypeAlias = tuple[int, int, int, int, int]
 """A message's channel, when it was recorded (ns), and where in the bytes the record begins, the
 message begins, and both end. Any other record is all message. A plain tuple, since a log has tens
 of thousands."""
+
+Records: TypeAlias = Int64
+"""(N, 5) records, one in each row"""
+
+Part: TypeAlias = list[Record] | Callable[[], Buffer]
+"""Messages that lie in the open one behind another, or what unpacks a chunk"""
 
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
@@ -130,12 +137,14 @@ class RecordSource(ABC):
             found = "; ".join(note.text for note in self.notes[:3])
             raise LogError(f"nothing in it can be read: {found}", where=path)
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
         """Give the messages of some channels, in file order."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         descriptions: Descriptions = {}
         with self.path.open("rb") as file:
-            yield from self._read(FileBytes(file), by_id, descriptions)
+            for data, records in self._read(FileBytes(file), by_id, descriptions):
+                key, record_ns, _, start, end = records.T
+                yield Messages(by_id, np.frombuffer(data, np.uint8), key, record_ns, start, end)
         for key, other in self._describe(descriptions):
             known = self._by_id.get(key, other)
             if known.description != other.description:
@@ -164,7 +173,9 @@ class RecordSource(ABC):
         Where the summary counts those of a channel, its count stands.
         """
         descriptions: Descriptions = {}
-        held = Counter(key for key, *_ in self._read(file, _EVERY_ID, descriptions))
+        held = Counter[int]()
+        for _, records in self._read(file, None, descriptions):
+            held.update(records[:, 0].tolist())
         found: dict[int, Channel] = {}
         for key, channel in self._describe(descriptions):
             found.setdefault(key, channel)
@@ -175,53 +186,62 @@ class RecordSource(ABC):
         return channels, Counter({**held, **announced})
 
     def _read(
-        self, file: FileBytes, wanted: Mapping[int, Channel] | range, descriptions: Descriptions
-    ) -> Iterator[tuple[Any, int, memoryview]]:
-        """Give the messages of some channels: what `wanted` has for theirs, the time, the bytes.
+        self, file: FileBytes, wanted: Collection[int] | None, descriptions: Descriptions
+    ) -> Iterator[tuple[memoryview, Records]]:
+        """Give what holds messages of some channels, or of all, and these messages in it.
 
         The records that describe channels are added to `descriptions`.
         """
-        for position, block, records in self._open_blocks(file, wanted):
-            for key, record_ns, _, start, end in records:
-                if key == DESCRIPTION:
-                    descriptions.setdefault(bytes(block[start:end]), position)
-                elif key in wanted:
-                    yield wanted[key], record_ns, block[start:end]
+        for position, data, records in self._open_blocks(file, wanted):
+            for _, _, start, _, end in records[records[:, 0] == DESCRIPTION].tolist():
+                descriptions.setdefault(bytes(data[start:end]), position)
+            keys = records[:, 0]
+            chosen = keys >= 0 if wanted is None else np.zeros(len(keys), np.bool_)
+            for key in wanted or ():
+                chosen |= keys == key
+            if chosen.any():
+                yield data, records[chosen]
 
     def _open_blocks(
-        self, file: FileBytes, wanted: Container[int]
-    ) -> Iterator[tuple[int, Bytes, Iterable[Record]]]:
-        """Give what may hold messages of some channels, by its position: its bytes and records."""
-        ahead: list[tuple[int, Callable[[], Buffer]]] = []
-        # With help, a chunk is unpacked while the one before it is walked.
+        self, file: FileBytes, wanted: Collection[int] | None
+    ) -> Iterator[tuple[int, memoryview, Records]]:
+        """Give what may hold messages of some channels, by its position: its bytes and records.
+
+        With help, a chunk is unpacked while what lies before it is read.
+        """
         with ThreadPoolExecutor(1, "occmap") if HAS_HELP.get() else nullcontext() as helper:
-            for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
-                kind, _, position, _, end = record
-                if kind == OTHER:
-                    continue
+            for position, part in _run_ahead(self._plan(file, wanted), helper):
+                if isinstance(part, list):
+                    yield _cut(file, part, wanted)
+                else:
+                    block = memoryview(part())
+                    yield position, block, self._list_records(position, block)
+
+    def _plan(self, file: FileBytes, wanted: Collection[int] | None) -> Iterator[tuple[int, Part]]:
+        """Give chunks to unpack, and runs of messages that lie in the open."""
+        run: list[Record] = []
+        for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
+            kind, _, position, _, end = record
+            if run and (kind < 0 or run[0][0] < 0 or end - run[0][2] > _WINDOW):
+                yield run[0][2], run
+                run = []
+            if kind == CHUNK:
                 held = self._summary.chunks.get(position)
-                if kind == CHUNK and (not held or any(key in wanted for key in held)):
-                    call = partial(self._open_chunk, position, file[position:end])
-                    ahead.append((position, helper.submit(call).result if helper else call))
-                while len(ahead) > (1 if helper and kind == CHUNK else 0):
-                    yield self._unpack(*ahead.pop(0))
-                if kind != CHUNK:
-                    yield position, file, [record]
-            yield from (self._unpack(*each) for each in ahead)
+                if not held or wanted is None or any(key in wanted for key in held):
+                    yield position, partial(self._open_chunk, position, file[position:end])
+            elif kind == DESCRIPTION or (kind >= 0 and (wanted is None or kind in wanted)):
+                run.append(record)
+        if run:
+            yield run[0][2], run
 
-    def _unpack(
-        self, position: int, unpack: Callable[[], Buffer]
-    ) -> tuple[int, Bytes, Iterable[Record]]:
-        block = memoryview(unpack())
-        return position, block, self._walk_chunk(position, block)
-
-    def _walk_chunk(self, position: int, block: Bytes) -> Iterator[Record]:
-        """Give the records of a chunk; note where it is damaged."""
+    def _list_records(self, position: int, block: memoryview) -> Records:
+        """List the records of a chunk; note where it is damaged."""
         damaged: list[int] = []
-        yield from self._walk(block, 0, _PLAIN, lambda at, _: damaged.append(at))
+        records = list(self._walk(block, 0, _PLAIN, lambda at, _: damaged.append(at)))
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(position, f"is damaged at byte {min(damaged)}{more}")
+        return np.array(records, np.int64)
 
     def _walk(
         self,
@@ -249,7 +269,8 @@ class RecordSource(ABC):
                 place = following[2] if following else None
                 until = size if place is None else place
                 tell(end if end <= until else record[2], place)
-                record = (*record[:4], min(end, until))
+                end = min(end, until)
+                record = (*record[:3], min(record[3], end), end)
                 if following is None:
                     break
             yield record
@@ -305,6 +326,31 @@ class RecordSource(ABC):
         for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
             if begin < end:
                 yield bytes(block[begin:end])
+
+
+def _run_ahead(
+    parts: Iterator[tuple[int, Part]], helper: ThreadPoolExecutor | None
+) -> Iterator[tuple[int, Part]]:
+    """Give parts as they come; a helper begins to unpack each when the one before it is given."""
+    ready: list[tuple[int, Part]] = []
+    for position, part in parts:
+        done = part if helper is None or isinstance(part, list) else helper.submit(part).result
+        ready.append((position, done))
+        if helper is None or len(ready) > 1:
+            yield ready.pop(0)
+    yield from ready
+
+
+def _cut(
+    file: FileBytes, run: Sequence[Record], wanted: Collection[int] | None
+) -> tuple[int, memoryview, Records]:
+    """Cut records that follow each other out of a file: where they begin, their bytes, and they."""
+    position = run[0][2]
+    is_counted = wanted is None and run[0][0] >= 0  # nobody looks at the bytes
+    data = memoryview(b"") if is_counted else file[position : run[-1][4]]
+    records = np.array(run, np.int64)
+    records[:, 2:] = np.minimum(records[:, 2:] - position, len(data))
+    return position, data, records
 
 
 def _refuse(at: int, _following: int | None) -> NoReturn:

@@ -2,11 +2,12 @@
 
 The way of a message:
 
-1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes.
+1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes, with those of many
+   others that lie in one block.
 2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
    (`message_types`).
 3. Scans of one laser, and poses of one source, are laid out alike. So most are not read one by
-   one, but gathered by channel and length (`_stack`) and read many at once.
+   one, but gathered by channel and length (`Messages.group`) and read many at once.
 """
 
 from collections import Counter
@@ -14,27 +15,27 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
-from occmap.readers.containers import Buffer, Channel, RawMessage, Source
+from occmap.readers.containers import MESSAGE_BYTES, Buffer, Channel, Messages, Source, join
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
-from occmap.readers.messages import PARSERS, Stacked
+from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
 Convert: TypeAlias = Callable[[Any, str, int], Any]
 """From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
-MESSAGE_BYTES = 100
-"""What a message that is held takes in memory beside its own bytes."""
-STACK_BYTES = 1 << 20
-"""Messages of one channel and length are held until they take this much memory."""
-MOST_KINDS = 32
-"""Channels and lengths for which poses are held at once; a log that has more is damaged."""
+STACK_BYTES = 1 << 19
+"""Messages that lie in a block are read where they lie, if they are so long; of one channel at most
+twice as many bytes are read at once."""
+SHORTEST_RUN = 64
+"""Fewer scans are read one by one, to be stacked with others of their kind."""
 
 
 class RosReader:
@@ -93,7 +94,7 @@ class RosLog:
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as from `poses`, but many at once where messages are laid out alike."""
-        return self._read_stacked(self._make_pose_readers(), MOST_KINDS)
+        return self._read_stacked(self._make_pose_readers())
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -101,8 +102,7 @@ class RosLog:
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        readers = self._make_sensor_readers(Role.SCAN, topics)
-        return self._read_stacked(readers, 1)
+        return self._read_in_order(self._make_sensor_readers(Role.SCAN, topics))
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
@@ -127,9 +127,10 @@ class RosLog:
         """Read the first message of a channel that can be read."""
         with suppress(LogError), refuse_unreadable(self.path):
             reader = _ChannelReader(channel, UNUSED, lambda message, *_: read(message))
-            for _, record_ns, data in self._source.messages({channel}):
-                for found in reader.read(data, record_ns):
-                    return cast(T, found)
+            for some in self._source.messages({channel}):
+                for _, record_ns, data in some.split():
+                    for found in reader.read(data, record_ns):
+                        return cast(T, found)
         return None
 
     def _make_pose_readers(self) -> "_Readers":
@@ -157,40 +158,68 @@ class RosLog:
 
     def _read(self, readers: "_Readers") -> Iterator[Any]:
         """Read messages one by one, passing over those that are damaged."""
-        for channel, record_ns, data in self._messages(readers):
-            yield from readers[channel].read(data, record_ns)
+        for some in self._messages(readers):
+            for channel, record_ns, data in some.split():
+                yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
-    def _read_stacked(self, readers: "_Readers", most_kinds: int) -> Iterator[Any]:
-        """Read messages of one channel and length together, of `most_kinds` kinds at a time."""
-        for channel, stack in self._stack(readers, most_kinds):
-            yield from readers[channel].read_many(stack)
+    def _read_stacked(self, readers: "_Readers") -> Iterator[Any]:
+        """Read messages of one channel and length together, in any order."""
+        for block in self._blocks(readers):
+            for some in block.group(2 * STACK_BYTES):
+                together, rest = readers[some.channel].read_together(some, 2)
+                yield from together
+                for channel, record_ns, data in rest.split():
+                    yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
-    def _stack(
-        self, readers: "_Readers", most_kinds: int
-    ) -> Iterator[tuple[Channel, Sequence[Stacked]]]:
-        """Gather messages by channel and length."""
-        stacks: dict[tuple[Channel, int], list[Stacked]] = {}
-        for channel, record_ns, data in self._messages(readers):
-            kind = channel, len(data)
-            if kind not in stacks and len(stacks) == most_kinds:
-                yield from ((of, stack) for (of, _), stack in stacks.items())
-                stacks.clear()
-            stack = stacks.setdefault(kind, [])
-            # Copied, so that the chunk of the file that it lies in need not be kept.
-            stack.append((bytes(data), record_ns))
-            if len(stack) * (len(data) + MESSAGE_BYTES) >= STACK_BYTES:
-                yield channel, stacks.pop(kind)
-        yield from ((of, stack) for (of, _), stack in stacks.items())
+    def _read_in_order(self, readers: "_Readers") -> Iterator[Any]:
+        """Read scans of one channel and length together, and split those of several kinds."""
+        for block in self._blocks(readers):
+            groups = list(block.group(2 * STACK_BYTES))
+            is_mixed = len({(some.channel, some.length) for some in groups}) > 1
+            found: list[tuple[int, Any]] = []
+            for some in groups:
+                reader = readers[some.channel]
+                runs, rest = reader.read_together(some, 2 if is_mixed else SHORTEST_RUN)
+                for run in runs:
+                    scans = run.split() if is_mixed else [run]
+                    found += zip(some.start.tolist(), scans, strict=False)
+                alone = zip(rest.start.tolist(), rest.split(), strict=True)
+                for start, (_, record_ns, data) in alone:
+                    found += ((start, scan) for scan in reader.read(data, record_ns))
+            yield from (scans for _, scans in sorted(found, key=itemgetter(0)))
+        self._note_damage(readers)
 
-    def _messages(self, readers: "_Readers") -> Iterator[RawMessage]:
+    def _blocks(self, readers: "_Readers") -> Iterator[Messages]:
+        """Give raw messages in blocks of which most can be read together.
+
+        Of blocks with few of them these are copied, and put together.
+        """
+        held: list[Messages] = []
+        size = 0
+        for some in self._messages(readers):
+            own = some.size + MESSAGE_BYTES * len(some.key)
+            is_other = bool(held) and some.channels is not held[0].channels
+            if held and (is_other or max(size, own) >= STACK_BYTES):
+                yield join(held)
+                held, size = [], 0
+            if own >= STACK_BYTES:
+                yield some
+            else:
+                held.append(some.copy())
+                size += own
+        if held:
+            yield join(held)
+
+    def _messages(self, readers: "_Readers") -> Iterator[Messages]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
         if readers:
             with refuse_unreadable(self.path):
-                for message in self._source.messages(readers):
-                    readers[message[0]].messages += 1
-                    yield message
+                for some in self._source.messages(readers):
+                    for key, many in Counter(some.key.tolist()).items():
+                        readers[some.channels[key]].messages += many
+                    yield some
 
     def _note_damage(self, readers: "_Readers") -> None:
         """Say what of the messages was lost or damaged."""
@@ -246,14 +275,15 @@ class _ChannelReader:
             self.first_fault = self.first_fault or str(error)
         return ()
 
-    def read_many(self, stack: Sequence[Stacked]) -> Iterator[Any]:
-        """Read messages of one length; one by one those that are damaged or not alike."""
-        if self._parser.locate and self._many:
+    def read_together(self, some: Messages, fewest: int) -> tuple[Sequence[Any], Messages]:
+        """Read messages of one length; give what was read, and those to be read one by one.
+
+        These are damaged or not alike, or there are too few.
+        """
+        if self._parser.locate and self._many and len(some.key) >= fewest:
             with suppress(DamageError):  # of the first; one by one it is counted
-                together, stack = self._many(stack, self._parser.locate, self.decode)
-                yield from together
-        for data, record_ns in stack:
-            yield from self.read(data, record_ns)
+                return self._many(some, self._parser.locate, self.decode)
+        return (), some
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader]

@@ -16,7 +16,7 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import NoteList
-from occmap.readers.containers import Channel, RawMessage
+from occmap.readers.containers import Channel, Messages, pack
 from occmap.report import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
@@ -60,13 +60,12 @@ class SqliteSource:
         if lost := counts.total() - sum(channel.count for channel in self.channels):
             self.notes.add_damage(f"the file names no topic for {count(lost, 'message')}")
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
             rows = self._read_rows(database, "data", by_id, self.notes)
-            for _, topic, record_ns, data in rows:
-                yield by_id[topic], record_ns, memoryview(data)
+            yield from pack(by_id, (row[1:] for row in rows))
 
     def _read_rows(
         self, database: apsw.Connection, what: str, topics: Collection[int], notes: NoteList

@@ -36,12 +36,6 @@ MAX_KEPT_BYTES = 1 << 26
 SCAN_BYTES = 700
 """What a scan takes beside its ranges, as measured."""
 NO_LOG = "this is not a text log; check what the file is"
-MALFORMED_SHARE = 0.05
-"""A damaged disk spoils a line here and there; a file with more malformed lines is another kind."""
-SOUND_START = 20
-"""A file that begins with this many sound lines is a log, whatever follows."""
-
-
 POSE_NAMES = ("x", "y", "yaw")
 
 
@@ -146,36 +140,27 @@ def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
 
 
 class LineTally:
-    """Counts the malformed ones among lines of one kind, to tell damage from a wrong file."""
+    """Counts the malformed ones among lines of one kind."""
 
     def __init__(self) -> None:
         self.total = 0
         self.malformed = 0
-        self._first: tuple[int, int, str] | None = None
+        self._first = 0, ""
 
-    def add(self, block: Block, rows: Sequence[int], faults: Mapping[int, str]) -> None:
-        """Count lines of a block, given in their order, and what is wrong with some of them."""
-        if faults and self._first is None:
+    def add(self, block: Block, lines: int, faults: Mapping[int, str]) -> None:
+        """Count lines of a block, of which some have faults."""
+        if faults and not self.malformed:
             row = min(faults)
-            place = self.total + rows.index(row) + 1
-            self._first = place, block.number + row, faults[row]
-        self.total += len(rows)
+            self._first = block.number + row, faults[row]
+        self.total += lines
         self.malformed += len(faults)
 
     def judge(self, path: Path, notes: NoteList, fix: str) -> None:
-        """Note what is damaged.
-
-        Raises
-        ------
-        LogError
-            The first line of all is malformed, or more than `MALFORMED_SHARE` of them where one of
-            the first `SOUND_START` is and no damage is known that explains it.
-        """
-        if self._first is None:
+        """Note that some lines are malformed; raises LogError where all are."""
+        if not self.malformed:
             return
-        at, number, fault = self._first
-        is_many = self.malformed > MALFORMED_SHARE * self.total and at <= SOUND_START
-        if at == 1 or (is_many and not any(note.damage for note in notes)):
+        number, fault = self._first
+        if self.malformed == self.total:
             count = f" ({self.malformed:,} of {self.total:,} lines are malformed)"
             found = fault + (count if self.malformed > 1 else "")
             raise LogError(found, where=f"{path}:{number}", fix=fix)
@@ -233,8 +218,7 @@ class TextLog(ABC):
     """
 
     fix: ClassVar[str]
-    """What to do with malformed lines, and with lines that are all malformed"""
-    fix_all: ClassVar[str]
+    """What to do where all lines are malformed"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -258,7 +242,7 @@ class TextLog(ABC):
         Raises
         ------
         LogError
-            The first line is malformed, or so many are that it is not damage.
+            All lines are malformed.
         """
         tally, size = self._tally, 0
         for some in self._parse_all(tally):
@@ -268,8 +252,7 @@ class TextLog(ABC):
             if size > MAX_KEPT_BYTES:
                 self._kept = None
             yield some
-        fix = self.fix if tally.malformed < tally.total else self.fix_all
-        tally.judge(self.path, self.notes, fix)
+        tally.judge(self.path, self.notes, self.fix)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -299,7 +282,7 @@ class TextLog(ABC):
         if faults and not block.ended:
             self._note_cut(block)
         else:
-            tally.add(block, rows, faults)
+            tally.add(block, len(rows), faults)
             if rows and not block.ended:
                 text = f"line {block.number}, the last, has no line end; it is taken as whole"
                 self.notes.add(text)

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rosbags.rosbag2 import StoragePlugin
 
 from occmap import OccupancyMap, build_map, explain
 from occmap.errors import PoseError
@@ -13,7 +14,7 @@ from occmap.scans.logs import gather_poses
 from occmap.store import open_saved
 from tests.cli.runner import occmap, read_error
 from tests.readers import ros
-from tests.readers.ros import ROS1, ROS2, SECOND, Written, drive, write_bag1, write_mcap
+from tests.readers.ros import ROS1, ROS2, SECOND, Bag2, Written, drive, write_bag1, write_mcap
 
 KINDS = {kind.rpartition("/")[2]: kind for kind in ros.POSED}
 
@@ -136,6 +137,25 @@ def test_the_other_recording_is_an_input_of_the_build(log: Path) -> None:
     assert Path("again.npz").read_bytes() == Path("m.npz").read_bytes()
     with pytest.raises(PoseError, match="add `poses=slam"):
         explain("m.npz", 1, 1, logs=[day / "log.bag"])
+
+
+def test_the_other_recording_may_be_a_folder(log: Path) -> None:
+    poses = [Written("/odom", at, make("Odometry", at, 0.5 * k)) for k, at in enumerate(STAMPS)]
+    Bag2(StoragePlugin.SQLITE3).write(Path("slam"), poses)
+    write_poses("Odometry", "/odom")
+    assert occmap("build", log, "-o", "file.pgm", "--poses", "slam.mcap").code == 0
+    for chosen in ("slam", "slam:/odom"):
+        assert occmap("build", log, "-o", "m.npz", "-o", "m.pgm", "--poses", chosen).code == 0
+        assert Path("m.pgm").read_bytes() == Path("file.pgm").read_bytes()
+        build = open_saved(Path("m.npz")).manifest.builds[0]
+        assert build["options"]["posing"]["poses"] == chosen
+        names = [each["name"] for each in build["inputs"]]
+        assert names == ["log.bag", "slam/metadata.yaml", "slam/slam.db3"]
+        assert explain("m.npz", 1, 1, logs=[log], poses=["slam"]).scans_used == 6
+        with pytest.raises(PoseError, match="add `poses=slam`"):
+            explain("m.npz", 1, 1, logs=[log])
+    error = read_error(occmap("build", log, "-o", "slam/metadata.yaml", "--poses", "slam"), 2)
+    assert "slam" in error
 
 
 def test_damage_of_the_other_recording_is_told(log: Path) -> None:

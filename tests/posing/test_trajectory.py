@@ -19,7 +19,7 @@ from tests.samples import write_csv
 def read(tmp_path: Path, text: str) -> list[PoseSample]:
     path = tmp_path / "poses.txt"
     path.write_text(text, encoding="utf-8", newline="")
-    return list(read_trajectory(path, []))
+    return read_trajectory(path, []).split()
 
 
 def test_tum(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_degrees_are_told_from_radians(yaws: list[float], is_told: bool) -> None
 def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path: Path) -> None:
     poses = [(0.1 * i, 0.0, unit * math.remainder(2.5 + i / 8, math.tau)) for i in range(40)]
     notes: list[str] = []
-    list(read_trajectory(write_poses(tmp_path / "p.csv", range(40), poses), notes))
+    (read_trajectory(write_poses(tmp_path / "p.csv", range(40), poses), notes))
     log = open_log(write_csv(tmp_path / "log.csv", poses, [1.0]))
     for told in (notes, log.notes):
         assert any("are these degrees?" in note for note in told) == (unit > 1)
@@ -119,14 +119,14 @@ def test_an_empty_trajectory_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="No such file"):
-        list(read_trajectory(tmp_path / "none.tum", []))
+        read_trajectory(tmp_path / "none.tum", [])
 
 
 def test_a_binary_file_is_no_trajectory(tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
     path.write_bytes(b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0")
     with pytest.raises(LogError, match="not text, so not a trajectory"):
-        list(read_trajectory(path, []))
+        read_trajectory(path, [])
 
 
 EUROC = "1403636580838555648,4.5,-1.5,0.75,0.8,0,0,0.6"

@@ -3,7 +3,7 @@
 import struct
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from occmap.readers import NoteList
-from occmap.readers.containers import Channel, RawMessage
+from occmap.readers.containers import Channel, Messages, pack
 from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
@@ -61,13 +61,11 @@ class Memory:
     def channels(self) -> Sequence[Channel]:
         return list(dict.fromkeys(channel for channel, _, _ in self._messages))
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-        for channel, record_ns, data in self._messages:
-            if channel in wanted:
-                yield channel, record_ns, memoryview(data)
-
-    def split(self, _size: int, _wanted: Collection[Channel]) -> Sequence[Self]:
-        return [self]
+    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
+        channels = self.channels
+        given = (each for each in self._messages if each[0] in wanted)
+        some = ((channels.index(channel), at, data) for channel, at, data in given)
+        yield from pack(dict(enumerate(channels)), some)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str) -> Any:

@@ -51,8 +51,16 @@ def test_one_long_line_before_many_short_ones(tmp_path: Path) -> None:
     header = "".join(f"# {name}: 0\n" for name in constants) + "stamp"
     names = "".join(f",r{beam}" for beam in range(words))
     csv.write_text(f"{header}{names}\n0{',1' * words}\n" + "1\n" * words)
-    refuse(carmen, "log.log:2: the line is too short")
-    refuse(csv, "log.csv:8: 1 cells where the header has 20001")
+    for path, found in (
+        (carmen, "line 2: the line is too short"),
+        (csv, "line 8: 1 cells where the header has 20001"),
+    ):
+        with bounded_memory():
+            log = open_log(path)
+            assert [stream.count for stream in log.streams] == [1]
+        (note,) = (note for note in log.notes if note.damage)
+        assert note.text.startswith("20000 of 20001 lines are malformed and left out")
+        assert note.text.endswith(found)
 
 
 @pytest.mark.parametrize("filler", [b"\n", b"ODOM 0 0 0 0 0 0 1 h 1\n", b"x"])

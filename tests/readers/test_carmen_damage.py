@@ -70,9 +70,20 @@ def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
         assert log.streams[0].count == len(stamps(log))
 
 
-def test_a_malformed_line_among_the_first_is_an_error_that_names_it(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"\.log:3: '2,5' where a number belongs; correct or delete"):
-        open_carmen(tmp_path, HEADER + flaser(1) + flaser(2).replace("2.5", "2,5") + flaser(3))
+@pytest.mark.parametrize("at", [0, 1, 2])
+@pytest.mark.parametrize("bad", ["2,5", "2.5 2.5"])
+def test_a_malformed_line_is_left_out_wherever_it_is(tmp_path: Path, at: int, bad: str) -> None:
+    lines = [flaser(1), flaser(2), flaser(3)]
+    lines[at] = lines[at].replace("2.5", bad)
+    log = open_carmen(tmp_path, HEADER + "".join(lines))
+    assert len(stamps(log)) == 2
+    (damage,) = [note.text for note in log.notes if note.damage]
+    assert damage.startswith(f"1 of 3 lines are malformed and left out, the first is line {at + 2}")
+
+
+def test_malformed_lines_alone_are_an_error_that_names_the_first(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"\.log:2: '2,5' where a number belongs; correct or delete"):
+        open_carmen(tmp_path, HEADER + flaser(2).replace("2.5", "2,5"))
     log = open_carmen(tmp_path, flaser(1) + "ODOM 1 2 three 0 0 0 1 host 1\n" + flaser(2))
     with pytest.raises(LogError, match=r"\.log:2: 'three' where"):
         list(log.poses())

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.carmen import CarmenLog, imply_increment
-from occmap.readers.text_log import SOUND_START
 from occmap.types import Pose, PoseSample, Scan, ScanRun
 from occmap.values import as_float32
 from tests.readers.runs import expect_equal, flatten, list_fields, open_carmen
@@ -25,7 +24,7 @@ TIMED = "FLASER 0 1 2 0 7 8 9 5 robot 5"
 
 def join(*lines: str) -> str:
     """Lines in a log that states times, and of which a few may be damaged."""
-    return "".join(f"{line}\n" for line in (*SOUND_START * [TIMED], *lines))
+    return "".join(f"{line}\n" for line in (TIMED, *lines))
 
 
 def open_lines(*lines: str) -> CarmenLog:
@@ -198,8 +197,8 @@ def test_a_number_is_what_python_reads(written: list[str]) -> None:
 
 def read_odometry(tmp_path: Path, line: str) -> list[PoseSample]:
     """Read a line of odometry between sound ones; ValueError where it is malformed."""
-    log = open_carmen(tmp_path, join(*SOUND_START * ["ODOM 9 9 0 0 0 0 1 robot 1"], line))
-    samples = list(log.poses())[SOUND_START:]
+    log = open_carmen(tmp_path, join("ODOM 9 9 0 0 0 0 1 robot 1", line))
+    samples = list(log.poses())[1:]
     if damage := [note.text for note in log.notes if note.damage]:
         raise ValueError(damage[0])
     return samples
@@ -241,7 +240,6 @@ def test_front_offset(line: str, offset: float | None) -> None:
 
 @pytest.mark.parametrize("value", ["", " far", " nan"])
 def test_a_front_offset_that_is_no_number_is_damage(value: str) -> None:
-    others = SOUND_START * ["PARAM robot_length 0.4 1 merci 1"]
-    log = open_lines(*others, f"PARAM robot_frontlaser_offset{value}")
+    log = open_lines("PARAM robot_length 0.4 1 merci 1", f"PARAM robot_frontlaser_offset{value}")
     assert list(log.poses()) == []
     assert any(note.damage and "number" in note.text for note in log.notes)

@@ -145,7 +145,6 @@ MANY = "1,2,3\n" * (BLOCK_BYTES // 6)
         (f"{CONSTANTS}# range_max: nan\n{SMALL}", "3: range_max is nan, .*; write `# range_max: "),
         (f"{CONSTANTS}# time_increment: inf\n{SMALL}", "3: time_increment is inf, which is not"),
         (f"{CONSTANTS}stamp,r0,r1\n{MANY}# frame: x\n", f"{len(MANY) // 6 + 4}: .*frame.*top of"),
-        (WHOLE.encode() + b"\xff\x00\n", "3: 1 cells"),
         (f"{HEADER}\n" + f"{ROW},1\n" * 1200, r"2: 13 cells .*12 \(1,200 of 1,200 lines are mal"),
         *(
             (ROSTOPIC.replace("1555061575561518641", stamp), "2: stamp: .* not a time in nanosec")
@@ -176,13 +175,21 @@ def test_what_is_no_log_of_scans_is_refused_with_its_line(
         (",inf", ",inf,1", "13 cells where the header has 12"),
     ],
 )
-def test_a_bad_row_names_line_and_column(
+def test_a_bad_row_is_left_out_wherever_it_is(
     tmp_path: Path, good: str, bad: str, complaint: str
 ) -> None:
-    content = "\n".join([HEADER, ROW, ROW.replace(good, bad), ROW, ""])
+    for at in range(3):
+        rows = [ROW, ROW]
+        rows.insert(at, ROW.replace(good, bad))
+        log = open_csv(tmp_path, "\n".join([HEADER, *rows, ""]))
+        (note,) = log.notes
+        assert note.damage
+        assert f"1 of 3 lines are malformed and left out, the first is line {at + 2}" in note.text
+        assert complaint in note.text
+        assert len(list(log.scans(["scan"]))) == 2
     with pytest.raises(LogError) as caught:
-        open_csv(tmp_path, content)
-    assert f"log.csv:3: {complaint}" in str(caught.value)
+        open_csv(tmp_path, f"{HEADER}\n{ROW.replace(good, bad)}\n")
+    assert f"log.csv:2: {complaint}" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -2,11 +2,15 @@ import struct
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.opcode import Opcode
 
 from occmap.errors import LogError
-from occmap.readers import Role, Stream, open_log, probe_path
-from occmap.readers.mcap import McapReader
+from occmap.readers import NoteList, Role, Stream, open_log, probe_path
+from occmap.readers.mcap import McapReader, McapSource
+from occmap.readers.records import RecordSource
+from occmap.types import Int64
 from tests.fuzz.__main__ import alarm
 from tests.readers import ros
 from tests.readers.mcap_variants import list_records
@@ -115,3 +119,25 @@ def test_messages_defined_in_idl_are_read_as_ros_defines_them(
 
     assert sample.stamp_ns == 3_000_000_004
     assert (sample.parent, sample.pose) == ("map", (1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0))
+
+
+@given(st.lists(st.tuples(st.integers(0, 3), st.binary(max_size=9)), max_size=6), st.data())
+def test_messages_of_a_chunk_are_listed_as_one_by_one(
+    messages: list[tuple[int, bytes]], data: st.DataObject
+) -> None:
+    block = bytearray(b"")
+    for key, text in messages:
+        block += struct.pack("<BQHIQQ", 5, 22 + len(text), key, 7, 2**64 - 1 - key, 8) + text
+    if block and data.draw(st.booleans()):
+        block[data.draw(st.integers(0, len(block) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    source = McapSource.__new__(McapSource)
+    source.notes, source._cut_at = NoteList(), -1
+
+    def list_messages(found: Int64) -> list[list[int]]:
+        return [record for record in found.tolist() if record[0] >= 0]
+
+    expected = list_messages(RecordSource._list_records(source, 0, memoryview(block)))
+    damage = list(source.notes)
+
+    assert list_messages(source._list_records(0, memoryview(block))) == expected
+    assert list(source.notes) == damage

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys.store import Typestore
 
-from occmap.readers import messages as module
-from occmap.readers import ros_log
-from occmap.readers.containers import Channel, RawMessage
+from occmap.readers import containers, ros_log
+from occmap.readers.containers import Channel
 from occmap.readers.ros_log import RosLog
 from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
 from tests.readers import ros
@@ -100,7 +99,7 @@ def test_scans_of_a_run_are_those_read_one_by_one(store: Typestore, data: st.Dat
     alone, stacked = RosLog(Memory(messages)), RosLog(Memory(messages))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "SHORTEST_RUN", 2)
+        patch.setattr(ros_log, "SHORTEST_RUN", 2)
         scans = flatten(stacked.stacked_scans(topics))
 
     assert list_fields(scans) == list_fields(alone.scans(topics))
@@ -113,25 +112,23 @@ def test_what_nobody_uses_may_differ_within_a_run(
     store: Typestore, changing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     messages = list_scans(["", changing] * 5, store)
-    monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
-    monkeypatch.setattr(ros_log, "STACK_BYTES", 4 * len(messages[0][2]))
-    monkeypatch.setattr(module, "SHORTEST_RUN", 4)
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 3 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 5)
 
-    first, run, *others = RosLog(Memory(messages)).stacked_scans(["/scan"])
+    first, run = RosLog(Memory(messages)).stacked_scans(["/scan"])
 
     assert isinstance(first, ScanRun)
     assert isinstance(run, ScanRun)
-    assert run.stamp_ns.tolist() == [4, 5, 6, 7]
-    assert run.record_ns.tolist() == [104, 105, 106, 107]
-    assert run.ranges.tolist() == [[4, 0.5], [5, 0.5], [6, 0.5], [7, 0.5]]
-    assert [type(item) for item in others] == [Scan] * 2  # too few for a run
+    assert run.stamp_ns.tolist() == [5, 6, 7, 8, 9]
+    assert run.record_ns.tolist() == [105, 106, 107, 108, 109]
+    assert run.ranges.tolist() == [[k, 0.5] for k in range(5, 10)]
 
 
 @both
 def test_each_scan_of_a_run_has_its_own_time_between_beams(
     store: Typestore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "SHORTEST_RUN", 3)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 3)
 
     (run,) = RosLog(Memory(list_scans(["", "time_increment", ""], store))).stacked_scans(["/scan"])
 
@@ -144,7 +141,7 @@ def test_each_scan_of_a_run_has_its_own_time_between_beams(
 def test_scans_of_another_geometry_are_no_run(
     store: Typestore, change: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
 
     items = RosLog(Memory(list_scans([*[""] * 7, change, ""], store))).stacked_scans(["/scan"])
 
@@ -154,7 +151,7 @@ def test_scans_of_another_geometry_are_no_run(
 def test_messages_of_an_own_definition_are_read_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
     definition = ROS2.generate_msgdef(SCAN)[0].replace("float32 scan_time", "float32 scan_times")
     channel = Channel("/scan", SCAN, "cdr", definition, 9)
-    monkeypatch.setattr(module, "SHORTEST_RUN", 2)
+    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
 
     log = RosLog(Memory([(channel, i, write_scan(ROS2, i)) for i in range(9)]))
     (run,) = log.stacked_scans(["/scan"])
@@ -205,35 +202,35 @@ def test_messages_laid_out_alike_are_read_at_a_stroke(
         (channel, i, write_poses(store, i, [("odom", "base", float(i))], kind=kind))
         for i in range(100)
     ]
-    monkeypatch.setattr(ros_log, "MESSAGE_BYTES", 0)
-    monkeypatch.setattr(ros_log, "STACK_BYTES", 40 * len(messages[0][2]))
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 20 * len(messages[0][2]))
 
     items = list(RosLog(Memory(messages)).stacked_poses())
 
     batches = [item for item in items if isinstance(item, PoseBatch)]
     assert len(batches) == len(items)
-    assert [len(batch.stamp_ns) for batch in batches] == [40, 40, 20]
+    assert [len(batch.stamp_ns) for batch in batches] == [34, 33, 33]
     assert np.concatenate([batch.pose[:, 0] for batch in batches]).tolist() == list(range(100))
 
 
 def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(ros_log, "MOST_KINDS", 5)
     channel = make_channel("/tf", TF, 30)
     edges = [("odom", "base", float(k)) for k in range(30)]
     messages = [(channel, i, write_poses(ROS2, i, edges[:i])) for i in range(30)]
+    monkeypatch.setattr(containers, "BLOCK_BYTES", 1)
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 5 * len(messages[-1][2]))
     taken = []
 
     class Watched(Memory):
-        def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-            for message in super().messages(wanted):
-                taken.append(message)
-                yield message
+        def messages(self, wanted: Collection[Channel]) -> Iterator[containers.Messages]:
+            for some in super().messages(wanted):
+                taken.append(len(some.key))
+                yield some
 
     items = RosLog(Watched(messages)).stacked_poses()
     first = next(items)
-    assert len(taken) == 5 + 1
+    assert sum(taken) < 30
 
     counts = [len(item.pose) if isinstance(item, PoseBatch) else 1 for item in [first, *items]]
     assert sum(counts) == sum(range(30))
