@@ -12,9 +12,9 @@ from mcap.writer import Writer as McapWriter
 from occmap.errors import LogError
 from occmap.readers import Note, Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader
+from tests.fuzz.__main__ import alarm
 from tests.readers.ros import RANGES, ROS2, SCAN, Written, drive, scan, write_mcap
 from tests.readers.runs import count_scans
-from tests.test_damage import time_limit
 
 NONE = {"compression": CompressionType.NONE, "chunk_size": 1000}
 ZSTD = {"compression": CompressionType.ZSTD, "chunk_size": 1000}
@@ -222,7 +222,7 @@ def test_messages_defined_in_idl_are_read_as_ros_defines_them(
         writer.add_message(channel, 1, bytes(ROS2.serialize_cdr(message, kind)), 1)
         writer.finish()  # type: ignore[no-untyped-call]
 
-    with time_limit(5):
+    with alarm(5):
         (sample,) = open_log(path).poses()
 
     assert sample.stamp_ns == 3_000_000_004

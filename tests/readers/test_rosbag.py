@@ -13,6 +13,7 @@ from rosbags.rosbag2 import StoragePlugin
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Stream, open_log, probe_path
 from occmap.readers.rosbag import RosbagReader
+from tests.fuzz.__main__ import alarm
 from tests.readers.ros import (
     RANGES,
     ROS1,
@@ -28,7 +29,6 @@ from tests.readers.ros import (
 )
 from tests.readers.runs import count_scans
 from tests.readers.test_bombs import bounded_memory
-from tests.test_damage import time_limit
 
 SQLITE = Bag2(StoragePlugin.SQLITE3)
 MCAP = Bag2(StoragePlugin.MCAP)
@@ -418,7 +418,7 @@ def test_the_files_of_a_folder_with_damaged_metadata_are_read(text: str, tmp_pat
     folder = SQLITE.write(tmp_path / "drive", drive(ROS2))
     (folder / "metadata.yaml").write_text(text)
 
-    with time_limit(5):
+    with alarm(5):
         log = open_log(folder)
 
     assert count_scans(log) == 6
@@ -449,7 +449,7 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, tmp_path: Pa
     (folder / name).unlink(missing_ok=True)
     os.mkfifo(folder / name)
 
-    with time_limit(5):
+    with alarm(5):
         assert count_scans(open_log(folder)) == 6
 
 

@@ -10,8 +10,8 @@ from rosbags.rosbag2 import StoragePlugin
 
 from occmap.errors import LogError
 from occmap.readers import Log, Note, open_log
+from tests.fuzz.__main__ import alarm
 from tests.readers.ros import RANGES, ROS2, SCAN, Bag2, Written, scan
-from tests.test_damage import time_limit
 
 SCANS = 300
 PAGE = 4096
@@ -242,7 +242,7 @@ def test_only_real_tables_are_read(tmp_path: Path, statement: str) -> None:
     database.close()
 
     complaint = "no such table: messages|the table messages has generated columns"
-    with time_limit(5), pytest.raises(LogError, match=complaint):
+    with alarm(5), pytest.raises(LogError, match=complaint):
         open_log(path)
 
 

@@ -17,9 +17,8 @@ from occmap.scans.mounts import COMMON_SHARE, find_turn
 from occmap.types import Float64
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
-from tests.inspection_logs import HALF_HEIGHT, HALF_WIDTH, Drive
+from tests.inspection_logs import HALF_HEIGHT, HALF_WIDTH, Drive, write_csv
 from tests.samples import PLAIN, REAL_LOGS
-from tests.test_frames import write_log
 
 ALIGNED = replace(PLAIN, posing=PosingOptions(align=None))
 
@@ -63,7 +62,9 @@ def turn_back(index: int, degrees: float) -> tuple[float, float, float]:
 
 @pytest.mark.parametrize("degrees", [17.3, -31.0])
 def test_a_room_that_lies_askew_is_turned(tmp_path: Path, degrees: float) -> None:
-    log = write_log(tmp_path / "log.csv", [turn_back(index, degrees) for index in range(40)])
+    log = write_csv(
+        tmp_path / "log.csv", Drive(), poses=[turn_back(index, degrees) for index in range(40)]
+    )
     askew, made = build([log], PLAIN), build([log], ALIGNED)
     assert made.report.map.align == pytest.approx(-degrees, abs=0.1)
     assert not any("common" in note for note in made.report.notes)
@@ -91,8 +92,8 @@ def test_a_map_without_a_direction_stays_as_it_is(tmp_path: Path) -> None:
 
 def test_what_is_added_is_turned_as_what_is_there(tmp_path: Path) -> None:
     poses = [turn_back(index, 20.0) for index in range(40)]
-    first = write_log(tmp_path / "first.csv", poses[:20])
-    second = write_log(tmp_path / "second.csv", poses[20:], first=20)
+    first = write_csv(tmp_path / "first.csv", Drive(), poses=poses[:20])
+    second = write_csv(tmp_path / "second.csv", Drive(), poses=poses[20:], first=20)
     kept = tmp_path / "first.npz"
     made = build([first], ALIGNED, [kept])
     assert read_evidence(kept).manifest.align == made.report.map.align
@@ -129,7 +130,9 @@ def test_real_buildings_stand_upright(name: str, turn: float) -> None:
 
 
 def test_the_angle_may_be_left_out_on_the_command_line(tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log.csv", [turn_back(index, 20.0) for index in range(20)])
+    log = write_csv(
+        tmp_path / "log.csv", Drive(), poses=[turn_back(index, 20.0) for index in range(20)]
+    )
     out = str(tmp_path / "m.pgm")
     words = [
         ["--align", str(log), "-o", out],
