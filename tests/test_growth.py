@@ -67,7 +67,7 @@ def limit() -> None:
 
 def run_bounded(*words: object) -> str:
     """Return what a command says that may take neither much memory nor much time."""
-    done = spawn(*words, preexec_fn=limit)
+    done = spawn(*words, preexec_fn=limit, timeout=None)
     assert done.returncode == 0, done.stderr[-400:]
     return str(done.stdout + done.stderr)
 

@@ -48,9 +48,9 @@ def ask(*words: Any) -> Any:
 
 def spawn(*words: Any, **settings: Any) -> subprocess.CompletedProcess[Any]:
     """Run a command line in a process of its own; settings are those of `subprocess.run`."""
-    settings = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | settings
+    usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "timeout": 120}
     line = [sys.executable, "-m", "occmap", *map(str, words)]
-    return subprocess.run(line, check=False, timeout=120, **settings)
+    return subprocess.run(line, check=False, **usual | settings)
 
 
 def read_error(result: Result, code: int) -> str:

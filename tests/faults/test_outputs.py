@@ -75,15 +75,20 @@ def test_a_symbolic_link_is_written_through(folder: Path) -> None:
     [
         ("m.png", "cannot be written (Too many levels of symbolic links)"),
         ("nowhere/m.png", "the folder {folder}/nowhere does not exist"),
-        ("/dev/null", "is a device or a pipe, not a file; give a file name"),
-        ("/dev", "is a folder, not a file"),
+        ("pipe", "is a device or a pipe, not a file; give a file name"),
+        ("sub", "is a folder, not a file"),
     ],
 )
-def test_a_link_that_leads_to_no_file_is_refused(folder: Path, target: str, found: str) -> None:
+def test_a_link_that_leads_to_no_file_is_refused_and_left(
+    folder: Path, target: str, found: str
+) -> None:
+    os.mkfifo("pipe")
+    Path("sub").mkdir()
     Path("m.png").symlink_to(target)
     error = read_error(occmap("build a.csv -o m.png"), 1)
     assert error.startswith(f"m.png: {found.format(folder=folder)}")
     assert Path("m.png").is_symlink()
+    assert Path("pipe").is_fifo()
 
 
 def test_a_pipe_is_refused_and_left() -> None:
