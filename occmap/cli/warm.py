@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
@@ -34,7 +35,7 @@ def compile_kernels() -> None:
 
 
 def compile_for_clouds() -> None:
-    """Build a map of clouds that show a wide floor and something on it."""
+    """Check clouds that show a wide floor and something on it, and build a map of them."""
     across, along = np.mgrid[-50:50, -50:50].reshape(2, -1) * 0.15
     points = np.stack([across, along, np.where(across > 7, 0.0, -0.6)], axis=1)
     with TemporaryDirectory(prefix="occmap-") as name:
@@ -44,6 +45,7 @@ def compile_for_clouds() -> None:
             np.save(log / f"{at}.npy", points.astype(np.float32))
         poses.write_text("".join(f"{at} 0 {at} 0 0 0 0 1\n" for at in range(2)))
         options = BuildOptions(posing=PosingOptions(poses=str(poses)), jobs=1)
+        inspect([log], options)
         build([log], options, [Path(name) / "map.npz"])
 
 

@@ -18,7 +18,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
-from occmap.types import Float64, Int64
+from occmap.types import Float64, Int64, Update
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -138,11 +138,10 @@ def refuse_other_profile(evidence: Described, model: SensorModel) -> None:
         found = f"was summed up for the model {made_for}; no other can read it"
         raise MapError(found, where=evidence.where, fix="leave out `model`, or change `prior`")
     if wanted and not made_for:
-        raise MapError(
-            f"holds hits and misses, which {model.name} cannot read",
-            where=evidence.where,
-            fix=f"build it with `model={model.name}`",
-        )
+        found = f"holds hits and misses, which {model.name} cannot read"
+        is_of_clouds = evidence.manifest.update == Update.CLOUD  # which no build gives others
+        fix = "choose another `model`" if is_of_clouds else f"build it with `model={model.name}`"
+        raise MapError(found, where=evidence.where, fix=fix)
 
 
 MOST_TILES = 16

@@ -9,6 +9,7 @@ from occmap import jit
 from occmap.cli.warm import compile_kernels
 from occmap.clouds.kernels import growth, heights, tracing
 from occmap.grid.kernels import beams, cast, polygon, projection, radial_polygon
+from occmap.inspection import inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
@@ -63,6 +64,7 @@ def test_a_build_of_clouds_needs_no_kernel_that_was_not_compiled_before(tmp_path
     kernels = heights, growth, tracing
     compiled = count_compiled(*kernels)
     assert compiled["heights.add_histogram"]
+    assert inspect([HALL], BuildOptions()).buildable
     assert build([HALL], BuildOptions(jobs=2), [tmp_path / "m.npz"]).report.scans.used > 9
     assert count_compiled(*kernels) == compiled
 

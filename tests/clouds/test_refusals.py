@@ -77,3 +77,9 @@ def test_a_model_of_beams_is_refused_for_clouds(tmp_path: Path) -> None:
     done = occmap("build", HALL, "--model", "quadratic", "-o", tmp_path / "hall.pgm")
     assert done.code == 2
     assert "--model counting" in done.err
+
+    saved = tmp_path / "hall.npz"
+    assert occmap("build", HALL, "-o", saved).code == 0
+    rendered = occmap("render", saved, "--model", "quadratic", "-o", tmp_path / "hall.pgm")
+    assert rendered.code == 1
+    assert "build it" not in rendered.err
