@@ -37,6 +37,8 @@ from tests.grid.scans import (
 )
 
 WINDOWS = st.sampled_from([50, 400, WINDOW_CELLS])
+JUMPS = [0.0, 0.5, 4.0, 1e9]
+"""In cells"""
 HALVES = (0.0625, 0.5)
 """Resolutions that are powers of two: whole cells are then whole numbers of metres, exactly."""
 
@@ -66,25 +68,24 @@ each_update = pytest.mark.parametrize("update", BEAM_UPDATES)
 
 
 @each_update
-@pytest.mark.parametrize("scene", [drives, upright_drives, aligned_drives])
-@MANY
-@given(
-    data=st.data(),
-    jump_cells=st.sampled_from([0.0, 0.5, 2.0, 4.0, 1e9]),
-    border_gap=st.sampled_from([0, 1, 8]),
-    window_cells=WINDOWS,
+@pytest.mark.parametrize(
+    ("scene", "jumps", "gaps"),
+    [(drives, JUMPS, [8, 1, 0]), (upright_drives, JUMPS, [8]), (aligned_drives, [2.0], [8])],
+    ids=["drives", "straight up and down", "on centres and borders of cells"],
 )
+@MANY
+@given(data=st.data(), window_cells=WINDOWS)
 def test_every_update_follows_its_rule(
     update: Update,
     scene: Callable[[], st.SearchStrategy[Drive]],
+    jumps: list[float],
+    gaps: list[int],
     data: st.DataObject,
-    jump_cells: float,
-    border_gap: int,
     window_cells: int,
 ) -> None:
-    """Also with beams straight up and down, and with all on centres and borders of cells."""
     rays, resolution = data.draw(scene())
-    spec = GridSpec(update, Lattice(resolution), jump_cells * resolution, border_gap)
+    jump = data.draw(st.sampled_from(jumps)) * resolution
+    spec = GridSpec(update, Lattice(resolution), jump, data.draw(st.sampled_from(gaps)))
     assert observe(spec, [rays], window_cells) == reference.trace(spec, rays)
 
 
