@@ -1,7 +1,6 @@
 """What a build did: numbers for programs, rows that a terminal and a page lay out, and doubts."""
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -277,9 +276,6 @@ def list_notes(
     end_s = options.selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
         yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
-    for log, times in Counter(map(str, paths)).items():
-        if times > 1:
-            yield f"{log}: given {times} times, and counted as often"
     if apart := name_frames(tally):
         yield (
             f"{apart}; where these do not lie on each other, choose one with `map_frame`, or "
