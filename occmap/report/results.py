@@ -339,7 +339,7 @@ def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
     low_x, low_y, high_x, high_y = facts.extent
     outside = []
     for shape in writing.shapes:
-        (x, y), (right, top) = (end.tolist() for end in shape.measure(facts.resolution))
+        (x, y), (right, top) = (end.round(3).tolist() for end in shape.measure(facts.resolution))
         if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
             outside.append((x, y, right, top))
     if outside:
