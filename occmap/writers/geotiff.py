@@ -1,8 +1,10 @@
 """GeoTIFF images, cloud-optimised, for maps that a GIS shows: one file, read part by part."""
 
 import math
+import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
+from errno import ENOSPC
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +22,8 @@ from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
 WINDOW = 1024
 """Cells along the side of what is painted at once, from a multiple of as many cells on"""
+BLOCK = 512
+"""Pixels along the side of a block of the file; those at its edges are as large"""
 
 
 class GeoTiffWriter(Writer):
@@ -98,6 +102,10 @@ def write_image(
         with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
             # GDAL can only copy into this format: all is written once without compression.
             plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
+            pixels = math.prod(-(-layout[side] // BLOCK) * BLOCK for side in ("height", "width"))
+            # On a full disk libtiff would print lines of its own.
+            if shutil.disk_usage(folder).free < pixels * np.dtype(layout["dtype"]).itemsize:
+                raise OSError(ENOSPC, os.strerror(ENOSPC))
             with rasterio.open(plain, "w", **layout) as image:
                 image.update_tags(**tags)
                 for window, pixels in parts:
@@ -146,8 +154,8 @@ def describe(
         "height": rows,
         "width": cols,
         "tiled": True,
-        "blockxsize": 512,
-        "blockysize": 512,
+        "blockxsize": BLOCK,
+        "blockysize": BLOCK,
         "bigtiff": "if_safer",
         "transform": (*across, *up, x * sin + y * cos),
         "crs": plane if globe else None,

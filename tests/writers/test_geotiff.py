@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -82,6 +83,19 @@ def test_a_png_that_lies_on_the_globe_no_more_says_nothing_of_it(
         (tmp_path / beside).write_text("1")
     PngWriter().write(path, make_map(), WriteOptions())
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_disk_that_is_too_full_is_told_before_libtiff_tells_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """3 x 3 blocks of 512 x 512 bytes."""
+    disk = SimpleNamespace(free=9 * 512**2 - 1)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: disk)
+    with pytest.raises(OutputError, match=r"m\.tif: cannot be written \(No space left"):
+        GeoTiffWriter().write(tmp_path / "m.tif", make_map(), WriteOptions())
+    assert list(tmp_path.iterdir()) == []
+    disk.free += 1
+    GeoTiffWriter().write(tmp_path / "m.tif", make_map(), WriteOptions())
 
 
 @pytest.mark.parametrize(
