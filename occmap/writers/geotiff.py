@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import OccupancyMap, list_captions
+from occmap.cells import About, OccupancyMap, list_captions
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
@@ -46,9 +46,10 @@ class GeoTiffWriter(Writer):
             It cannot be written; then nothing is left behind.
         """
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
-        where = describe(grid.shape, grid.place, grid.resolution, options.georeference)
+        globe, about = options.georeference, grid.about
+        where = describe(grid.shape, grid.place, grid.resolution, globe, about)
         layout = where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}
-        write_image(path, layout, parts, list_captions(grid.about))
+        write_image(path, layout, parts, list_captions(about))
         return (path,)
 
 
@@ -80,9 +81,10 @@ class GroundWriter(Writer):
         squares[rows, cols] = known.reshape(-1, side, side)
         heights = np.block([list(row) for row in squares])
         size = COLUMN_MM / 1000
-        where = describe(heights.shape, low * side, size, options.georeference)
+        about = product.grid.about
+        where = describe(heights.shape, low * side, size, options.georeference, about)
         kind = {"dtype": "float32", "nodata": math.nan}
-        write_image(path, where | kind, [(None, heights[::-1])], list_captions(product.grid.about))
+        write_image(path, where | kind, [(None, heights[::-1])], list_captions(about))
         return (path,)
 
 
@@ -135,16 +137,22 @@ def import_rasterio() -> Any:
 
 
 def describe(
-    shape: tuple[int, ...], place: Int64, size: float, globe: tuple[float, float, float] | None
+    shape: tuple[int, ...],
+    place: Int64,
+    size: float,
+    globe: tuple[float, float, float] | None,
+    about: About | None,
 ) -> dict[str, Any]:
     """Say where an image of cells lies and how it is laid out.
 
     Without a place on the globe its frame is that of the map. With one it is a plane that touches
-    the globe there, on which distances from there are true (azimuthal equidistant).
+    the globe there, on which distances from there are true (azimuthal equidistant). That place is
+    of the map of the logs, so that a map which is turned has its walls where they were.
     """
     (rows, cols), (row, col) = shape, place.tolist()
     x, y = round(col * size, 12), round((row + rows) * size, 12)
     latitude, longitude, yaw = globe or (0.0, 0.0, 0.0)
+    yaw -= about.align if globe and about else 0.0
     cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
     across, up = (size * cos, size * sin, x * cos - y * sin), (size * sin, -size * cos)
     plane = f"+proj=aeqd +lat_0={latitude!r} +lon_0={longitude!r} +datum=WGS84 +units=m +no_defs"

@@ -1,6 +1,7 @@
 """GeoTIFF: the cells of the map at their places, with overviews, in one sound file."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import rasterio
 from rasterio.warp import transform
 
 from occmap import build_map
-from occmap.cells import Evidence, Ground, OccupancyMap
+from occmap.cells import About, Evidence, Ground, OccupancyMap
 from occmap.errors import OutputError
 from occmap.writers import Product, WriteOptions, find_writer
 from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
@@ -40,12 +41,19 @@ def test_cells_are_where_they_are(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["m.tif"]
 
 
+@pytest.mark.parametrize(("yaw", "align"), [(30.0, 0.0), (42.5, 12.5)])
 @pytest.mark.parametrize("name", ["m.tif", "m.png"])
-def test_a_place_on_the_globe_is_where_it_is(name: str, tmp_path: Path) -> None:
-    """A point of the map, 10 m and 5 m from its zero, where x points 30 degrees north of east."""
+def test_a_place_on_the_globe_is_where_it_is(
+    name: str, yaw: float, align: float, tmp_path: Path
+) -> None:
+    """A point of the map, 10 m and 5 m from its zero, where x points 30 degrees north of east.
+
+    The x axis of logs whose map is turned by 12.5 degrees points to 42.5.
+    """
     latitude, longitude = 52.5, 13.4
-    options = WriteOptions(georeference=(latitude, longitude, 30.0))
-    product = Product(make_map(), nothing_kept)
+    options = WriteOptions(georeference=(latitude, longitude, yaw))
+    turned = replace(make_map(), about=About("0.1", "e", "r", "a.bag", align))
+    product = Product(turned, nothing_kept)
     files = find_writer(tmp_path / name).write_product(tmp_path / name, product, options)
     assert sorted(files) == sorted(tmp_path.iterdir())
     with rasterio.open(tmp_path / name) as image:
