@@ -68,11 +68,14 @@ class About(NamedTuple):
     """Names how that became a map: the model, what is left out, what is drawn over it ..."""
     logs: str
     """Names of the logs"""
+    align: float = 0.0
+    """By what it is turned against the map of the logs, counter-clockwise (degrees)"""
 
 
 def list_captions(about: About | None) -> dict[str, str]:
-    """List what a file says of its map, by name; nothing where that is not known."""
-    return about._asdict() if about else {}
+    """List what a file says of its map, by name; nothing where that is not known, or not turned."""
+    said = about._asdict() if about else {}
+    return {name: str(value) for name, value in said.items() if value}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -225,7 +225,12 @@ def compose_build(
         given[name] = [*kept, text]
     words = [w for name, texts in given.items() for text in texts for w in (FLAGS[name], text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
-    return (*start, *logs, *words, "-o", f"{name_map(logs[0])}.pgm")
+    # What begins with a dash would be taken for an option.
+    *files, image = (
+        f"./{path}" if path.startswith("-") else path
+        for path in (*logs, f"{name_map(logs[0])}.pgm")
+    )
+    return (*start, *files, *words, "-o", image)
 
 
 def name_map(path: str) -> str:

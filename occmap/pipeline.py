@@ -61,7 +61,10 @@ def build(
             grid, lost = paint(paths, seen, manifest)
         with tally.time("write"):  # to hash the logs takes time
             wants_evidence = want_evidence(outputs)
-            made = [describe_build(paths, options, tally.to_json())] if wants_evidence else []
+            # Notes compare logs that may be one with another, and builds.
+            is_compared = past or len({path.stat().st_size for path in paths}) < len(paths)
+            is_told = wants_evidence or is_compared
+            made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = replace(manifest, builds=(*manifest.builds, *made))
         facts = results.describe_map(grid, options.writing)
         seen.remarks.notes += [

@@ -412,7 +412,7 @@ def test_a_notebook_shows_a_picture_and_the_notes(log: Path) -> None:
     assert pixels[0, ::90, 0].tolist() == [254, 254, 254, 0]
     html = grid._repr_html_()
     assert "Map of 4 x 1 cells of 0.1 m" in html
-    assert f"{log}: given 2 times, and counted as often" in html
+    assert f"{log.name} is in it more than once" in html
 
 
 def test_a_large_map_is_shown_thinned(tmp_path: Path) -> None:

@@ -555,6 +555,11 @@ def test_of_two_lasers_the_one_that_is_off_gets_a_transform_of_its_own(tmp_path:
     assert words[3:-2] == ("--static-tf", "base_link,laser,0,0,0,0,0,0")
 
 
+def test_a_log_that_begins_with_a_dash_is_no_option_in_the_line() -> None:
+    line = compose_build(["-x.bag", "y.bag"], BuildOptions(), {})
+    assert line == ("occmap", "build", "./-x.bag", "y.bag", "-o", "./-x.pgm")
+
+
 def test_where_the_poses_fit_no_mount_the_line_looks_for_the_reason(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(0.3), mount=[(0.0, 0.0)])
     found = look(path, BuildOptions(resolution=0.1))

@@ -57,8 +57,23 @@ def test_mapping_a_log_twice_doubles_the_evidence_and_is_noted(tmp_path: Path) -
     once, twice = build([log], BEAM), build([log, log], BEAM)
     np.testing.assert_allclose(twice.map.log_odds, 2 * once.map.log_odds, rtol=1e-6)
     assert (once.report.notes, once.report.files) == ((), ())
-    assert twice.report.notes == (f"{log}: given 2 times, and counted as often",)
+    (note,) = twice.report.notes
+    assert note.startswith("log.csv is in it more than once")
     assert twice.report.scans.used == 2
+
+
+def test_notes_on_builds_do_not_depend_on_the_format(tmp_path: Path) -> None:
+    log, past = write_csv(tmp_path / "log.csv", STILL, [0.3]), tmp_path / "past.npz"
+    surface = replace(BEAM, update=Update.SURFACE)
+    build([log], surface, [past])
+    other = replace(surface, jump=0.5, resume=past)
+    told = [
+        build([log], other, [tmp_path / f"m.{suffix}"]).report.notes for suffix in ("pgm", "npz")
+    ]
+    assert told[0] == told[1]
+    repeated, differing = told[0]
+    assert repeated.startswith("log.csv is in it more than once")
+    assert differing == "its builds differ in `jump` (0.1, 0.5)"
 
 
 def test_start_end_and_stride_choose_scans(tmp_path: Path) -> None:

@@ -127,6 +127,8 @@ class MapDifference(Printed):
     evidence: tuple[str | None, str | None]
     """Name of what was observed for each map, equal where each cell was observed alike, in whatever
     file; null for an image that does not say"""
+    notes: tuple[str, ...] = ()
+    """What a user should know, one sentence each, as on stderr"""
     before: UInt8 = field(metadata=HIDDEN)
     after: UInt8 = field(metadata=HIDDEN)
     """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
@@ -158,6 +160,10 @@ def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()
     corner = Place(place.resolution, *place.measure(both)[:2])
     blob = find_largest_blob(one != other)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
+    notes = []
+    if before.evidence and after.evidence and before.align != after.align:
+        turns = (f"{each.path} is turned by {each.align or 0} degrees" for each in (before, after))
+        notes.append(f"{', '.join(turns)}: to see what changed, build both with one `align`")
     changed_cells = sum(changed.values())
     edited = None
     if shapes:
@@ -175,6 +181,7 @@ def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()
         columns=both.cols,
         rows=both.rows,
         evidence=(before.evidence, after.evidence),
+        notes=tuple(notes),
         before=one,
         after=other,
         place=corner,

@@ -18,6 +18,7 @@ import numpy as np
 from occmap.cells import Box, CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
+from occmap.evidence.manifest import list_inputs
 from occmap.grid import CellBox
 from occmap.store import as_blocks, identify, open_saved
 from occmap.store.publishing import classify_blocks, open_map
@@ -76,6 +77,10 @@ class ClassMap:
     """What the cells were read from, where that is another file than `path`"""
     evidence: str | None = None
     """Names what was observed, by `Manifest.identify`; None where an image does not say"""
+    align: str = ""
+    """By what it is turned (degrees), as it says itself; "" where it is not, or does not say"""
+    inputs: frozenset[str] = frozenset()
+    """The SHA-256 of the files that it was made of, where it says so"""
 
 
 def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -119,9 +124,9 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
     meta = parse_meta(stating, read_yaml(stating))
     image = path if is_image else path.parent / meta.image
     with stating.open("rb") as file:
-        said = re.search(rb"^# evidence: ([0-9a-f]{12})$", file.read(YAML_BYTES), re.M)
-    name = said[1].decode() if said else None
-    return ClassMap(path, classify(read_image(image), meta), meta.place, image, evidence=name)
+        lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)$", file.read(YAML_BYTES), re.M)
+    said = {name.decode(): text.decode() for name, text in lines}
+    return ClassMap(path, classify(read_image(image), meta), meta.place, image, **said)
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -141,8 +146,8 @@ def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:
         stated = (parse_number(path, name, said[name]) for name in IN_PNG[:2])
         free, occupied = thresholds.decide(Decision(*stated))
     meta = Meta(path.name, MapMode.TRINARY, occupied, free, said.get("negate") == "1")
-    name = image.texts.get("evidence")
-    return ClassMap(path, classify(image, meta), None, evidence=name)
+    name, turn = image.texts.get("evidence"), image.texts.get("align", "")
+    return ClassMap(path, classify(image, meta), None, evidence=name, align=turn)
 
 
 def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -157,7 +162,15 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     made = open_map(as_blocks(saved), read_model(saved))
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds)
-    return ClassMap(path, classes, Place(made.resolution, x, y), evidence=identify(saved))
+    inputs = (entry["sha256"] for build in saved.manifest.builds for entry in list_inputs(build))
+    return ClassMap(
+        path,
+        classes,
+        Place(made.resolution, x, y),
+        evidence=identify(saved),
+        align=str(saved.manifest.align or ""),
+        inputs=frozenset(inputs),
+    )
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

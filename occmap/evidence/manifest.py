@@ -186,7 +186,7 @@ def describe_about(
     # Of a folder, the inputs are called folder/file.
     names = sorted({name.partition("/")[0] for name in (*of_builds, *logs)})
     named = join_names(map(json.dumps, names), MOST_NAMED)
-    return About(version("occmap"), evidence, rendering, named)
+    return About(version("occmap"), evidence, rendering, named, manifest.align or 0.0)
 
 
 def list_doubts(manifest: Manifest) -> Iterator[str]:

@@ -1,10 +1,14 @@
 """The workers of a build, by Dask: found, looked at, and given tasks; the owner of distributed."""
 
 import logging
+import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from importlib.metadata import version
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -157,11 +161,16 @@ def open_cluster(
 
 @contextmanager
 def start_local(processes: int) -> Iterator[Any]:
-    """Start so many workers on this machine; they end with the block."""
+    """Start so many workers on this machine; they end with the block.
+
+    Ctrl-C, and a terminal that closes, reach all processes of a command. Workers never see that,
+    and this process does once they are all there: then it ends them in order.
+    """
     import dask  # noqa: PLC0415  late: an extra
     import distributed  # noqa: PLC0415  likewise
 
     with (
+        hold_signals() as let_go,
         dask.config.set(ALLOCATOR),
         distributed.LocalCluster(
             n_workers=processes,
@@ -171,7 +180,24 @@ def start_local(processes: int) -> Iterator[Any]:
             config={"distributed.worker.profile.enabled": False},  # it takes time
         ) as workers,
     ):
+        let_go()
         yield workers
+
+
+@contextmanager
+def hold_signals() -> Iterator[Callable[[], object]]:
+    """Let what a terminal sends wait until it is let go; processes started before never get it."""
+    if os.name == "nt":  # which has no such signals
+        yield lambda: None
+        return
+    resource_tracker.ensure_running()  # where it starts later, it lets SIGINT go
+    terminal = {signal.SIGINT, signal.SIGHUP}
+    let_go = partial(signal.pthread_sigmask, signal.SIG_UNBLOCK, terminal)
+    signal.pthread_sigmask(signal.SIG_BLOCK, terminal)
+    try:
+        yield let_go
+    finally:
+        let_go()
 
 
 def connect(place: Any, address: str) -> "Client":

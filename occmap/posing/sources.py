@@ -183,7 +183,8 @@ def _find_trajectory(
     if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no topic's name
         fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
         raise PoseError("no such file", where=name, fix=fix)
-    found = "holds no such topic of poses" if recording else "neither a file nor a topic with poses"
+    held = f"holds no {'such ' if topic else ''}topic of poses"
+    found = held if recording else "neither a file nor a topic with poses"
     topics = f"topics with poses: {join_names(sorted({edge.topic for edge in poses}))}"
     raise PoseError(found, where=name, fix=topics if poses else "the log has no topic with poses")
 

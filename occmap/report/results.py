@@ -2,7 +2,6 @@
 
 import math
 import shlex
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -285,9 +284,6 @@ def list_notes(
     end_s = options.selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
         yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
-    for log, times in Counter(map(str, paths)).items():
-        if times > 1:
-            yield f"{log}: given {times} times, and counted as often"
     if apart := name_frames(tally):
         yield (
             f"{apart}; where these do not lie on each other, choose one with `map_frame`, or "
@@ -351,7 +347,7 @@ def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
     low_x, low_y, high_x, high_y = facts.extent
     outside = []
     for shape in writing.shapes:
-        (x, y), (right, top) = (end.tolist() for end in shape.measure(facts.resolution))
+        (x, y), (right, top) = (end.round(3).tolist() for end in shape.measure(facts.resolution))
         if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
             outside.append((x, y, right, top))
     if outside:

@@ -1,7 +1,7 @@
 """How good a written map is, whatever made it: asked of recordings, or of the truth."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -12,6 +12,7 @@ from occmap.cells import CellClass, Decision, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
+from occmap.evidence.manifest import describe_files
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
@@ -176,6 +177,7 @@ def score(
     by_logs, by_truth, notes = None, None, list[str]()
     if against.logs:
         by_logs, notes = score_by_logs(written, against.logs, options, against.fit, progress)
+        notes += list_own(written, against.logs)
     if true:
         found = AS_THEY_LIE
         if against.fit:
@@ -197,6 +199,13 @@ def score(
         notes=tuple(notes),
         files=(str(picture),) if picture else (),
     )
+
+
+def list_own(written: ClassMap, logs: Sequence[Path]) -> Iterator[str]:
+    """Say which logs a map was made of, where it keeps their hashes."""
+    for log in logs if written.inputs else ():
+        if any(entry["sha256"] in written.inputs for entry in describe_files(log)):
+            yield f"{log}: {written.path} was made of it, so what it says is better than it should"
 
 
 def find_place(written: ClassMap) -> Place:

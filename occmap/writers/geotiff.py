@@ -1,8 +1,10 @@
 """GeoTIFF images, cloud-optimised, for maps that a GIS shows: one file, read part by part."""
 
 import math
+import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
+from errno import ENOSPC
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import OccupancyMap, list_captions
+from occmap.cells import About, OccupancyMap, list_captions
 from occmap.errors import OutputError
 from occmap.plugins import need_extra
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
@@ -20,6 +22,8 @@ from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
 WINDOW = 1024
 """Cells along the side of what is painted at once, from a multiple of as many cells on"""
+BLOCK = 512
+"""Pixels along the side of a block of the file; those at its edges are as large"""
 
 
 class GeoTiffWriter(Writer):
@@ -42,9 +46,10 @@ class GeoTiffWriter(Writer):
             It cannot be written; then nothing is left behind.
         """
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
-        where = describe(grid.shape, grid.place, grid.resolution, options.georeference)
+        globe, about = options.georeference, grid.about
+        where = describe(grid.shape, grid.place, grid.resolution, globe, about)
         layout = where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}
-        write_image(path, layout, parts, list_captions(grid.about))
+        write_image(path, layout, parts, list_captions(about))
         return (path,)
 
 
@@ -76,9 +81,10 @@ class GroundWriter(Writer):
         squares[rows, cols] = known.reshape(-1, side, side)
         heights = np.block([list(row) for row in squares])
         size = COLUMN_MM / 1000
-        where = describe(heights.shape, low * side, size, options.georeference)
+        about = product.grid.about
+        where = describe(heights.shape, low * side, size, options.georeference, about)
         kind = {"dtype": "float32", "nodata": math.nan}
-        write_image(path, where | kind, [(None, heights[::-1])], list_captions(product.grid.about))
+        write_image(path, where | kind, [(None, heights[::-1])], list_captions(about))
         return (path,)
 
 
@@ -98,6 +104,10 @@ def write_image(
         with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
             # GDAL can only copy into this format: all is written once without compression.
             plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
+            pixels = math.prod(-(-layout[side] // BLOCK) * BLOCK for side in ("height", "width"))
+            # On a full disk libtiff would print lines of its own.
+            if shutil.disk_usage(folder).free < pixels * np.dtype(layout["dtype"]).itemsize:
+                raise OSError(ENOSPC, os.strerror(ENOSPC))
             with rasterio.open(plain, "w", **layout) as image:
                 image.update_tags(**tags)
                 for window, pixels in parts:
@@ -127,16 +137,22 @@ def import_rasterio() -> Any:
 
 
 def describe(
-    shape: tuple[int, ...], place: Int64, size: float, globe: tuple[float, float, float] | None
+    shape: tuple[int, ...],
+    place: Int64,
+    size: float,
+    globe: tuple[float, float, float] | None,
+    about: About | None,
 ) -> dict[str, Any]:
     """Say where an image of cells lies and how it is laid out.
 
     Without a place on the globe its frame is that of the map. With one it is a plane that touches
-    the globe there, on which distances from there are true (azimuthal equidistant).
+    the globe there, on which distances from there are true (azimuthal equidistant). That place is
+    of the map of the logs, so that a map which is turned has its walls where they were.
     """
     (rows, cols), (row, col) = shape, place.tolist()
     x, y = round(col * size, 12), round((row + rows) * size, 12)
     latitude, longitude, yaw = globe or (0.0, 0.0, 0.0)
+    yaw -= about.align if globe and about else 0.0
     cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
     across, up = (size * cos, size * sin, x * cos - y * sin), (size * sin, -size * cos)
     plane = f"+proj=aeqd +lat_0={latitude!r} +lon_0={longitude!r} +datum=WGS84 +units=m +no_defs"
@@ -146,8 +162,8 @@ def describe(
         "height": rows,
         "width": cols,
         "tiled": True,
-        "blockxsize": 512,
-        "blockysize": 512,
+        "blockxsize": BLOCK,
+        "blockysize": BLOCK,
         "bigtiff": "if_safer",
         "transform": (*across, *up, x * sin + y * cos),
         "crs": plane if globe else None,

@@ -63,7 +63,8 @@ class PngWriter(Writer):
         beside = name_beside(path) if options.georeference else ()
         with open_atomic(path, *beside) as (file, *others):
             if others:
-                where = describe(grid.shape, grid.place, grid.resolution, options.georeference)
+                globe, about = options.georeference, grid.about
+                where = describe(grid.shape, grid.place, grid.resolution, globe, about)
                 for other, told in zip(others, write_place(where), strict=True):
                     other.write(told.encode())
             file.write(b"\x89PNG\r\n\x1a\n")

@@ -138,6 +138,7 @@ def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
         ("free,box,11,-1,90,2", False),
         ("free,line,-4.2,0,-4.2,1,0.2", True),  # it ends at -4.1, and the map at -4.05
         ("free,line,-4.2,0,-4.2,1,0.4", False),
+        ("free,line,-9,2,-8,2,0.05", True),
     ],
 )
 def test_a_shape_outside_of_the_map_is_named(shape: str, is_outside: bool) -> None:
@@ -149,6 +150,8 @@ def test_a_shape_outside_of_the_map_is_named(shape: str, is_outside: bool) -> No
         assert len(notes) == is_outside
         if shape.startswith("free,box,100"):
             assert "x 100 to 101 m, y 2 to 3 m" in notes[0]
+        if shape == "free,line,-9,2,-8,2,0.05":  # cells reach sqrt(0.5) x 0.05 m to each side
+            assert "x -9.035 to -7.965 m, y 1.965 to 2.035 m" in notes[0]
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", '{"features": []}'])

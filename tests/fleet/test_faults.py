@@ -6,9 +6,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from threading import Thread
 
@@ -18,7 +19,7 @@ from distributed.comm.core import CommClosedError
 
 from occmap.errors import FleetError, LogError, MapError, UsageError
 from occmap.fleet import Fleet, cluster, open_scratch
-from occmap.fleet.cluster import open_cluster
+from occmap.fleet.cluster import hold_signals, open_cluster
 from occmap.fleet.tasks import Job, Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
@@ -300,6 +301,21 @@ def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match=r"install it: pip install '.\[dask\]'"):
         build_by("local", tmp_path)
+
+
+def list_masked() -> set[int]:
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, []))
+
+
+def test_ctrl_c_waits_for_workers_to_start_and_never_reaches_them() -> None:
+    masked = set[int]()
+    with pytest.raises(KeyboardInterrupt), hold_signals() as let_go:  # noqa: PT012  one by one
+        signal.raise_signal(signal.SIGINT)
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as started:
+            masked = started.submit(list_masked).result()
+        let_go()
+    assert {signal.SIGINT, signal.SIGHUP} <= masked
+    assert not {signal.SIGINT, signal.SIGHUP} & list_masked()
 
 
 def interrupt(fleet: Fleet, options: BuildOptions) -> Path:

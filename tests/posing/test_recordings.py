@@ -104,7 +104,7 @@ def test_one_pose_of_the_other_recording_is_no_trajectory(log: Path) -> None:
     ("poses", "found"),
     [
         ("slam.mcap:/other", "topics with poses: slam.mcap:/odom"),
-        ("log.bag", "log.bag: holds no such topic of poses; the log has no topic with poses"),
+        ("log.bag", "log.bag: holds no topic of poses; the log has no topic with poses"),
         ("none.bag", "none.bag: no such file"),
         ("none.bag:/odom", "none.bag:/odom: no such file"),
         ("broken.bag", "broken.bag: "),

@@ -64,6 +64,21 @@ def test_all_formats_say_the_same(built: Path) -> None:
     assert said["rendering"] in page
 
 
+def test_a_turned_map_says_so_and_diff_notes_it(built: Path, tmp_path: Path) -> None:
+    names = ("npz", "zarr", "yaml", "png")
+    turned = {name: tmp_path / f"t.{name}" for name in names}
+    outputs = [word for name in names for word in ("-o", tmp_path / f"t.{name}") if name != "yaml"]
+    words = [*outputs, "-o", tmp_path / "t.pgm", "--align", 30]
+    assert occmap("build", "-q", DRIVE, *words).code == 0
+    assert read_comments(turned["yaml"])["align"] == "30.0"
+    for name, path in turned.items():
+        assert ask("diff", path, turned["npz"])["notes"] == []
+        if name != "png":  # of another size, and it does not say where it lies
+            (note,) = ask("diff", built / "m.npz", path)["notes"]
+            assert f"{path} is turned by 30.0 degrees" in note
+    assert ask("diff", built / "m.yaml", built / "m.npz")["notes"] == []
+
+
 def test_loaders_of_the_yaml_see_what_they_always_saw(built: Path) -> None:
     loaded = YAML(typ="safe").load((built / "m.yaml").read_text())
     assert set(loaded) == {

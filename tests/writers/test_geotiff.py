@@ -1,7 +1,9 @@
 """GeoTIFF: the cells of the map at their places, with overviews, in one sound file."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ import rasterio
 from rasterio.warp import transform
 
 from occmap import build_map
-from occmap.cells import Evidence, Ground, OccupancyMap
+from occmap.cells import About, Evidence, Ground, OccupancyMap
 from occmap.errors import OutputError
 from occmap.writers import Product, WriteOptions, find_writer
 from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
@@ -39,12 +41,19 @@ def test_cells_are_where_they_are(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["m.tif"]
 
 
+@pytest.mark.parametrize(("yaw", "align"), [(30.0, 0.0), (42.5, 12.5)])
 @pytest.mark.parametrize("name", ["m.tif", "m.png"])
-def test_a_place_on_the_globe_is_where_it_is(name: str, tmp_path: Path) -> None:
-    """A point of the map, 10 m and 5 m from its zero, where x points 30 degrees north of east."""
+def test_a_place_on_the_globe_is_where_it_is(
+    name: str, yaw: float, align: float, tmp_path: Path
+) -> None:
+    """A point of the map, 10 m and 5 m from its zero, where x points 30 degrees north of east.
+
+    The x axis of logs whose map is turned by 12.5 degrees points to 42.5.
+    """
     latitude, longitude = 52.5, 13.4
-    options = WriteOptions(georeference=(latitude, longitude, 30.0))
-    product = Product(make_map(), nothing_kept)
+    options = WriteOptions(georeference=(latitude, longitude, yaw))
+    turned = replace(make_map(), about=About("0.1", "e", "r", "a.bag", align))
+    product = Product(turned, nothing_kept)
     files = find_writer(tmp_path / name).write_product(tmp_path / name, product, options)
     assert sorted(files) == sorted(tmp_path.iterdir())
     with rasterio.open(tmp_path / name) as image:
@@ -82,6 +91,19 @@ def test_a_png_that_lies_on_the_globe_no_more_says_nothing_of_it(
         (tmp_path / beside).write_text("1")
     PngWriter().write(path, make_map(), WriteOptions())
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_disk_that_is_too_full_is_told_before_libtiff_tells_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """3 x 3 blocks of 512 x 512 bytes."""
+    disk = SimpleNamespace(free=9 * 512**2 - 1)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: disk)
+    with pytest.raises(OutputError, match=r"m\.tif: cannot be written \(No space left"):
+        GeoTiffWriter().write(tmp_path / "m.tif", make_map(), WriteOptions())
+    assert list(tmp_path.iterdir()) == []
+    disk.free += 1
+    GeoTiffWriter().write(tmp_path / "m.tif", make_map(), WriteOptions())
 
 
 @pytest.mark.parametrize(
