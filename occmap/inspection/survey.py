@@ -242,24 +242,30 @@ OWN_MARGIN_M = 0.05
 """How far the box around the robot's parts reaches beyond them (m)"""
 
 
-def find_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
-    """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
-
-    It is in the sensor's frame (m); None where there is no such thing in scans of any one shape.
-    """
+def stack_sample(
+    parts: Sequence[PosedScans], options: ReturnOptions
+) -> dict[tuple[float, float, int], Float64]:
+    """Stack scans by their shape: of each its stamp (s), pose (12) and ranges, in (S, 13 + B)."""
     seen: defaultdict[tuple[float, float, int], list[Float64]] = defaultdict(list)
     for part in parts:
         batch, (kind, reach, _) = part.batch, classify(part.batch, options)
         ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
         position, rotation = part.at_first_beam
-        place, heading = np.floor(position[:, :2] / PLACE_M), rotation[:, :2, 0]
         shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[shape].append(np.hstack([place, heading, ranges]))
+        poses = position, rotation.reshape(-1, 9)
+        seen[shape].append(np.column_stack([batch.stamp_ns / 1e9, *poses, ranges]))
+    return {shape: np.concatenate(scans) for shape, scans in seen.items()}
+
+
+def find_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
+    """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
+
+    It is in the sensor's frame (m); None where there is no such thing in scans of any one shape.
+    """
     points = [np.zeros((0, 2))]
-    for shape, scans in seen.items():
-        rows = np.concatenate(scans)
-        _, first = np.unique(rows[:, :2], axis=0, return_index=True)
-        heading, ranges = rows[first, 2:4], rows[first, 4:]
+    for shape, rows in stack_sample(parts, options).items():
+        _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
+        heading, ranges = rows[first][:, [4, 7]], rows[first, 13:]
         is_moving = len(first) >= MIN_PLACES and np.hypot(*heading.mean(axis=0)) < MOST_STRAIGHT
         middle = np.median(ranges, axis=0)
         stays = (np.abs(ranges - middle) <= OWN_SPREAD_M).mean(axis=0) >= OWN_SHARE
@@ -272,6 +278,33 @@ def find_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None
     low, high = every.min(axis=0) - OWN_MARGIN_M, every.max(axis=0) + OWN_MARGIN_M
     x_min, y_min, x_max, y_max = np.round([*low, *high], 2).tolist()
     return x_min, y_min, x_max, y_max
+
+
+FROZEN_S = 5.0
+FROZEN_STEP = 1e-6
+"""Poses that are held differ by less (m, or parts of a rotation); a robot that stands does, too."""
+CHANGED_M, CHANGED_SHARE = 0.2, 0.4
+"""In seven real logs people change 3% of the beams so much, at most, while the robot stands."""
+
+
+def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[float, float] | None:
+    """Find when poses stood still, though scans changed as of a robot that drives.
+
+    Returns
+    -------
+    start, end or None
+        The longest such time (s, as stamps are), if it takes some seconds.
+    """
+    found = []
+    for rows in stack_sample(parts, options).values():
+        scans = rows[np.argsort(rows[:, 0], kind="stable")]
+        moves = np.abs(np.diff(scans[:, 1:13], axis=0)).max(axis=1) > FROZEN_STEP
+        for still in np.split(scans, np.flatnonzero(moves) + 1):
+            changed = np.abs(still[:, 13:] - still[0, 13:]) > CHANGED_M
+            start, end = still[[0, -1], 0].tolist()
+            if end - start >= FROZEN_S and changed.mean() > CHANGED_SHARE:
+                found.append((start, end))
+    return max(found, key=lambda times: times[1] - times[0], default=None)
 
 
 MAX_SHAPES = 1000
