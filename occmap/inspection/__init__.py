@@ -371,7 +371,8 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
     posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
     agreement = estimate_agreement(topic.sample.parts, options)
-    is_other = posed.stated or suggested is not options.posing.stamps or (mount and mount.better)
+    is_other = suggested is not options.posing.stamps or bool(mount and mount.better)
+    is_explained = posed.stated or posed.problem or is_other
     return ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
@@ -386,6 +387,6 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         poses=posed,
         mount=mount,
         agreement=agreement,
-        hint="" if is_other else hint_at_tune(agreement, [str(log.path)], options),
+        hint="" if is_explained else hint_at_tune(agreement, [str(log.path)], options),
         frozen_s=find_frozen(topic.sample.parts, options.returns),
     )

@@ -283,8 +283,10 @@ def find_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None
 FROZEN_S = 5.0
 FROZEN_STEP = 1e-6
 """Poses that are held differ by less (m, or parts of a rotation); a robot that stands does, too."""
-CHANGED_M, CHANGED_SHARE = 0.2, 0.4
-"""In seven real logs people change 3% of the beams so much, at most, while the robot stands."""
+CHANGED_M, CHANGED_PART, CHANGED_SHARE = 0.2, 0.05, 0.4
+"""In seven real logs people change 3% of the beams by so much, at most, while the robot stands."""
+LEAST_KNOWN = 0.1
+"""Of the beams, so many must hit something before and after"""
 
 
 def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[float, float] | None:
@@ -300,9 +302,12 @@ def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[fl
         scans = rows[np.argsort(rows[:, 0], kind="stable")]
         moves = np.abs(np.diff(scans[:, 1:13], axis=0)).max(axis=1) > FROZEN_STEP
         for still in np.split(scans, np.flatnonzero(moves) + 1):
-            changed = np.abs(still[:, 13:] - still[0, 13:]) > CHANGED_M
-            start, end = still[[0, -1], 0].tolist()
-            if end - start >= FROZEN_S and changed.mean() > CHANGED_SHARE:
+            (start, end), ranges = still[[0, -1], 0].tolist(), still[:, 13:]
+            known = (ranges < NO_HIT_M) & (ranges[0] < NO_HIT_M)
+            least = np.maximum(CHANGED_M, CHANGED_PART * ranges[0])
+            changed = known & (np.abs(ranges - ranges[0]) > least)
+            is_much = changed.sum() > CHANGED_SHARE * max(known.sum(), LEAST_KNOWN * known.size)
+            if end - start >= FROZEN_S and is_much:
                 found.append((start, end))
     return max(found, key=lambda times: times[1] - times[0], default=None)
 
