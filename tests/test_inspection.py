@@ -25,6 +25,7 @@ from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, find_mount, prepare, turn_mount
 from occmap.sensor import ReturnOptions
 from occmap.types import Float32, Float64, Pose, PosedScans, PoseSample, Scan, ScanBatch
+from tests.csv_logs import write_scans
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
@@ -310,6 +311,43 @@ def test_other_times_are_not_tried_for_scans_that_no_time_helps(tmp_path: Path) 
     found = look(path)
     assert "none of 40 scans can be used: 40 no beams" in found.problems[0]
     assert found.command == ()
+
+
+@pytest.mark.parametrize(("ranges", "places"), [(1000, 1), (1, 1000), (1000, 1000), (1, 1)])
+def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
+    ranges: int, places: int, tmp_path: Path
+) -> None:
+    """The robot drives at 0.11 m/s, and the nearest wall is 1.1 m away."""
+    drive = Drive(spoil=lambda measured: measured * ranges)
+    poses = [(x * places, y * places, yaw) for x, y, yaw in map(drive.pose, range(SCANS))]
+    log = write_csv(tmp_path / "mm.csv", drive, "inf", poses)
+    expected = {"ranges are metres": ranges > 1, "places are metres": places > 1}
+    coarse = BuildOptions(resolution=10.0)
+    texts = [look(log).warnings, build([log], coarse).report.notes]
+    if max(ranges, places) > 1:
+        with pytest.raises(MapError) as told:
+            build([log], BuildOptions())
+        texts.append((str(told.value),))
+        assert look(log).command == ()
+    for found in texts:
+        whole = " ".join(found)
+        assert {words: words in whole for words in expected} == expected
+
+
+@pytest.mark.parametrize(("frozen", "still"), [(True, False), (True, True), (False, False)])
+def test_poses_that_stop_while_scans_change_are_told(
+    frozen: bool, still: bool, tmp_path: Path
+) -> None:
+    """From the 20th scan on, a second each, the poses stop, and maybe the robot does, too."""
+    drive = Drive()
+    stop = [min(index, 20) for index in range(SCANS)]
+    poses = [drive.pose(stop[index] if frozen else index) for index in range(SCANS)]
+    seen = [drive.ranges(stop[index] if still else index) for index in range(SCANS)]
+    log = tmp_path / "log.csv"
+    shape = {"angle_min": 0.0, "angle_increment": math.tau / BEAMS, "range_max": 30.0}
+    write_scans(log, range(SCANS), seen, poses, **shape)
+    told = [text for text in look(log).warnings if "stand still for 19 s, 20.000 s" in text]
+    assert len(told) == (frozen and not still)
 
 
 def test_stamps_that_jump_back_and_drift() -> None:

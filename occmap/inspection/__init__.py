@@ -18,7 +18,7 @@ from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
+from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
@@ -27,14 +27,12 @@ from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
-from occmap.scans.stream import Drive, find_oddity
+from occmap.scans.stream import Drive, find_oddity, suspect_millimetres
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
-FAR_M = 50.0
-"""Some beam of a laser that measures metres is shorter."""
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"
@@ -220,19 +218,14 @@ def list_doubts(topic: ScanFindings, has_poses: bool, stamps: Stamps) -> Iterato
     """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
     oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
     yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
-    if topic.mount and topic.mount.better:
-        yield warn_of_misfit(topic.mount.better)
-    lost = topic.poses.dropped
-    if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
-        yield Concern(f"scans without a pose: {write_counts(lost)}")
+    yield from list_pose_doubts(topic, has_poses)
     yield from list_clock_faults(topic, stamps)
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
-    if topic.ranges.smallest > FAR_M:
-        nearest = f"no range is below {topic.ranges.smallest:.4g} m"
-        yield Concern(f"{nearest}: ranges are metres; are these millimetres?", None)
+    if doubt := suspect_millimetres(topic.ranges.smallest):
+        yield Concern(doubt, None)
     if topic.ranges.body is not None:
         yield poses.warn_of_body(topic.ranges.body)
     if not topic.ranges.measured and not topic.is_of_clouds:
@@ -240,6 +233,21 @@ def list_doubts(topic: ScanFindings, has_poses: bool, stamps: Stamps) -> Iterato
         found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
         no_range = Concern("no range value is a measurement")
         yield Concern(found, None) if is_beyond else no_range
+
+
+def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
+    """Say what is strange about the mount and the poses of a topic."""
+    if topic.mount and topic.mount.better:
+        yield warn_of_misfit(topic.mount.better)
+    lost = topic.poses.dropped
+    if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
+        yield Concern(f"scans without a pose: {write_counts(lost)}")
+    if topic.frozen_s:
+        start, end = topic.frozen_s
+        since = start - topic.times.start_ns / 1e9
+        found = f"the poses stand still for {end - start:.3g} s, {since:.3f} s after the first scan"
+        why = "did odometry stop? map the rest by `start_s` and `end_s`, or give other poses"
+        yield Concern(f"{found}, and the scans change all the same: {why}", None)
 
 
 def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
@@ -299,6 +307,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
     scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
+    spoilers += ((topic, Concern(text, None)) for topic, text in poser.suspect_places() if text)
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
@@ -362,7 +371,8 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
     posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
     agreement = estimate_agreement(topic.sample.parts, options)
-    is_other = posed.stated or suggested is not options.posing.stamps or (mount and mount.better)
+    is_other = suggested is not options.posing.stamps or bool(mount and mount.better)
+    is_explained = posed.stated or posed.problem or is_other
     return ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
@@ -377,5 +387,6 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         poses=posed,
         mount=mount,
         agreement=agreement,
-        hint="" if is_other else hint_at_tune(agreement, [str(log.path)], options),
+        hint="" if is_explained else hint_at_tune(agreement, [str(log.path)], options),
+        frozen_s=find_frozen(topic.sample.parts, options.returns),
     )

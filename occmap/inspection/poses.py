@@ -18,7 +18,7 @@ from occmap.errors import MapError
 from occmap.evidence import list_contradictions
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
-from occmap.inspection.survey import NO_HIT_M, OWN_RANGE_M, TopicSurvey, find_body
+from occmap.inspection.survey import NO_HIT_M, OWN_RANGE_M, TopicSurvey, find_body, stack_scans
 from occmap.options import BuildOptions
 from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
@@ -201,8 +201,9 @@ def list_other_concerns(
 
     band, lattice = make_band(options.clouds, options.returns), Lattice(options.resolution)
     for topic, clouds in sorted(some.items()):
-        looks = [(posed, see_near(posed, ground, options)) for posed in clouds]
-        body = find_body(looks, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M)
+        rows = [stack_scans(posed, see_near(posed, ground, options)) for posed in clouds]
+        shape = -math.pi, math.tau / BEARINGS, BEARINGS
+        body = find_body(np.concatenate(rows), shape, OWN_SPREAD_M)
         if body is not None:
             yield topic, warn_of_body(body)
         engine = CloudEngine(lattice, band, ground, options.max_cells)

@@ -10,7 +10,6 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -129,6 +128,7 @@ class RangeCensus:
         beyond = 0 if measured else sum(n for (name, _), n in self.counts.items() if name == BEYOND)
         is_limit = math.isfinite(self.limit) and not beyond
         suggested = "clear" if is_open and not is_code and is_limit else "ignore"
+        bodies = (find_body(rows, it) for it, rows in stack_sample(sample, options).items())
         return RangeFindings(
             total=self.total,
             measured=measured,
@@ -141,7 +141,7 @@ class RangeCensus:
             ),
             repeated=repeated,
             crossed=crossed,
-            body=look_for_body(sample, options),
+            body=next(filter(None, bodies), None),
         )
 
 
@@ -243,23 +243,28 @@ OWN_MARGIN_M = 0.05
 """How far the box around the robot's parts reaches beyond them (m)"""
 
 
-Look: TypeAlias = tuple[PosedScans, Float64]
-"""Scans, and (S, B) how far each beam is from what it hit (m)"""
-
-
-def look_for_body(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
-    """Find a box around the robot in scans; see `find_body`."""
-    seen: defaultdict[tuple[float, float, int], list[Look]] = defaultdict(list)
+def stack_sample(
+    parts: Sequence[PosedScans], options: ReturnOptions
+) -> dict[tuple[float, float, int], Float64]:
+    """Stack scans by their shape: of each its stamp (s), pose (12) and ranges, in (S, 13 + B)."""
+    seen: defaultdict[tuple[float, float, int], list[Float64]] = defaultdict(list)
     for part in parts:
         batch, (kind, reach, _) = part.batch, classify(part.batch, options)
+        ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
         shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[shape].append((part, np.where(kind == Kind.HIT, reach, NO_HIT_M)))
-    boxes = filter(None, (find_body(looks, shape) for shape, looks in seen.items()))
-    return next(boxes, None)
+        seen[shape].append(stack_scans(part, ranges))
+    return {shape: np.concatenate(scans) for shape, scans in seen.items()}
+
+
+def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
+    """(S, 13 + B) the stamps (s), poses and ranges (S, B) of scans."""
+    position, rotation = posed.at_first_beam
+    poses = position, rotation.reshape(-1, 9)
+    return np.column_stack([posed.batch.stamp_ns / 1e9, *poses, ranges])
 
 
 def find_body(
-    looks: Sequence[Look], shape: tuple[float, float, int], spread: float = OWN_SPREAD_M
+    rows: Float64, shape: tuple[float, float, int], spread: float = OWN_SPREAD_M
 ) -> Box | None:
     """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
 
@@ -267,18 +272,16 @@ def find_body(
 
     Parameters
     ----------
+    rows
+        Scans of one shape, as `stack_scans` makes them.
     shape
         Bearing of the first beam, the angle from one to the next (rad), and how many there are.
     spread
         Parts of the robot keep their range so well (m).
     """
-    ranges = np.concatenate([ranges for _, ranges in looks])
-    position, rotation = map(
-        np.concatenate, zip(*(it.at_first_beam for it, _ in looks), strict=True)
-    )
-    _, first = np.unique(np.floor(position[:, :2] / PLACE_M), axis=0, return_index=True)
-    heading, ranges = rotation[first, :2, 0].mean(axis=0), ranges[first]
-    if len(first) < MIN_PLACES or math.hypot(*heading) > MOST_STRAIGHT:
+    _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
+    heading, ranges = rows[first][:, [4, 7]], rows[first, 13:]
+    if len(first) < MIN_PLACES or np.hypot(*heading.mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
     stays = (np.abs(ranges - middle) <= spread).mean(axis=0) >= OWN_SHARE
@@ -288,6 +291,38 @@ def find_body(
     low, high = every.min(axis=0) - OWN_MARGIN_M, every.max(axis=0) + OWN_MARGIN_M
     x_min, y_min, x_max, y_max = np.round([*low, *high], 2).tolist()
     return x_min, y_min, x_max, y_max
+
+
+FROZEN_S = 5.0
+FROZEN_STEP = 1e-6
+"""Poses that are held differ by less (m, or parts of a rotation); a robot that stands does, too."""
+CHANGED_M, CHANGED_PART, CHANGED_SHARE = 0.2, 0.05, 0.4
+"""In seven real logs people change 3% of the beams by so much, at most, while the robot stands."""
+LEAST_KNOWN = 0.1
+"""Of the beams, so many must hit something before and after"""
+
+
+def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[float, float] | None:
+    """Find when poses stood still, though scans changed as of a robot that drives.
+
+    Returns
+    -------
+    start, end or None
+        The longest such time (s, as stamps are), if it takes some seconds.
+    """
+    found = []
+    for rows in stack_sample(parts, options).values():
+        scans = rows[np.argsort(rows[:, 0], kind="stable")]
+        moves = np.abs(np.diff(scans[:, 1:13], axis=0)).max(axis=1) > FROZEN_STEP
+        for still in np.split(scans, np.flatnonzero(moves) + 1):
+            (start, end), ranges = still[[0, -1], 0].tolist(), still[:, 13:]
+            known = (ranges < NO_HIT_M) & (ranges[0] < NO_HIT_M)
+            least = np.maximum(CHANGED_M, CHANGED_PART * ranges[0])
+            changed = known & (np.abs(ranges - ranges[0]) > least)
+            is_much = changed.sum() > CHANGED_SHARE * max(known.sum(), LEAST_KNOWN * known.size)
+            if end - start >= FROZEN_S and is_much:
+                found.append((start, end))
+    return max(found, key=lambda times: times[1] - times[0], default=None)
 
 
 MAX_SHAPES = 1000

@@ -14,7 +14,15 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.posing import Concern, Deskew, PosingOptions, chain
 from occmap.posing.chain import Chain, Status, Transforms
-from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, warn_of_jumps
+from occmap.posing.course import (
+    STANDS,
+    Course,
+    Stance,
+    list_tilts,
+    stands,
+    suspect_places,
+    warn_of_jumps,
+)
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
@@ -276,6 +284,11 @@ class Poser:
                 # Where poses are mixed, they jump for no other reason.
                 if jumped := course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first):
                     yield topic, jumped
+
+    def suspect_places(self) -> Iterator[tuple[str, str]]:
+        """Say where places of sensors can hardly be metres, each with its topic."""
+        for (topic, _), course in self._list_posed():
+            yield topic, suspect_places(course.build())
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:
         """Say which topics hold the scans of another one, such as those that were filtered."""

@@ -36,6 +36,8 @@ SET_BACK_S = 1.0
 """Messages of one frame are late by less."""
 FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 """A robot that drives turns back at once at hardly any of its poses, and by less"""
+UNREAL_M_PER_S = 100.0
+"""A quarter of the steps of no car is as fast; those of a robot of which places are in mm are."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
 """Offsets from a step to those beside it, which say how fast the robot drives there."""
 FASTEST_BESIDE = 3
@@ -282,6 +284,15 @@ def stands(track: Track) -> bool:
     """Whether a sensor never moved, though there were scans enough to see it move."""
     moves = tracks.differ(track.position, track.quaternion, STILL_M, STILL_RAD)
     return len(track) >= STILL_SCANS and not moves
+
+
+def suspect_places(track: Track) -> str:
+    """Say if a sensor moves faster than any does between most scans; "" if it does not."""
+    speed = track.step_m / track.interval_s
+    if not len(speed) or np.quantile(speed, 0.75) < UNREAL_M_PER_S:
+        return ""
+    found = f"the sensor moves at {np.quantile(speed, 0.75):.3g} m/s"
+    return f"{found}: places are metres; are these millimetres, or are the times wrong?"
 
 
 class Stance(NamedTuple):

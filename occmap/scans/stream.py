@@ -181,6 +181,17 @@ def find_oddity(angle_increment: float, beams: int) -> str:
     return ""
 
 
+FAR_M = 50.0
+"""Some beam of a laser that measures metres is shorter."""
+
+
+def suspect_millimetres(nearest_m: float) -> str:
+    """Say if the nearest range of a laser is too far away to be metres; "" if it is not."""
+    if not FAR_M < nearest_m < math.inf:
+        return ""
+    return f"no range is below {nearest_m:.4g} m: ranges are metres; are these millimetres?"
+
+
 def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterator[str]:
     """Say which options of its reader a log has no use for."""
     types = [stream.type for stream in log.streams if stream.topic in topics]
@@ -199,6 +210,8 @@ class Drive:
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._first_ns = 0
         self._odd: dict[str, None] = {}
+        self._nearest_m: defaultdict[str, float] = defaultdict(lambda: math.inf)
+        """The nearest range of each topic that is a measurement"""
 
     def renew(self, options: BuildOptions) -> "Drive":
         """Make a drive that has read no scan, by the poses that are known and other options."""
@@ -259,7 +272,10 @@ class Drive:
         limited = map(self.limits.apply, stack(chosen, stamps))
         for batch in tally.time_each("read", limited):
             selector.look(batch)
-            beams = batch.ranges.shape[1]
+            ranges, beams = batch.ranges, batch.ranges.shape[1]
+            measured = (ranges > 0) & (ranges < batch.range_max)
+            nearest = float(np.min(ranges, initial=self._nearest_m[batch.topic], where=measured))
+            self._nearest_m[batch.topic] = nearest
             if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
                 self._odd[f"{batch.topic}: {oddity}"] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
@@ -279,10 +295,23 @@ class Drive:
             return ""
         return "scans of one beam have no inside, and polygon frees no cell: choose another update"
 
+    def suspect_units(self) -> list[str]:
+        """Say where ranges can hardly be metres, and where places cannot be."""
+        ranges = ((topic, suspect_millimetres(it)) for topic, it in self._nearest_m.items())
+        doubts = (*ranges, *self.poser.suspect_places())
+        return [f"{topic}: {doubt}" for topic, doubt in doubts if doubt]
+
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
         concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
         idle = list_idle(self.log, self.topics, self.options.reading)
-        return [*idle, *self.poser.notes, *self._odd, *told, *self.limits.list_notes()]
+        return [
+            *idle,
+            *self.poser.notes,
+            *self._odd,
+            *self.suspect_units(),
+            *told,
+            *self.limits.list_notes(),
+        ]

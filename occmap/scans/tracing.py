@@ -80,10 +80,11 @@ def trace(drive: Drive, add_rays: AddRays, tally: Tally) -> bool:
     """Trace the scans of a log; say whether they were read as all of it says they should be."""
     try:
         trace_stream(drive, add_rays, tally)
-    except MapError:
+    except MapError as error:
         # Without scans that leap away the map may be small enough.
         if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
-            raise
+            doubts = "; ".join(drive.suspect_units())
+            raise MapError(error.found, where=error.where, fix=doubts or error.fix) from None
         return False
     return drive.settle()
 

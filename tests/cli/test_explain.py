@@ -47,6 +47,16 @@ def test_a_cell_in_lines() -> None:
     ]
 
 
+def test_a_cell_that_only_the_spread_of_hits_reaches_is_told_as_such() -> None:
+    """The beam ends in column 3: nothing looked at column 4."""
+    write_csv(Path("once.csv"), ACROSS[:1], [0.32])
+    assert occmap("build beam once.csv -r 0.1 --hit-offset 0 -o once.npz").code == 0
+    lines = occmap("explain once.npz 0.45 0.05").out.splitlines()
+    assert lines[1].startswith("class    occupied: ")
+    assert lines[2].startswith("seen     nothing of its own: ")
+    assert "(--spread)" in lines[2]
+
+
 def test_eighths_are_told_as_observations_and_json_says_the_unit() -> None:
     assert occmap("build surface a.csv -r 0.1 --hit-offset 0 -o s.npz").code == 0
     question = "explain s.npz 0.37 0.05"
