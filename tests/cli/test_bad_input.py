@@ -119,8 +119,8 @@ def test_a_log_without_scans_says_what_it_holds_and_what_is_damaged() -> None:
     [
         ("# angle_min: 0\nstamp,x,y,yaw,r0,r1\n0,0,0,0,1,1\n", "", "angle_increment"),
         (HEAD + "x,y,yaw,r0,r1\n0,0,0,1,1\n", "", "stamp"),
-        (HEAD + "stamp,x,y,yaw,r0,r1\n0,0,0,0,1,1\n0,0,0,0,one,1\n0,0,0,0,1,1\n", ":5", "'one'"),
-        (HEAD + "stamp,x,y,yaw,r0\n0,0,north,0,1\n0,0,0,0,1\n", ":4", "'north'"),
+        (HEAD + "stamp,x,y,yaw,r0,r1\n0,0,0,0,one,1\n0,0,0,0,1,two\n", ":4", "'one'"),
+        (HEAD + "stamp,x,y,yaw,r0\n0,0,north,0,1\n", ":4", "'north'"),
         (HEAD + "stamp,r0,r1\n0,1,1\n1,1,1\n", "", "looked for tf, odometry and"),
         (HEAD + "stamp,r0,r1\n0,1,1\n1,1,1\n", "", "give a trajectory: --poses FILE"),
     ],
