@@ -157,10 +157,10 @@ def test_damage_is_a_warning_and_told_once() -> None:
     assert line.startswith("warning   cut.mcap: ")
 
 
-def test_a_log_that_cannot_be_read_through_has_one_problem() -> None:
+def test_a_log_that_cannot_be_read_has_one_problem() -> None:
     head = "# angle_min: -1\n# angle_increment: 1\n# range_max: 10\nstamp,x,y,yaw,r0,r1\n"
-    Path("few.csv").write_text(head + "1,0,0,0,1,2\n2,0,0,0,1,2\njunk\n3,0,0,0,1,2\n")
+    Path("few.csv").write_text(head + "junk\n")
     found = occmap("check few.csv --json").json
     assert found["warnings"] == []
     (problem,) = found["problems"]
-    assert problem.startswith("few.csv:7: 1 cells where the header has 6")
+    assert problem.startswith("few.csv:5: 1 cells where the header has 6")
