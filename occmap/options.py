@@ -164,7 +164,7 @@ IDLE = {
 }
 """Options that do nothing with an update"""
 
-COMMAND_FLAGS = ("dask", "output", "overview", "scratch", "strict", "truth")
+COMMAND_FLAGS = ("dask", "output", "overview", "scratch", "skip_unreadable", "strict", "truth")
 OTHER_FLAGS = {
     **{name: "--" + name.replace("_", "-") for name in (*PARAMETERS, *COMMAND_FLAGS)},
     "limits": "--fail-if",

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from time import perf_counter
@@ -19,9 +20,11 @@ from occmap.errors import LogError, OccmapError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.plugins import guess
-from occmap.report import label_first
+from occmap.readers import open_log
+from occmap.report import Note, label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
+from occmap.scans.logs import count_scans
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
 
@@ -42,6 +45,7 @@ SCRATCH = Option(
     help="With --dask: a folder for intermediate files, shared by all workers. A build that is "
     "killed and run again goes on where it was.",
 )
+SKIP = flag(RUN, "--skip-unreadable", text="Leave out logs without readable scans, as damage.")
 STRICT = flag(RUN, "--strict", text="Write the map, then exit with 1 if a log is damaged.")
 
 USUAL = (
@@ -66,7 +70,7 @@ USUAL = (
     *options.RANGES_READ,
     *options.list_model(choose_model(DEFAULT_UPDATE).name),
     *options.SCANS_READ,
-    *(fail_if(BUILD, "agreement < 70%"), options.JOBS, DASK, SCRATCH, STRICT, CONFIG),
+    *(fail_if(BUILD, "agreement < 70%"), options.JOBS, DASK, SCRATCH, SKIP, STRICT, CONFIG),
     usual=USUAL,
 )
 def build_command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:
@@ -84,9 +88,11 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     given, chosen = read_request(words, values)
     console.announce(*list_idle(values))
     logs = options.gather_logs(console, given, chosen, values["outputs"])
+    logs, lost = find_readable(logs, chosen) if values["skip_unreadable"] else (logs, [])
     values["outputs"] = options.place_outputs(console, values["outputs"], logs[0])
     start = perf_counter()
     report = options.hide_sent(run_build(console, logs, chosen, values))
+    report = replace(report, notes=(*lost, *report.notes))
     seconds = perf_counter() - start
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
@@ -119,6 +125,18 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
         raise UsageError("where to write the map is not given", fix="add -o map.pgm")
     model = options.collect_model(values, choose_model(update))
     return logs, take(BuildOptions, {**values, "update": update, "model": model})
+
+
+def find_readable(logs: list[Path], chosen: BuildOptions) -> tuple[list[Path], list[Note]]:
+    """Leave out logs that cannot be opened or hold no scans, with a note on each; never all."""
+    readable, lost = [], []
+    for path in logs:
+        try:
+            count_scans(open_log(path, chosen.reading), chosen.selection.topics)
+            readable.append(path)
+        except LogError as error:
+            lost.append(Note(f"{path}: left out: {error.found}", damage=True))
+    return readable or logs, lost if readable else []
 
 
 def list_idle(values: Values) -> Iterator[str]:

@@ -223,9 +223,9 @@ def tell_map(grid: MapSummary, hint: str = "") -> list[Row]:
     size = f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m"
     turned = f", turned by {grid.align:g} degrees" if grid.align else ""
     # Between occupied and free there may be undecided cells.
-    shares = {name: getattr(grid, name) for name in ("occupied", "free", "unknown")}
-    shares |= {"undecided": grid.undecided} if grid.undecided > 5e-4 else {}
-    cells = ", ".join(f"{share:.1%} {name}" for name, share in shares.items())
+    shares = {name: getattr(grid, name) for name in ("occupied", "free", "unknown", "undecided")}
+    told = [name for name, share in shares.items() if share > 5e-4 or name == "occupied"]
+    cells = ", ".join(f"{shares[name]:.1%} {name}" for name in told)
     rows = [("map", f"{size}, {write_box(grid.extent)}{turned}"), ("cells", cells)]
     if grid.agreement is not None:
         found = f"{grid.agreement:.1%} of the hits lie in occupied cells"

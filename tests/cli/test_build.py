@@ -206,6 +206,24 @@ def test_damage_is_a_note_and_with_strict_an_error_after_the_map(here: Path) -> 
     assert told.json["damage"]
 
 
+@pytest.mark.parametrize("workers", [[], ["--dask", "local", "--jobs", "1"]])
+def test_logs_that_cannot_be_read_are_left_out_as_damage(here: Path, workers: list[str]) -> None:
+    (here / "rnd.bag").write_bytes(b"nothing")
+    (here / "cut.mcap").write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60])
+    line = ["build", "rnd.bag", DRIVE, "cut.mcap", "-o", "m.pgm", *workers]
+    assert read_error(occmap(*line, "-q"), 1).startswith("rnd.bag: ")
+    told = ask(*line, "--skip-unreadable", "--fail-if", "damage > 2")
+    assert told["logs"] == [str(DRIVE)]
+    assert told["scans"]["used"] == 414
+    first, second = told["damage"]
+    assert first.startswith("rnd.bag: left out: a text file of no known log format")
+    assert second.startswith("cut.mcap: left out: nothing in it can be read")
+    assert set(told["damage"]) <= set(told["notes"])
+    assert occmap(*line, "--skip-unreadable", "--fail-if", "damage > 1").code == 3
+    none = occmap("build", "rnd.bag", "-o", "m.pgm", "--skip-unreadable")
+    assert read_error(none, 1).startswith("rnd.bag: a text file of no known")
+
+
 def test_a_map_without_walls_is_noted() -> None:
     write_csv(Path("log.csv"), [(0, 0, 0)], [1.0, 2.0], 0.5)
     told = occmap("build log.csv -o m.pgm --max-range 0.5")
