@@ -46,7 +46,8 @@ def suggest_stamps(
     """Find out by which of the two times of a message more scans have a pose, or fit better."""
     chosen, wanted = posing.poser.options.stamps, topic.read - topic.left_out.total()
     is_posed = topic.posed >= WELL_POSED * wanted
-    if topic.stated or not posing.poser.chains or (is_posed and abs(drift_s) <= DRIFT_S):
+    is_sound = is_posed and (abs(drift_s) <= DRIFT_S or not topic.sample.parts)
+    if topic.stated or not posing.poser.chains or is_sound:
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     others = replace(posing.poser.options, stamps=other)

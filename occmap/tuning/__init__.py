@@ -181,10 +181,12 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
 
 def list_better_stamps(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
     """Say where the scans fit the other of their two times better than any time offset."""
-    for topic in inspect(paths, options).topics:
-        if (stamps := topic.times.suggested_stamps) is not options.posing.stamps:
-            found = f"{topic.topic}: stamps drift by {topic.times.drift_s:.3g} s against the record"
-            yield f"{found} times; the scans fit better: tune again with `stamps={stamps.value}`"
+    for log in inspect(paths, options).logs:
+        for topic in log.scans:
+            if (stamps := topic.times.suggested_stamps) is not options.posing.stamps:
+                drift = f"stamps drift by {topic.times.drift_s:.3g} s against the record times"
+                better = f"the scans fit better: tune again with `stamps={stamps.value}`"
+                yield f"{log.path}: {topic.topic}: {drift}; {better}"
 
 
 def improve(before: Trial, after: Trial) -> dict[str, Any]:
