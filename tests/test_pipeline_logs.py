@@ -112,7 +112,7 @@ def test_a_wild_pose_costs_no_memory_and_is_refused_by_its_extent(tmp_path: Path
 @pytest.mark.parametrize("update", BEAM_UPDATES)
 def test_a_wild_range_is_refused_at_once(tmp_path: Path, update: Update) -> None:
     log = write_csv(tmp_path / "log.csv", STILL * 3, [1e5, 1e5], 0.1)
-    with pytest.raises(MapError, match=r"cells, more than `max_cells=1000000000`; .*`max_range`"):
+    with pytest.raises(MapError, match=r"cells, more than `max_cells=1000000000`; .*millimetres"):
         build([log], BuildOptions(update=update, jobs=1))
 
 

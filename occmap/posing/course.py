@@ -289,7 +289,7 @@ def stands(track: Track) -> bool:
 def suspect_places(track: Track) -> str:
     """Say if a sensor moves faster than any does between most scans; "" if it does not."""
     speed = track.step_m / track.interval_s
-    if not len(speed) or np.quantile(speed, 0.75) < UNREAL_M_PER_S:
+    if len(speed) < STILL_SCANS or np.quantile(speed, 0.75) < UNREAL_M_PER_S:
         return ""
     found = f"the sensor moves at {np.quantile(speed, 0.75):.3g} m/s"
     return f"{found}: places are metres; are these millimetres, or are the times wrong?"
