@@ -9,7 +9,13 @@ from typing import Any
 from occmap.cells import Evidence, Manifest, OccupancyMap, sum_tiles
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions, list_misfit, render_lasting
-from occmap.evidence.manifest import describe_about, describe_build, list_doubts, plan_manifest
+from occmap.evidence.manifest import (
+    describe_about,
+    describe_build,
+    list_doubts,
+    measure_files,
+    plan_manifest,
+)
 from occmap.grid.tiles import add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import results
@@ -62,7 +68,7 @@ def build(
         with tally.time("write"):  # to hash the logs takes time
             wants_evidence = want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
-            is_compared = past or len({path.stat().st_size for path in paths}) < len(paths)
+            is_compared = past or len(set(map(measure_files, paths))) < len(paths)
             is_told = wants_evidence or is_compared
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = replace(manifest, builds=(*manifest.builds, *made))

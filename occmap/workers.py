@@ -1,25 +1,11 @@
 """Threads that work on batches while the next one is read; kernels and NumPy release the GIL."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from contextvars import ContextVar
 from typing import Generic, Self, TypeVar
 
 Item = TypeVar("Item")
-HAS_HELP = ContextVar("HAS_HELP", default=False)
-"""Whether readers may unpack what they read next in another thread"""
-
-
-@contextmanager
-def help_readers(jobs: int) -> Iterator[None]:
-    """Let readers have another thread while the block runs, if there may be several."""
-    token = HAS_HELP.set(jobs > 1)
-    try:
-        yield
-    finally:
-        HAS_HELP.reset(token)
 
 
 def count_cores() -> int:

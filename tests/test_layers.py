@@ -25,7 +25,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
 SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values"}
-SHARED |= {"report", "workers"}
+SHARED |= {"report"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},

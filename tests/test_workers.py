@@ -3,14 +3,11 @@
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from threading import Event, Lock, current_thread
 
 import pytest
 
-from occmap.readers import open_log
-from occmap.workers import Workers, help_readers
-from tests.samples import SAMPLE_LOGS
+from occmap.workers import Workers
 
 PATIENCE_S = 30
 """No test waits so long unless it fails."""
@@ -116,19 +113,3 @@ def test_after_an_error_of_the_giver_nothing_more_is_begun(monkeypatch: pytest.M
     with pytest.raises(KeyboardInterrupt):
         give_and_fail()
     assert done == [0]
-
-
-@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "hall.mcap"])
-@pytest.mark.parametrize("cut", [None, 0.6])
-def test_what_is_unpacked_ahead_is_the_same(name: str, cut: float | None, tmp_path: Path) -> None:
-    log = tmp_path / name
-    data = (SAMPLE_LOGS / name).read_bytes()
-    log.write_bytes(data if cut is None else data[: int(cut * len(data))])
-    read = []
-    for jobs in (1, 2):
-        opened = open_log(log)
-        with help_readers(jobs):
-            poses = list(opened.poses())
-        read.append((poses, opened.notes))
-    assert len(read[0][0]) > 20
-    assert read[0] == read[1]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
-from itertools import combinations, takewhile
+from itertools import combinations
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -97,6 +97,11 @@ def describe_files(path: Path) -> Iterator[dict[str, Any]]:
         yield {"name": name, "bytes": size, "sha256": digest}
 
 
+def measure_files(path: Path) -> int:
+    """Count the bytes of a file, or of all files in a folder."""
+    return sum(each.stat().st_size for each in list_files(path))
+
+
 def list_files(path: Path) -> list[Path]:
     """List a file, or all files in a folder."""
     return sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
@@ -109,8 +114,11 @@ def list_trajectory(build: BuildRecord) -> list[dict[str, Any]]:
     poses = build["options"]["posing"]["poses"] or ""
     if poses != name and not poses.startswith(f"{name}:"):  # of a recording, its topic may follow
         return []
-    last = takewhile(lambda entry: slash and entry["name"].startswith(f"{name}/"), inputs[::-1])
-    return list(last) or [inputs[-1]]
+    first = len(inputs) - 1
+    # The files of one folder are in order, so that a folder of logs of that name ends before them.
+    while slash and first and f"{name}/" <= inputs[first - 1]["name"] < inputs[first]["name"]:
+        first -= 1
+    return list(inputs[first:])
 
 
 def list_inputs(build: BuildRecord) -> list[dict[str, Any]]:

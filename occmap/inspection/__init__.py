@@ -247,7 +247,7 @@ def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         since = start - topic.times.start_ns / 1e9
         found = f"the poses stand still for {end - start:.3g} s, {since:.3f} s after the first scan"
         why = "did odometry stop? map the rest by `start_s` and `end_s`, or give other poses"
-        yield Concern(f"{found}, and the scans change all the same: {why}", None)
+        yield Concern(f"{found}, and the scans change all the same: {why}")
 
 
 def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
@@ -261,12 +261,12 @@ def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
     if times.jumps_back:
         yield Concern(f"stamps jump back {count(times.jumps_back, 'time')}")
     if abs(times.drift_s) > poses.DRIFT_S:
-        mended, better = {}, "no better with the other of the two times"
-        if times.suggested_stamps is not stamps:
-            mended = {"stamps": times.suggested_stamps.value}
-            better = f"better with `stamps={times.suggested_stamps.value}`"
-        drift = f"stamps drift by {times.drift_s:.3g} s against the record times"
-        yield Concern(f"{drift}; the scans fit {better}", mended)
+        found = f"stamps drift by {times.drift_s:.3g} s against the record times"
+        if times.suggested_stamps is not stamps:  # as `list_advised` says, too
+            found += f"; the scans fit better with `stamps={times.suggested_stamps.value}`"
+        elif topic.poses.posed:
+            found += "; the scans fit no better with the other of the two times"
+        yield Concern(found)
 
 
 __all__ = ["Inspection", "inspect"]

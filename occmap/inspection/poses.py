@@ -18,7 +18,7 @@ from occmap.errors import MapError
 from occmap.evidence import list_contradictions
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
-from occmap.inspection.survey import NO_HIT_M, OWN_RANGE_M, TopicSurvey, find_body, stack_scans
+from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
 from occmap.options import BuildOptions
 from occmap.posing import Concern, Stamps
 from occmap.posing.attach import Poser
@@ -183,6 +183,7 @@ def list_floor_concerns(
         yield topic, Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
 
 
+SEEN_M = 10.0
 BEARINGS, OWN_SPREAD_M = 180, 0.1
 """Of a turn, in which clouds are looked through for the robot: the nearest of its points in each
 keeps its range less well than a beam does (m)"""
@@ -202,21 +203,23 @@ def list_other_concerns(
 
     band, lattice = make_band(options.clouds, options.returns), Lattice(options.resolution)
     for topic, clouds in sorted(some.items()):
-        rows = [stack_scans(posed, see_near(posed, ground, options)) for posed in clouds]
+        rows = [stack_scans(posed, see_around(posed, ground, options)) for posed in clouds]
         shape = -math.pi, math.tau / BEARINGS, BEARINGS
         body = find_body(np.concatenate(rows), shape, OWN_SPREAD_M)
         if body is not None:
             yield topic, warn_of_body(body)
+        if not is_right:
+            continue
         engine = CloudEngine(lattice, band, ground, options.max_cells)
         with suppress(MapError):  # it gets too large, which is a problem by itself
             for posed in clouds:
                 engine.add(posed)
-            found = list_contradictions(engine.finish()) if is_right else ()
+            found = list_contradictions(engine.finish())
             yield from ((topic, Concern(text)) for text in found)
 
 
-def see_near(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
-    """(S, 180) how far obstacles are by their bearing in the sensor's frame, if they are near."""
+def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
+    """(S, 180) how far obstacles are by their bearing in the sensor's frame, up to 10 m."""
     ranges = np.full((len(posed.batch.stamp_ns), BEARINGS), NO_HIT_M)
     if posed.origin is not None:  # nothing is known of how the sensor saw them
         return ranges
@@ -224,7 +227,7 @@ def see_near(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float6
     for cloud, position, rotation, nearest in clouds:
         points = cloud.points[:, :3].astype(np.float64)
         distance = np.hypot(points[:, 0], points[:, 1])
-        is_near = (distance > options.returns.min_range) & (distance < OWN_RANGE_M)
+        is_near = (distance > options.returns.min_range) & (distance < SEEN_M)
         points, distance = points[is_near], distance[is_near]
         place = points @ rotation.T + position
         stands = place[:, 2] - ground.find_heights(place) >= options.clouds.min_height

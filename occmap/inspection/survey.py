@@ -238,6 +238,8 @@ PLACE_M, MIN_PLACES = 0.5, 8
 MOST_STRAIGHT = 0.9
 """Of the scans at one place, so large, only the first counts: a parked robot sees a wall as it sees
 itself. At fewer places, or where the mean of all headings is longer, nothing is told"""
+OWN_CELL_M, MOST_WALL = 0.2, 0.5
+"""A wall that the robot follows is hit by its other beams, too, in more of its cells (m) than this"""
 MIN_OWN_BEAMS = 3
 OWN_MARGIN_M = 0.05
 """How far the box around the robot's parts reaches beyond them (m)"""
@@ -280,14 +282,21 @@ def find_body(
         Parts of the robot keep their range so well (m).
     """
     _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
-    heading, ranges = rows[first][:, [4, 7]], rows[first, 13:]
-    if len(first) < MIN_PLACES or np.hypot(*heading.mean(axis=0)) > MOST_STRAIGHT:
+    place, turn = rows[first, 1:3], rows[first, 4:13].reshape(-1, 3, 3)[:, :2, :2]
+    ranges, ways = rows[first, 13:], tabulate_bearings(*shape)
+    if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
     stays = (np.abs(ranges - middle) <= spread).mean(axis=0) >= OWN_SHARE
-    every = (middle * tabulate_bearings(*shape)).T[stays & (middle < OWN_RANGE_M)]
-    if len(every) < MIN_OWN_BEAMS:
+    own = stays & (middle < OWN_RANGE_M)
+    if own.sum() < MIN_OWN_BEAMS:
         return None
+    ends = place[:, None] + np.einsum("sij,jb,sb->sbi", turn, ways, ranges)
+    cells, is_hit = encode_cells(ends, OWN_CELL_M), ranges < NO_HIT_M
+    is_wall = np.isin(cells[is_hit & own], cells[is_hit & ~own])
+    if is_wall.mean() > MOST_WALL:
+        return None
+    every = (middle * ways).T[own]
     low, high = every.min(axis=0) - OWN_MARGIN_M, every.max(axis=0) + OWN_MARGIN_M
     x_min, y_min, x_max, y_max = np.round([*low, *high], 2).tolist()
     return x_min, y_min, x_max, y_max
@@ -316,9 +325,10 @@ def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[fl
         moves = np.abs(np.diff(scans[:, 1:13], axis=0)).max(axis=1) > FROZEN_STEP
         for still in np.split(scans, np.flatnonzero(moves) + 1):
             (start, end), ranges = still[[0, -1], 0].tolist(), still[:, 13:]
-            known = (ranges < NO_HIT_M) & (ranges[0] < NO_HIT_M)
-            least = np.maximum(CHANGED_M, CHANGED_PART * ranges[0])
-            changed = known & (np.abs(ranges - ranges[0]) > least)
+            usual = np.median(ranges, axis=0)
+            known = (ranges < NO_HIT_M) & (usual < NO_HIT_M)
+            least = np.maximum(CHANGED_M, CHANGED_PART * usual)
+            changed = known & (np.abs(ranges - usual) > least)
             is_much = changed.sum() > CHANGED_SHARE * max(known.sum(), LEAST_KNOWN * known.size)
             if end - start >= FROZEN_S and is_much:
                 found.append((start, end))

@@ -126,7 +126,8 @@ class Messages(NamedTuple):
         key, length = self.key[order], length[order]
         cuts = np.flatnonzero((np.diff(key) != 0) | (np.diff(length) != 0)) + 1
         for first, last in pairwise([0, *cuts.tolist(), len(order)]):
-            parts = -(-(last - first) * int(length[first]) // most_bytes) or 1
+            parts = -(-(last - first) * int(length[first]) // most_bytes)
+            parts = min(parts, last - first) or 1
             yield from map(self.take, np.array_split(order[first:last], parts))
 
     def read(self, start: int, end: int) -> UInt8:

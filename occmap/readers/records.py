@@ -16,8 +16,6 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -30,7 +28,6 @@ from occmap.readers import NoteList
 from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, Messages
 from occmap.report import count
 from occmap.types import Int64
-from occmap.workers import HAS_HELP
 
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
@@ -71,9 +68,6 @@ of thousands."""
 
 Records: TypeAlias = Int64
 """(N, 5) records, one in each row"""
-
-Part: TypeAlias = list[Record] | Callable[[], Buffer]
-"""Messages that lie in the open one behind another, or what unpacks a chunk"""
 
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
@@ -196,9 +190,7 @@ class RecordSource(ABC):
             for _, _, start, _, end in records[records[:, 0] == DESCRIPTION].tolist():
                 descriptions.setdefault(bytes(data[start:end]), position)
             keys = records[:, 0]
-            chosen = keys >= 0 if wanted is None else np.zeros(len(keys), np.bool_)
-            for key in wanted or ():
-                chosen |= keys == key
+            chosen = keys >= 0 if wanted is None else np.isin(keys, list(wanted))
             if chosen.any():
                 yield data, records[chosen]
 
@@ -207,32 +199,23 @@ class RecordSource(ABC):
     ) -> Iterator[tuple[int, memoryview, Records]]:
         """Give what may hold messages of some channels, by its position: its bytes and records.
 
-        With help, a chunk is unpacked while what lies before it is read.
+        It is a chunk, or messages that lie in the open one behind another.
         """
-        with ThreadPoolExecutor(1, "occmap") if HAS_HELP.get() else nullcontext() as helper:
-            for position, part in _run_ahead(self._plan(file, wanted), helper):
-                if isinstance(part, list):
-                    yield _cut(file, part, wanted)
-                else:
-                    block = memoryview(part())
-                    yield position, block, self._list_records(position, block)
-
-    def _plan(self, file: FileBytes, wanted: Collection[int] | None) -> Iterator[tuple[int, Part]]:
-        """Give chunks to unpack, and runs of messages that lie in the open."""
         run: list[Record] = []
         for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
             kind, _, position, _, end = record
             if run and (kind < 0 or run[0][0] < 0 or end - run[0][2] > _WINDOW):
-                yield run[0][2], run
+                yield _cut(file, run, wanted)
                 run = []
             if kind == CHUNK:
                 held = self._summary.chunks.get(position)
                 if not held or wanted is None or any(key in wanted for key in held):
-                    yield position, partial(self._open_chunk, position, file[position:end])
+                    block = memoryview(self._open_chunk(position, file[position:end]))
+                    yield position, block, self._list_records(position, block)
             elif kind == DESCRIPTION or (kind >= 0 and (wanted is None or kind in wanted)):
                 run.append(record)
         if run:
-            yield run[0][2], run
+            yield _cut(file, run, wanted)
 
     def _list_records(self, position: int, block: memoryview) -> Records:
         """List the records of a chunk; note where it is damaged."""
@@ -326,19 +309,6 @@ class RecordSource(ABC):
         for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
             if begin < end:
                 yield bytes(block[begin:end])
-
-
-def _run_ahead(
-    parts: Iterator[tuple[int, Part]], helper: ThreadPoolExecutor | None
-) -> Iterator[tuple[int, Part]]:
-    """Give parts as they come; a helper begins to unpack each when the one before it is given."""
-    ready: list[tuple[int, Part]] = []
-    for position, part in parts:
-        done = part if helper is None or isinstance(part, list) else helper.submit(part).result
-        ready.append((position, done))
-        if helper is None or len(ready) > 1:
-            yield ready.pop(0)
-    yield from ready
 
 
 def _cut(

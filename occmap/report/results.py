@@ -12,7 +12,7 @@ import numpy as np
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.choices import list_values
 from occmap.grid.tiles import TileGrid
-from occmap.options import OPTIONS, BuildOptions, choose_model
+from occmap.options import OPTIONS, BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally
@@ -214,7 +214,8 @@ def hint_at_tune(agreement: float | None, logs: Sequence[str], options: BuildOpt
     is_poor = agreement is not None and LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT
     if not is_poor or not is_usual or options.model != choose_model(options.update):
         return ""
-    named = shlex.join(logs[:MOST_NAMED]) + " ..." * (len(logs) > MOST_NAMED)
+    words = compose_build(logs[:MOST_NAMED], options, {})[2:-2]
+    named = shlex.join(words) + " ..." * (len(logs) > MOST_NAMED)
     return f"; walls may be doubled: `occmap tune {named}` looks for a wrong clock or mount"
 
 

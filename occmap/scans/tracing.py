@@ -26,7 +26,7 @@ from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.types import Float64, PosedScans, Rays, Update
-from occmap.workers import Workers, help_readers
+from occmap.workers import Workers
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.clouds.engine import CloudEngine
@@ -348,9 +348,9 @@ def observe(
     remarks = Remarks([str(log.path) for log in logs])
     ground, known = keep.ground, dict[Path, Drive]()
     if options.update is Update.CLOUD and options.clouds.file is None:
-        with tally.time("poses"), help_readers(options.jobs):
+        with tally.time("poses"):
             known = {log.path: open_drive(log, options) for log in logs}
-        with tally.time("ground"), help_readers(options.jobs):
+        with tally.time("ground"):
             ground, found, options = find_ground(known.values(), options, ground)
         remarks.notes += found
     tiles = make_grid(options)
@@ -358,8 +358,12 @@ def observe(
     begin = partial(choose_engine, options, keep._replace(ground=ground))
     for log, scans in zip(logs, counts, strict=True):
         of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs)))
-        with of_log.time("poses"), help_readers(options.jobs):
-            drive = known[log.path].renew(options) if known else open_drive(log, options)
+        with of_log.time("poses"):
+            drive = (  # of what is known, poses are let go once they are traced
+                known.pop(log.path).renew(options)
+                if log.path in known
+                else open_drive(log, options)
+            )
         engine = trace_drive(drive, begin, of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)

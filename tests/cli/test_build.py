@@ -126,7 +126,7 @@ LOG = SAMPLE_LOGS / "drive.mcap"
 
 @pytest.mark.parametrize(
     ("late_s", "hint", "notes"),
-    [(0.0, "", 0), (0.1, f"; walls may be doubled: `occmap tune {LOG}` looks", 0), (0.4, "", 1)],
+    [(0.0, "", 0), (0.1, f"; walls may be doubled: `occmap tune {LOG} --time-o", 0), (0.4, "", 1)],
 )
 def test_tune_is_named_where_walls_may_be_doubled(late_s: float, hint: str, notes: int) -> None:
     """On this drive 0, 100 and 400 ms leave 100%, 56% and 31% of the hits in occupied cells."""

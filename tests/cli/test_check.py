@@ -113,6 +113,23 @@ def test_a_wall_beside_a_parked_robot_is_not_the_robot() -> None:
     assert ask("check parked.csv")["logs"][0]["scans"][0]["ranges"]["body"] is None
 
 
+def test_a_wall_that_a_robot_follows_is_not_the_robot() -> None:
+    """Round a square of 8 m, 0.4 m from its walls: beams ahead meet the wall that others follow."""
+    ways = [(k / 4, 0.0, 0.0) for k in range(29)], [(7.2, k / 4, math.pi / 2) for k in range(29)]
+    lines = []
+    for number, (x, y, yaw) in enumerate([*ways[0], *ways[1]]):
+        ranges = []
+        for beam in range(90):
+            along = yaw + math.radians(4 * beam)
+            to_x = ((7.6 if math.cos(along) > 0 else -0.4) - x) / (math.cos(along) or 1e-9)
+            to_y = ((7.6 if math.sin(along) > 0 else -0.4) - y) / (math.sin(along) or 1e-9)
+            ranges.append(f"{min(to_x, to_y):.3f}")
+        lines.append(f"{number},{x},{y},{yaw},{','.join(ranges)}\n")
+    head = f"# angle_min: 0\n# angle_increment: {math.radians(4)}\n# range_max: 30\nstamp,x,y,yaw,"
+    Path("wall.csv").write_text(f"{head}{','.join(f'r{i}' for i in range(90))}\n{''.join(lines)}")
+    assert ask("check wall.csv")["logs"][0]["scans"][0]["ranges"]["body"] is None
+
+
 def test_ranges_in_millimetres_are_not_taken_for_open_space() -> None:
     write_csv(Path("mm.csv"), Drive(spoil=lambda ranges: 1000 * ranges))
     found = occmap("check mm.csv --json")

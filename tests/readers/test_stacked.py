@@ -236,6 +236,16 @@ def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
     assert sum(counts) == sum(range(30))
 
 
+def test_messages_longer_than_what_is_read_together_are_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    channel = make_channel("/tf", TF, 3)
+    messages = [(channel, i, write_poses(ROS2, i, [("odom", "base", 1.0 * i)])) for i in range(3)]
+    monkeypatch.setattr(ros_log, "STACK_BYTES", 1)
+    (samples,) = by_key(RosLog(Memory(messages)).stacked_poses()).values()
+    assert [sample.record_ns for sample in samples] == [0, 1, 2]
+
+
 def test_a_message_of_very_many_transforms_is_held_once() -> None:
     edges = [("base", f"laser{n}", 0.25) for n in range(2000)]
     data = write_poses(ROS2, 5, edges)
