@@ -239,7 +239,7 @@ MOST_STRAIGHT = 0.9
 """Of the scans at one place, so large, only the first counts: a parked robot sees a wall as it sees
 itself. At fewer places, or where the mean of all headings is longer, nothing is told"""
 OWN_CELL_M, MOST_WALL = 0.2, 0.5
-"""A wall that the robot follows is hit by its other beams, too, in more of its cells (m) than this"""
+"""A wall that the robot follows is hit by other beams, too: in more of its cells (m) than this"""
 MIN_OWN_BEAMS = 3
 OWN_MARGIN_M = 0.05
 """How far the box around the robot's parts reaches beyond them (m)"""
