@@ -211,6 +211,7 @@ def make_report(
     if past is not None:
         before = sum_scans(past.manifest.builds)
         resumed = Resumed(past.where, before.read, before.used)
+    hint = results.hint_at_tune(facts.agreement, remarks.logs, options)
     return Report(
         logs=tuple(remarks.logs),
         scans=tally.scans,
@@ -220,5 +221,5 @@ def make_report(
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
         notes=tuple(remarks.notes),
         seconds=tally.list_seconds(),
-        hint=results.hint_at_tune(facts.agreement, remarks.logs, options) * tally.looked_up,
+        hint=hint if tally.looked_up else "",
     )

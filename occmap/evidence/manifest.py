@@ -98,8 +98,15 @@ def describe_files(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def measure_files(path: Path) -> int:
-    """Count the bytes of a file, or of all files in a folder."""
-    return sum(each.stat().st_size for each in list_files(path))
+    """Count the bytes of a file, or of all files in a folder.
+
+    Raises
+    ------
+    LogError
+        A file cannot be read any more.
+    """
+    with refuse_unreadable(path):
+        return sum(each.stat().st_size for each in list_files(path))
 
 
 def list_files(path: Path) -> list[Path]:

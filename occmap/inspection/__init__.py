@@ -18,7 +18,7 @@ from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
 from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
-from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen
+from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
@@ -371,6 +371,7 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
     posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
     agreement = estimate_agreement(topic.sample.parts, options)
+    stacked = stack_sample(topic.sample.parts, options.returns)
     is_other = suggested is not options.posing.stamps or bool(mount and mount.better)
     is_explained = posed.stated or posed.problem or is_other
     return ScanFindings(
@@ -382,11 +383,11 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
-        ranges=topic.census.sum_up(topic.sample.parts, options.returns),
+        ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
         times=replace(times, suggested_stamps=suggested),
         poses=posed,
         mount=mount,
         agreement=agreement,
         hint="" if is_explained else hint_at_tune(agreement, [str(log.path)], options),
-        frozen_s=find_frozen(topic.sample.parts, options.returns),
+        frozen_s=find_frozen(stacked),
     )

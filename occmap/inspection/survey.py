@@ -10,6 +10,7 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -111,7 +112,9 @@ class RangeCensus:
         self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
 
-    def sum_up(self, sample: Sequence[PosedScans], options: ReturnOptions) -> RangeFindings:
+    def sum_up(
+        self, sample: Sequence[PosedScans], stacked: "Stacked", options: ReturnOptions
+    ) -> RangeFindings:
         """Sum up; a sample of the scans shows which values repeat, and what no return means.
 
         Beams without return are to clear space if the log states the limit up to which, if their
@@ -128,7 +131,7 @@ class RangeCensus:
         beyond = 0 if measured else sum(n for (name, _), n in self.counts.items() if name == BEYOND)
         is_limit = math.isfinite(self.limit) and not beyond
         suggested = "clear" if is_open and not is_code and is_limit else "ignore"
-        bodies = (find_body(rows, it) for it, rows in stack_sample(sample, options).items())
+        bodies = (find_body(rows, it) for it, rows in stacked.items())
         return RangeFindings(
             total=self.total,
             measured=measured,
@@ -245,17 +248,21 @@ OWN_MARGIN_M = 0.05
 """How far the box around the robot's parts reaches beyond them (m)"""
 
 
-def stack_sample(
-    parts: Sequence[PosedScans], options: ReturnOptions
-) -> dict[tuple[float, float, int], Float64]:
-    """Stack scans by their shape: of each its stamp (s), pose (12) and ranges, in (S, 13 + B)."""
-    seen: defaultdict[tuple[float, float, int], list[Float64]] = defaultdict(list)
+Form: TypeAlias = tuple[float, float, int]
+"""Bearing of the first beam, the angle from one to the next (rad), and how many there are"""
+Stacked: TypeAlias = dict[Form, Float64]
+"""A sample of scans by their form, as `stack_scans` makes them"""
+
+
+def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked:
+    """Stack the scans of a sample by their form."""
+    seen: defaultdict[Form, list[Float64]] = defaultdict(list)
     for part in parts:
         batch, (kind, reach, _) = part.batch, classify(part.batch, options)
         ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
-        shape = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[shape].append(stack_scans(part, ranges))
-    return {shape: np.concatenate(scans) for shape, scans in seen.items()}
+        form = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
+        seen[form].append(stack_scans(part, ranges))
+    return {form: np.concatenate(scans) for form, scans in seen.items()}
 
 
 def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
@@ -265,9 +272,7 @@ def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
     return np.column_stack([posed.batch.stamp_ns / 1e9, *poses, ranges])
 
 
-def find_body(
-    rows: Float64, shape: tuple[float, float, int], spread: float = OWN_SPREAD_M
-) -> Box | None:
+def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | None:
     """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
 
     It is in the sensor's frame (m); None where there is no such thing.
@@ -275,15 +280,13 @@ def find_body(
     Parameters
     ----------
     rows
-        Scans of one shape, as `stack_scans` makes them.
-    shape
-        Bearing of the first beam, the angle from one to the next (rad), and how many there are.
+        Scans of one form, as `stack_scans` makes them.
     spread
         Parts of the robot keep their range so well (m).
     """
     _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
     place, turn = rows[first, 1:3], rows[first, 4:13].reshape(-1, 3, 3)[:, :2, :2]
-    ranges, ways = rows[first, 13:], tabulate_bearings(*shape)
+    ranges, ways = rows[first, 13:], tabulate_bearings(*form)
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
@@ -311,7 +314,7 @@ LEAST_KNOWN = 0.1
 """Of the beams, so many must hit something before and after"""
 
 
-def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[float, float] | None:
+def find_frozen(stacked: Stacked) -> tuple[float, float] | None:
     """Find when poses stood still, though scans changed as of a robot that drives.
 
     Returns
@@ -320,17 +323,18 @@ def find_frozen(parts: Sequence[PosedScans], options: ReturnOptions) -> tuple[fl
         The longest such time (s, as stamps are), if it takes some seconds.
     """
     found = []
-    for rows in stack_sample(parts, options).values():
+    for rows in stacked.values():
         scans = rows[np.argsort(rows[:, 0], kind="stable")]
         moves = np.abs(np.diff(scans[:, 1:13], axis=0)).max(axis=1) > FROZEN_STEP
         for still in np.split(scans, np.flatnonzero(moves) + 1):
             (start, end), ranges = still[[0, -1], 0].tolist(), still[:, 13:]
+            if end - start < FROZEN_S:
+                continue
             usual = np.median(ranges, axis=0)
             known = (ranges < NO_HIT_M) & (usual < NO_HIT_M)
             least = np.maximum(CHANGED_M, CHANGED_PART * usual)
             changed = known & (np.abs(ranges - usual) > least)
-            is_much = changed.sum() > CHANGED_SHARE * max(known.sum(), LEAST_KNOWN * known.size)
-            if end - start >= FROZEN_S and is_much:
+            if changed.sum() > CHANGED_SHARE * max(known.sum(), LEAST_KNOWN * known.size):
                 found.append((start, end))
     return max(found, key=lambda times: times[1] - times[0], default=None)
 

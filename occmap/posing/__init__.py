@@ -197,7 +197,7 @@ class PosingOptions:
 
 def _is_bag(path: Path) -> bool:
     """Whether a path is a folder with a recording of ROS 2."""
-    return any(True for name in ("metadata.yaml", "*.db3*", "*.mcap*") for _ in path.glob(name))
+    return any(any(path.glob(name)) for name in ("metadata.yaml", "*.db3*", "*.mcap*"))
 
 
 def _check_pose(pose: Pose, name: str) -> None:
