@@ -146,10 +146,8 @@ class Bag1Source(RecordSource):
                 for key, messages in _INFO_ENTRY.iter_unpack(record[header.size :]):
                     summary.counts[key] += messages
         summary.channels.update(self._describe(descriptions))
-        if (bag.number(b"conn_count"), bag.number(b"chunk_count")) != (
-            len(summary.channels),
-            chunks,
-        ):
+        announced = bag.number(b"conn_count"), bag.number(b"chunk_count")
+        if announced != (len(summary.channels), chunks) or summary.counts.keys() - summary.channels:
             raise ValueError("it has not what the start of the bag says")
         return summary
 

@@ -18,6 +18,10 @@ _STAMP_NAMES = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"))
 """The parts of a time as rosbags, Foxglove's JSON and protobuf name them."""
 
 
+class MissingFieldError(DamageError):
+    """A message lacks a field, or its definition does."""
+
+
 def look(message: Any, path: str) -> Any:
     """Look for a field of a decoded message by its dotted name; None where it is absent."""
     for name in path.split("."):
@@ -29,7 +33,7 @@ def get(message: Any, path: str) -> Any:
     """Get a field likewise."""
     value = look(message, path)
     if value is None:
-        raise DamageError(f"has no {path}")
+        raise MissingFieldError(f"has no {path}")
     return value
 
 
@@ -53,7 +57,7 @@ def get_stamp(message: Any, path: str) -> int:
         seconds, nanoseconds = (look(stamp, name) for name in names)
         if nanoseconds is not None:
             return as_stamp(as_stamp(seconds) * 1_000_000_000 + as_stamp(nanoseconds))
-    raise DamageError(f"has no {path}")
+    raise MissingFieldError(f"has no {path}")
 
 
 def get_frame(message: Any, path: str) -> str:

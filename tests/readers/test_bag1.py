@@ -75,9 +75,10 @@ def test_old_transforms_are_read(path: Path) -> None:
         # Of equal length, so that no record needs to be written anew.
         (b"MSG: std_msgs/Header", b"MSG: roslib/Header\n ", []),
         (b"float32 angle_min", b"flaot32 angle_min", ["LaserScan on /scan"]),
+        (b"float32 angle_min", b"float32 angle_mim", ["LaserScan on /scan"]),
         (b"TransformStamped[] ", b"TransformStomped[] ", ["TFMessage on /tf_static", "on /tf"]),
     ],
-    ids=["old package", "scan", "transforms"],
+    ids=["old package", "scan", "field", "transforms"],
 )
 def test_where_a_definition_is_old_or_damaged_the_standard_one_is_used(
     path: Path, sound: bytes, changed: bytes, damaged: list[str]
@@ -202,6 +203,19 @@ def test_a_connection_that_is_described_in_two_ways_is_told_of(path: Path, damag
     notes, _ = read_damaged(path, data)
 
     assert any("connection 2 is described in two ways" in note for note in notes)
+
+
+def test_an_index_that_counts_messages_of_a_connection_that_it_lacks_is_not_used(
+    path: Path,
+) -> None:
+    data = write(path)
+    at = [at for at, start, _ in list_records(data, CONNECTION) if b"topic=/scan" in data[at:start]]
+    data[data.index(b"conn=", at[-1]) + 5] ^= 64
+
+    notes, numbers = read_damaged(path, data)
+
+    assert numbers == ALL
+    assert "index at its end cannot be used" in notes[0]
 
 
 @pytest.mark.parametrize("closed", [True, False])
