@@ -327,13 +327,13 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
             against += poses.list_other_concerns(some, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
-    limits = survey.drive.limits.list_notes()
+    limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
     findings = LogFindings(
         str(log.path),
         streams=tuple(log.streams),
         scans=() if problem else scans,  # a part that was read says nothing of a damaged log
         coverage=tuple(poses.list_coverage(poser.sources)),
-        notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes()),
+        notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
         box=box,
         longest=survey.extent.longest,
         problem=problem,

@@ -21,10 +21,11 @@ from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
 from occmap.options import BuildOptions
 from occmap.posing import Concern, Stamps
-from occmap.posing.attach import Poser
+from occmap.posing.attach import Poser, place_logs
 from occmap.posing.chain import Status, Transforms
 from occmap.posing.sources import Sources
-from occmap.readers import Log
+from occmap.readers import HoldingFixes, Log
+from occmap.report import count
 from occmap.scans import mounts
 from occmap.scans.logs import count_scans, read_poser
 from occmap.scans.mounts import Posing, estimate_agreement, sample_scans
@@ -85,6 +86,75 @@ def list_coverage(sources: Sources) -> list[Coverage]:
         )
         for edge in dict.fromkeys([*sources.tree.edges, *chosen, *sources.pose_topics])
     ]
+
+
+EQUATOR_M, FLATNESS = 6_378_137.0, 0.00669437999014
+"""Half the width of the Earth, and the square of its eccentricity (WGS 84)"""
+FEWEST_FIXES = 10
+OUTLIER = 4.0
+"""Times the residual: such fixes were mirrored by a wall, or came too late"""
+LEAST_REACH = 3.0
+"""Times the residual: where a drive does not reach farther, its fixes do not show its turn"""
+
+
+def tell_fixes(log: Log, poser: Poser) -> Iterator[str]:
+    """Say where on the globe the map lies, by fixes of satellites beside the scans.
+
+    The receiver is where its frame is; one that no chain leads to is taken to be at the sensor.
+    """
+    fixes = list(log.fixes()) if isinstance(log, HoldingFixes) else []
+    frames = {fix.frame for fix in fixes}
+    poser.find_chains(frames.intersection(edge.child for edge in poser.sources.tree.edges))
+    of_sensors = (chain for chain in poser.chains.values() if chain)
+    chain = next(filter(None, map(poser.chains.get, sorted(frames))), next(of_sensors, None))
+    if not fixes or chain is None:
+        return
+    stamp_ns, _, *globe = (np.array(each) for each in zip(*fixes, strict=True))
+    found = chain.at(stamp_ns + round(poser.options.time_offset_s * 1e9))
+    place = place_logs(replace(poser.options, align=None)).then(found).position[:, :2]
+    known = np.column_stack([place, *globe])[found.status == Status.POSED]
+    if len(known) < FEWEST_FIXES:
+        yield f"only {count(len(known), 'satellite position')} came while poses are known"
+        return
+    *_, error = fit_globe(known)
+    zero, yaw, error = fit_globe(known[error <= OUTLIER * np.median(error)])
+    residual, reach = float(np.median(error)), math.hypot(*known[:, :2].std(axis=0))
+    if reach < LEAST_REACH * residual:
+        yield f"satellite positions lie {residual:.2f} m off a way that reaches {reach:.2f} m"
+        return
+    positions = count(len(error), "satellite position")
+    where = f"`georeference=({zero[0]:.8f},{zero[1]:.8f},{yaw:.2f})`"
+    yield f"{where} lays the way within {residual:.2f} m of half of {positions}"
+
+
+def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
+    """Lay places (N, 2) onto the globe by a turn and a shift.
+
+    The plane that touches the globe in their middle has x to the east and y to the north, as
+    complex numbers here, by which the best turn is an angle (Umeyama 1991, without a scale).
+
+    Parameters
+    ----------
+    known
+        (N, 4) x and y in the map (m), latitude and longitude (degrees).
+
+    Returns
+    -------
+    zero, yaw, error
+        Latitude and longitude of the map's zero, and how far its x axis points north of east
+        (degrees); and (N,) how far each place is off (m).
+    """
+    latitude, longitude = np.median(known[:, 2:], axis=0).tolist()
+    bend = 1 - FLATNESS * math.sin(math.radians(latitude)) ** 2
+    north_m = math.radians(1) * EQUATOR_M * (1 - FLATNESS) / bend**1.5
+    east_m = math.radians(1) * EQUATOR_M / math.sqrt(bend) * math.cos(math.radians(latitude))
+    here = known[:, 0] + 1j * known[:, 1]
+    there = (known[:, 3] - longitude) * east_m + 1j * (known[:, 2] - latitude) * north_m
+    turn = np.vdot(here - here.mean(), there - there.mean())
+    turn /= abs(turn)
+    at = there.mean() - here.mean() * turn
+    zero = latitude + at.imag / north_m, longitude + at.real / east_m
+    return zero, math.degrees(np.angle(turn)), np.abs(here * turn + at - there)
 
 
 def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:

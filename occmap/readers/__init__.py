@@ -17,7 +17,7 @@ from difflib import get_close_matches
 from enum import StrEnum
 from glob import has_magic
 from pathlib import Path
-from typing import Protocol, cast, runtime_checkable
+from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 from occmap.choices import option
 from occmap.errors import LogError
@@ -234,6 +234,24 @@ class HoldingClouds(Protocol):
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of these topics, in file order, one at a time."""
+
+
+class Fix(NamedTuple):
+    """Where satellites say that a receiver is."""
+
+    stamp_ns: int
+    frame: str
+    latitude: float
+    """Like the longitude in degrees (WGS 84)"""
+    longitude: float
+
+
+@runtime_checkable
+class HoldingFixes(Protocol):
+    """A log that may hold fixes of satellites."""
+
+    def fixes(self) -> Iterator[Fix]:
+        """All of them, in file order."""
 
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:

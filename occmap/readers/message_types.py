@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.errors import DamageError
-from occmap.readers import Echo, Role, cloud_messages
+from occmap.readers import Echo, Fix, Role, cloud_messages
 from occmap.readers.containers import Channel, Messages
 from occmap.readers.fields import (
     get,
@@ -195,6 +195,14 @@ def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     return cloud_messages.make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
+def convert_fix(message: Any, _topic: str, _record_ns: int) -> list[Fix]:
+    """Convert a sensor_msgs/NavSatFix; without satellites it says nothing."""
+    place = as_number(get(message, "latitude")), as_number(get(message, "longitude"))
+    if get_whole(message, "status.status") < 0 or not all(map(math.isfinite, place)):
+        return []
+    return [Fix(get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id"), *place)]
+
+
 FOXGLOVE = PoseFields("timestamp", "frame_id", unset_rotation=IDENTITY[3:])
 """Protobuf leaves out zeros, so that a rotation of zeros is one that was never set."""
 _TRANSFORM = FOXGLOVE._replace(
@@ -227,6 +235,7 @@ TYPES = {
     "sensor_msgs/msg/CompressedImage": MessageType(
         Role.CLOUD, cloud_messages.convert_compressed_depth, needs=cloud_messages.Camera
     ),
+    "sensor_msgs/msg/NavSatFix": MessageType(Role.OTHER, convert_fix),
     "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
     "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
 } | {

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.readers import DEFAULT_OPTIONS, Echo, ReaderOptions, Role, Stream
+from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import MESSAGE_BYTES, Buffer, Channel, Messages, Source, join
 from occmap.readers.fields import MissingFieldError
-from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
+from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, convert_fix, find_type
 from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
@@ -109,6 +109,11 @@ class RosLog:
         """The clouds of points of these topics, in file order."""
         clouds = self._read(self._make_sensor_readers(Role.CLOUD, topics))
         return tell_clouds(clouds, self.path, self.notes)
+
+    def fixes(self) -> Iterator[Fix]:
+        """The fixes of satellites, in file order."""
+        known = ((channel, kind.convert) for channel, kind in self._types.items())
+        return self._read(self._make_readers(each for each in known if each[1] is convert_fix))
 
     def _find_camera(self, channel: Channel) -> Camera | None:
         """Find the camera of images; None where they are not depths, or of no known camera."""
