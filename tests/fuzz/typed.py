@@ -39,7 +39,7 @@ MESSAGES = 5
 SPOILT = 2
 """Which of the messages is the nasty one."""
 ALL = frozenset(range(MESSAGES))
-MOST_SECONDS = 5.0
+MOST_SECONDS = 20.0
 PATH = "nav_msgs/msg/Path"
 DEEP = "@deep"
 """Stands in a JSON message for lists within lists."""
