@@ -160,7 +160,7 @@ IDLE = {
     Update.POLYGON: CLOUDS_ALONE,
     Update.SURFACE: ("border_gap", *CLOUDS_ALONE),
     Update.BEAM: ("jump", "border_gap", *CLOUDS_ALONE),
-    Update.CLOUD: ("border_gap", "jump", "hit_offset", "no_return", "range_max", "deskew"),
+    Update.CLOUD: ("border_gap", "jump", "hit_offset", "no_return", "deskew"),
 }
 """Options that do nothing with an update"""
 

@@ -106,7 +106,8 @@ def make_band(options: CloudOptions, returns: ReturnOptions) -> Band:
     level = SLACK_M / options.range_margin if options.range_margin else math.inf
     margin = options.range_margin * 1000
     nearest = max(returns.min_range, SHORTEST_M)
-    return Band(low, high, margin, level, nearest, returns.max_range)
+    farthest = min(returns.max_range, returns.range_max or math.inf)
+    return Band(low, high, margin, level, nearest, farthest)
 
 
 class Extent:

@@ -16,6 +16,8 @@ from occmap.posing.tracks import Track
 FIXED_NAMES = ("map", "odom")
 BASE_NAMES = ("base_link", "base_footprint")
 """The names that REP 105 gives to the map and to the robot"""
+STILL_NAMES = (*FIXED_NAMES, "world", "camera_init")
+"""Frames that are no sensor's: FAST-LIO and its kin write clouds in such a one"""
 MOST_ABOVE = 100
 """Frames above another that are looked at: those of a robot are some ten deep."""
 MOST_TARGETS = 4

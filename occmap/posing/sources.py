@@ -287,7 +287,7 @@ class Search:
         if not find_moving(self._find_path(usual, anchor)):
             if self.sources.unnamed_body:
                 return self.go_by_poses(self.sources.unnamed_body)
-            if not (self.options.map_frame or fixed or last_part(usual) in frames.FIXED_NAMES):
+            if not (self.options.map_frame or fixed or last_part(usual) in frames.STILL_NAMES):
                 raise self._miss_motion(usual)
         name = self.options.map_frame or fixed or usual
         steps = self._find_path(name, anchor)

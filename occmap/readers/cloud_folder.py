@@ -48,6 +48,8 @@ _PLY_KINDS = {
     "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 _PLY_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+MOST_VALUES = 64
+"""Of a point, in an array without names: one with more is turned the other way round."""
 MOST_BYTES = 1 << 31
 """What a file may unpack to; a cloud of a hundred million points has less."""
 
@@ -201,7 +203,7 @@ def read_npy(data: bytes) -> Points:
     if array.dtype.names:
         names, rows = array.dtype.names, array.ravel()
         return Points({name: rows[name] for name in names if rows[name].ndim == 1}, len(rows))
-    if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in "fiu":
+    if array.ndim != 2 or not 3 <= array.shape[1] <= MOST_VALUES or array.dtype.kind not in "fiu":
         shape = " x ".join(map(str, array.shape))
         raise DamageError(f"holds {shape} of {array.dtype}, where rows of x, y, z belong")
     return Points(dict(zip("xyz", array.T, strict=False)), len(array))

@@ -256,10 +256,7 @@ def test_odd_angles_are_noted_by_build_and_check(step: float, beams: int, note: 
         ("surface log.csv --jump 0.3 --border-gap 4", "--border-gap"),
         ("polygon log.csv --jump 0.3 --border-gap 4", ""),
         ("log.csv --jump 0.3 --max-height 2 --ground flat", "--max-height --ground"),
-        (
-            f"{HALL} --no-return clear --range-max 9 --footprint=-1,-1,1,1",
-            "--no-return --range-max",
-        ),
+        (f"{HALL} --no-return clear --range-max 9 --footprint=-1,-1,1,1", "--no-return"),
         ("log.csv --scratch .", "--scratch"),  # which is for workers
     ],
 )
@@ -275,6 +272,13 @@ def test_a_band_without_a_ceiling_is_mapped_like_one_with_a_very_high_one() -> N
     for name, height in (("a", "inf"), ("b", "1000")):
         assert occmap(f"build {HALL} --max-height {height} -o {name}.pgm").code == 0
     assert Path("a.pgm").read_bytes() == Path("b.pgm").read_bytes()
+
+
+def test_points_of_clouds_beyond_the_sensors_limit_are_no_return() -> None:
+    for name, words in (("a", "--range-max 4"), ("b", "--max-range 4"), ("c", "--range-max 9")):
+        assert occmap(f"build {HALL} {words} -o {name}.pgm").code == 0
+    a, b, c = (Path(f"{name}.pgm").read_bytes() for name in "abc")
+    assert a == b != c
 
 
 def test_a_bar_never_passes_its_total(monkeypatch: pytest.MonkeyPatch) -> None:

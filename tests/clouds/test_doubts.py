@@ -11,14 +11,15 @@ from tests.cli.runner import ask
 from tests.clouds.simulation import HALL
 from tests.grid.scans import make_grid
 
-PITCHED = ("--sensor-pose", "0,0,0,0,0.15")
+TURNED = ("--sensor-pose", "0,0,3.14")
 
 
 @pytest.mark.parametrize(
     ("cells", "told"),
     [
         ([(3, 1), (1, 3), (0, 8)], ""),
-        ([(7, 1), (3, 3), (0, 50)], "70%"),
+        ([(4, 1), (6, 6), (0, 50)], ""),
+        ([(3, 1), (7, 7), (0, 50)], "30%"),
         ([(9, 1), (0, 10)], ""),
         ([(0, 5)], ""),
     ],
@@ -34,7 +35,7 @@ def test_hits_in_cells_that_mostly_were_missed_are_told(
 
 def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
     made = tmp_path / "hall.pgm"
-    for words, is_wrong in (((), False), (PITCHED, True)):
+    for words, is_wrong in (((), False), (TURNED, True)):
         notes = ask("build", HALL, *words, "-o", made)["notes"]
         warnings = ask("check", HALL, *words)["warnings"]
         for told in (notes, warnings):

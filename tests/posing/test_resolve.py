@@ -170,6 +170,16 @@ REFUSALS = {
 }
 
 
+@pytest.mark.parametrize("frame", ["map", "robot1/odom", "world", "camera_init"])
+def test_what_is_in_a_frame_that_is_no_sensors_is_in_the_map_already(frame: str) -> None:
+    """As clouds are that FAST-LIO and its kin register; `velodyne` may well be a sensor."""
+    poser = build(*drive(frame, "body"))
+    assert place(poser, frame=frame) == [0, 0, 0]
+    assert poser.fixed == frame
+    error = build(*drive("velodyne", "body")).find_chains(["velodyne"])["velodyne"]
+    assert "not connected to what moves: body" in str(error)
+
+
 @pytest.mark.parametrize("name", REFUSALS)
 def test_why_a_laser_has_no_place(name: str) -> None:
     samples, texts, _, options = REFUSALS[name]

@@ -3,7 +3,9 @@
 import struct
 from collections.abc import Callable
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,6 +38,12 @@ def ply(form: str, properties: list[str], data: bytes, count: int = 3) -> bytes:
     lines += [f"property {each}" for each in properties]
     lines += ["element face 0", "property list uchar int vertex_indices", "end_header", ""]
     return "\n".join(lines).encode() + data
+
+
+def npy(array: Any) -> bytes:
+    file = BytesIO()
+    np.save(file, array)
+    return file.getvalue()
 
 
 def stored(data: bytes) -> bytes:
@@ -135,6 +143,7 @@ def test_arrays_of_any_number(tmp_path: Path, kind: str) -> None:
         ("a.ply", ply("ascii", ["float x"], TEXT), "no field y"),
         ("a.bin", b"0123456789", "10 bytes"),
         ("a.npy", b"\x93NUMPY", "no array"),
+        ("a.npy", npy(np.ones((3, 65))), "3 x 65 of float64"),
     ],
 )
 def test_a_file_that_is_no_cloud_is_left_out_and_named(
