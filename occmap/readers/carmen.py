@@ -30,15 +30,7 @@ import numpy as np
 
 from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import parse_number, unquote
-from occmap.readers.text_log import (
-    POSE_NAMES,
-    Block,
-    Line,
-    LineTally,
-    Pattern,
-    TextLog,
-    read_blocks,
-)
+from occmap.readers.text_log import POSE_NAMES, Block, Line, LineTally, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_seconds, shorten
@@ -267,7 +259,7 @@ class CarmenLog(TextLog):
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for block in read_blocks(self.path, self.notes):
+        for block in self.read_blocks():
             lines = {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
             for some in self._parse_block(block, lines, tally):
                 yield make_poses(some)

@@ -228,6 +228,10 @@ class TextLog(ABC):
         self._kept: list[Scan | ScanRun] | None = []
         """The scans, where they are few enough to be kept"""
 
+    def read_blocks(self) -> Iterator[Block]:
+        """Read the lines of the log."""
+        return read_blocks(self.path, self.notes)
+
     @abstractmethod
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of a block that are scans, by their kind."""
@@ -266,7 +270,7 @@ class TextLog(ABC):
                 yield some
 
     def _parse_all(self, tally: LineTally) -> Iterator[Scan | ScanRun]:
-        for block in read_blocks(self.path, self.notes):
+        for block in self.read_blocks():
             yield from self._parse_block(block, self.pick_scans(block), tally)
 
     def _parse_block(
