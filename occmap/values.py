@@ -65,6 +65,16 @@ def parse_seconds(text: str) -> int:
     raise ValueError(f"{shorten(text)} is not a time in seconds")
 
 
+def parse_number(text: str) -> float:
+    """Parse a number; raises ValueError also where Python alone takes it for one, such as 1_000."""
+    try:
+        if "_" in text or not text.isascii():
+            raise ValueError
+        return float(text.encode())  # of bytes, since blanks around text may be any of Unicode's
+    except ValueError:
+        raise ValueError(f"{shorten(text)} where a number belongs") from None
+
+
 def parse_nanoseconds(text: str) -> int:
     """Convert whole nanoseconds, as text; raises ValueError where they do not fit 64 bits."""
     with suppress(ValueError):
@@ -126,9 +136,8 @@ def shorten(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-TIME_NAMES = ("timestamp", "time", "t", "timestamp_s", "time_s")
-"""What others call a stamp in seconds, or in nanoseconds that are known by their size"""
 COLUMN_NAMES = {
+    "stamp": ("timestamp", "time", "t", "timestamp_s", "time_s"),
     "stamp_ns": ("field.header.stamp", "%time", "timestamp_ns", "time_ns"),
     "yaw": ("theta", "heading", "field.theta"),
     "frame": ("field.header.frame_id", "header.frame_id"),
@@ -136,32 +145,32 @@ COLUMN_NAMES = {
 """What other programs call a column; those of `rostopic echo -p` begin with `field.`"""
 _UNIT = re.compile(r"\s*[\[(](?:s|m|rad)?[\])]$")
 """A unit behind the name of a column, where it is the one that is expected"""
-_NANOSECONDS = re.compile(r"\s*[\[(]ns[\])]$")
 
 
-def split_header(text: str) -> tuple[list[str], str]:
-    """Split a header row into the names of its columns, and say what stands between these.
+def find_separator(row: str) -> str | None:
+    """Tell what stands between the cells of a row; None for any white space."""
+    separator = max(",;\t", key=row.count)
+    return separator if separator in row else None
 
-    Names that are known are given as occmap has them: the time is `stamp`, or `stamp_ns` where it
-    is called nanoseconds.
+
+def split_header(text: str, separator: str | None) -> list[str]:
+    """Split a header row into the names of its columns, as occmap has them where it knows them.
+
+    The time is `stamp`, or `stamp_ns` where it is called nanoseconds.
     """
-    separator = max(",;\t", key=text.count)
     cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
-    names = [_UNIT.sub("", _NANOSECONDS.sub("_ns", cell)) for cell in cells]
-    for name, others in {"stamp": TIME_NAMES, **COLUMN_NAMES}.items():
+    names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
+    for name, others in COLUMN_NAMES.items():
         found = next((other for other in others if other in names), "")
-        is_told = name in names or (name == "stamp_ns" and "stamp" in names)
-        if found and not is_told:
+        if found and name.removesuffix("_ns") not in names:
             names[names.index(found)] = name
-    return [name.removeprefix("field.") for name in names], separator
+    return [name.removeprefix("field.") for name in names]
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_MAP = "a map, not a log: `occmap diff` compares maps"
 OTHER_FILES = {
     b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
-    b"P5": (_MAP, ""),
-    b"image:": (_MAP, ""),
+    b"P5|image:": ("a map, not a log: `occmap diff` compares maps", ""),
     b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
     re.escape(ZSTD_MAGIC): ("a file that zstd compressed", "decompress it first: unzstd PATH"),

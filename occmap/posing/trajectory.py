@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -48,36 +48,37 @@ MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
 
-class _Layout(NamedTuple):
-    """What the lines of a file hold, and where."""
-
-    columns: Sequence[str]
-    separator: str | None
-    """None: any white space."""
-    parse_stamp: Callable[[str], int]
-    """Parses a time as nanoseconds; raises ValueError"""
-    has_more: bool = False
-    """Further columns may follow"""
-
-    def parse(self, text: str) -> tuple[int, list[float]]:
-        """Parse a line: its time, the place, and the quaternion or angles; raises ValueError.
-
-        Optional columns that are absent are 0. A comma in a number stands for a dot.
-        """
-        if self.separator == ";":
-            text = text.replace(",", ".")
-        fields, expected = text.split(self.separator), len(self.columns)
-        if len(fields) < expected or (len(fields) > expected and not self.has_more):
-            raise ValueError(f"{len(fields)} values where {expected} belong")
-        texts = dict(zip(self.columns, fields, strict=False))
-        rotation = QUATERNION if "qw" in texts else ANGLES
-        numbers = [_to_float(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
-        return self.parse_stamp(texts["stamp"]), numbers
+Row: TypeAlias = tuple[int, list[float]]
+"""A time (ns), the place, and the quaternion, or roll, pitch and yaw"""
 
 
-TUM = _Layout(("stamp", "x", "y", "z", *QUATERNION), None, values.parse_seconds)
+def _parse_pose(
+    columns: Sequence[str], separator: str | None, parse_stamp: Callable[[str], int], text: str
+) -> Row:
+    """Parse a line of these columns, with any white space between where `separator` is None.
+
+    Optional columns that are absent are 0. A comma in a number stands for a dot.
+
+    Raises
+    ------
+    ValueError
+        There are fewer or more values, or one is no number.
+    """
+    if separator == ";":
+        text = text.replace(",", ".")
+    fields, expected = text.split(separator), len(columns)
+    if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):
+        raise ValueError(f"{len(fields)} values where {expected} belong")
+    texts = dict(zip(columns, fields, strict=False))
+    rotation = QUATERNION if "qw" in texts else ANGLES
+    numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
+    return parse_stamp(texts["stamp"]), numbers
+
+
+TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.parse_seconds)
 EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
-EUROC = _Layout(EUROC_COLUMNS, ",", values.parse_nanoseconds, has_more=True)
+"""Others may follow."""
+EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)\.|p_(?:\w+_)?|t)([xyz])$")
@@ -116,9 +117,8 @@ def _pair(path: Path, poses: int, moments: Moments) -> list[int]:
     """Give the times of scans that poses are for one by one; raises LogError."""
     if poses != len(moments.stamp_ns):
         found = f"it holds {poses:,} poses, and the log {len(moments.stamp_ns):,} clouds"
-        raise LogError(
-            found, where=path, fix="give a pose for each file, in the order of the names"
-        )
+        fix = "give a pose for each file, in the order of the names"
+        raise LogError(found, where=path, fix=fix)
     return moments.stamp_ns
 
 
@@ -131,14 +131,14 @@ def _read_timed(
     whole = chain([first], lines) if NUMBER.match(first[1]) else lines
     if whole is not lines and len(first[1].split()) == MATRIX:
         return _read_matrices(path, whole, notes, moments)
-    rows: list[tuple[int, list[float]]] = []
+    rows: list[Row] = []
     if first[1]:
-        (layout,) = _parse_lines(path, [first], _find_layout)
-        rows += _parse_lines(path, whole, layout.parse)
+        (parse,) = _parse_lines(path, [first], _find_format)
+        rows += _parse_lines(path, whole, parse)
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
-    if "qw" not in layout.columns:
+    if poses.shape[1] < 7:
         doubt = values.suspect_degrees(poses[:, 5])
         notes += [f"{path}: {doubt}"] * bool(doubt)
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
@@ -210,8 +210,8 @@ def _parse_lines(
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _find_layout(text: str) -> _Layout:
-    """Tell by its first line what the lines of a file hold; raises ValueError.
+def _find_format(text: str) -> Callable[[str], Row]:
+    """Tell by its first line how the lines of a file are parsed; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
@@ -221,9 +221,8 @@ def _find_layout(text: str) -> _Layout:
         if re.match(r"-?\d+\s*,", text):
             return EUROC
         raise ValueError("no header says what the columns are")
-    is_spaced = not set(text).intersection(",;\t")
-    names, separator = values.split_header(",".join(text.split()) if is_spaced else text)
-    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in names]
+    separator = values.find_separator(text)
+    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", it)) for it in values.split_header(text, separator)]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
     stamp, parse = (
         ("stamp", values.parse_seconds)
@@ -236,18 +235,11 @@ def _find_layout(text: str) -> _Layout:
         raise ValueError(f"the header has no column {', '.join(sorted(missing))}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    return _Layout(names, None if is_spaced else separator, parse)
+    return partial(_parse_pose, names, separator, parse)
 
 
 def _parse_row(text: str) -> list[float]:
     words = text.split()
     if len(words) != MATRIX:
         raise ValueError(f"{len(words)} values where {MATRIX} belong")
-    return list(map(_to_float, words))
-
-
-def _to_float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{values.shorten(text)} is not a number") from None
+    return list(map(values.parse_number, words))

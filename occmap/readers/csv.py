@@ -12,7 +12,6 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +19,10 @@ import numpy as np
 
 from occmap.errors import LogError
 from occmap.readers import Probe, Role, Stream, decimals
-from occmap.readers.decimals import parse_number, unquote
-from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
+from occmap.readers.decimals import unquote
+from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog, read_blocks
 from occmap.types import IDENTITY, PoseSample, Scan
-from occmap.values import as_float32, parse_seconds, split_header
+from occmap.values import as_float32, find_separator, parse_number, parse_seconds, split_header
 
 TOPIC = "scan"
 REQUIRED = ("stamp", "angle_min", "angle_increment")
@@ -39,14 +38,14 @@ NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 _BEAM = re.compile(r"^r(?:anges?)?_?\[?0*(\d+)\]?$")
 """What a beam may be called"""
-_TRANSLATE = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
+_TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
 """By what stands between cells: makes commas of these, and dots of commas within numbers"""
 
 
-def split_names(text: str) -> tuple[list[str], str]:
-    """Split a header row, in occmap's own names, and say what stands between two cells."""
-    names, separator = split_header(text.lstrip("# "))
-    return [_BEAM.sub(r"r\1", name) for name in names], separator
+def split_names(text: str) -> list[str]:
+    """Split a header row, which may stand behind a #, in occmap's own names."""
+    names = split_header(text.lstrip("# "), find_separator(text) or ",")
+    return [_BEAM.sub(r"r\1", name) for name in names]
 
 
 def is_header(names: Collection[str], stated: Collection[str] = ()) -> bool:
@@ -134,8 +133,7 @@ class CsvReader:
         stated = {split_comment(line)[0] for line in comments} & NAMES
         if not rows:
             return bool(stated)
-        is_commented = any(is_header(split_names(line)[0]) for line in comments)
-        return is_commented or is_header(split_names(rows[0])[0], stated)
+        return any(is_header(split_names(line), stated) for line in (rows[0], *comments))
 
     def open(self, path: Path) -> "CsvLog":
         """Open a log: read its header and count its rows.
@@ -161,10 +159,10 @@ class CsvLog(TextLog):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._separator = ","
         header, comments = self._find_header()
         self._header_line = header.number
-        names, self._separator = split_names(header.text)
+        self.table = _TABLES.get(find_separator(header.text) or "")
+        names = split_names(header.text)
         stamp = "stamp" if "stamp" in names else "stamp_ns"
         self._names = ["stamp" if name == stamp else name for name in names]
         if fault := _find_fault(self._names, {*self._names, *comments}):
@@ -196,7 +194,7 @@ class CsvLog(TextLog):
     def _find_header(self) -> tuple[Line, dict[str, Line]]:
         """Find the header, and the comments near it that state constants."""
         headings: list[Line] = []
-        for block in self.read_blocks():
+        for block in read_blocks(self.path, self.notes):
             rows, more = _sort_lines(block)
             headings += more
             if rows:
@@ -208,18 +206,11 @@ class CsvLog(TextLog):
                 # Of two comments about one name the first counts.
                 constants = {name: line for name, _, line in reversed(named) if name in NAMES}
                 first = block.get_line(rows[0])
-                if not any(map(is_known, split_names(first.text)[0])):  # numpy comments it out
-                    commented = (line for line in headings if is_header(split_names(line.text)[0]))
-                    first = next(commented, first)
-                return first, constants
+                maybe = (first, *headings)  # numpy comments the header out
+                known = (it for it in maybe if is_header(split_names(it.text), constants))
+                return next(known, first), constants
         found = "; ".join(["no header row", *(note.text for note in self.notes)])
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
-
-    def read_blocks(self) -> Iterator[Block]:
-        """Read the lines with commas between their cells, whatever stands there in the file."""
-        for block in super().read_blocks():
-            table = _TRANSLATE.get(self._separator)
-            yield replace(block, text=block.text.translate(table)) if table else block
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the rows behind the header; refuse a constant that comes too late for those before.

@@ -183,13 +183,11 @@ def find_oddity(angle_increment: float, beams: int) -> str:
 
 FAR_M = 200.0
 """No laser that measures metres has half of its ranges beyond it."""
-SAMPLED_BEAMS = 16
-"""One beam of so many tells how far away things are."""
 
 
 def find_middle(batch: ScanBatch) -> float:
     """Find the median of a sample of the ranges that are measurements; infinite if none is."""
-    sample = batch.ranges.ravel()[::SAMPLED_BEAMS]
+    sample = batch.ranges.ravel()[::16]  # one beam of so many tells how far away things are
     measured = sample[(sample > 0) & (sample < batch.range_max)]
     return float(np.median(measured)) if len(measured) else math.inf
 

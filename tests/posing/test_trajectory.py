@@ -133,7 +133,7 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
     [
         ("1 2 3\n", 1, "3 values where 8 belong"),
         ("# TUM\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1 7\n", 3, "9 values where 8 belong"),
-        ("1 0 0 0 0 0 here 1\n", 1, "'here' is not a number"),
+        ("1 0 0 0 0 0 here 1\n", 1, "'here' where a number belongs"),
         ("1305031102175 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
         ("1.5,1,2,0\n", 1, "no header says what the columns are"),
         ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw"),
@@ -141,7 +141,7 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
         ("stamp,x,y\n1,2,3\n", 1, "has no column yaw"),
         ("stamp,x,y,qw\n1,2,3,1\n", 1, "has no column qx, qy, qz"),
         ("stamp,x,y,yaw,x\n1,2,3,0,4\n", 1, "names a column twice"),
-        ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' is not a number"),
+        ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' where a number belongs"),
         ("stamp,x,y,yaw\n1,2,3\n", 2, "3 values where 4 belong"),
         ("9" * 100_000, 1, "1 values where 8 belong"),
     ],
