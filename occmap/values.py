@@ -1,5 +1,10 @@
-"""What recorded values must be: numbers, times, text and ranges are checked as they come in."""
+"""What recorded values must be: numbers, times, text and ranges are checked as they come in.
 
+Here is also what the columns of a table are called, and which files are neither logs nor poses.
+"""
+
+import re
+import shlex
 from contextlib import suppress
 from decimal import Decimal
 from numbers import Real
@@ -36,8 +41,15 @@ def as_stamp(value: Any) -> int:
     return int(value)
 
 
+LEAST_NANOSECONDS = 10**17
+"""A whole number beyond it is no time in seconds, which fits 64 bits only up to 10^10, and none in
+microseconds before the year 5138; as nanoseconds it is one since 1973."""
+
+
 def parse_seconds(text: str) -> int:
     """Convert seconds, as text, to nanoseconds exactly; a float would round to 0.2 us.
+
+    What can only be whole nanoseconds is taken as such.
 
     Raises
     ------
@@ -45,10 +57,22 @@ def parse_seconds(text: str) -> int:
         The text is not a number, or its nanoseconds do not fit 64 bits.
     """
     with suppress(ArithmeticError):  # what decimal raises for words and for NaN
-        nanoseconds = Decimal(text).scaleb(9)
+        number = Decimal(text)
+        is_nanoseconds = number > LEAST_NANOSECONDS and number % 1 == 0
+        nanoseconds = number if is_nanoseconds else number.scaleb(9)
         if abs(nanoseconds) < 2**63:
             return round(nanoseconds)
     raise ValueError(f"{shorten(text)} is not a time in seconds")
+
+
+def parse_number(text: str) -> float:
+    """Parse a number; raises ValueError also where Python alone takes it for one, such as 1_000."""
+    try:
+        if "_" in text or not text.isascii():
+            raise ValueError
+        return float(text.encode())  # of bytes, since blanks around text may be any of Unicode's
+    except ValueError:
+        raise ValueError(f"{shorten(text)} where a number belongs") from None
 
 
 def parse_nanoseconds(text: str) -> int:
@@ -62,14 +86,19 @@ def parse_nanoseconds(text: str) -> int:
 BEYOND_A_TURN = 7.0
 JUMP_SHARE = 0.01
 """Headings that are radians stay within a turn, or count on without a jump of half a turn"""
+WRAP_DEG = 340.0
+"""Headings that are degrees jump by more, up to a turn, from 180 to -180 or from 360 to 0"""
 
 
 def suspect_degrees(yaw: ArrayLike) -> str:
     """Say if headings, one after the other, can hardly be radians; "" if they can."""
     known = np.asarray(yaw, np.float64)
     known = known[np.isfinite(known)]
-    jumps = np.abs(np.diff(known)) > np.pi
-    if len(jumps) and np.median(np.abs(known)) > BEYOND_A_TURN and jumps.mean() > JUMP_SHARE:
+    steps = np.abs(np.diff(known))
+    if not len(steps) or np.median(np.abs(known)) <= BEYOND_A_TURN:
+        return ""
+    wraps = (steps > WRAP_DEG) & (steps <= 360)
+    if wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE:
         return (
             "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
         )
@@ -105,3 +134,66 @@ def shorten(value: object) -> str:
         return "a number beyond 64 bits"
     text = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
     return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+COLUMN_NAMES = {
+    "stamp": ("timestamp", "time", "t", "timestamp_s", "time_s"),
+    "stamp_ns": ("field.header.stamp", "%time", "timestamp_ns", "time_ns"),
+    "yaw": ("theta", "heading", "field.theta"),
+    "frame": ("field.header.frame_id", "header.frame_id"),
+}
+"""What other programs call a column; those of `rostopic echo -p` begin with `field.`"""
+_UNIT = re.compile(r"\s*[\[(](?:s|m|rad)?[\])]$")
+"""A unit behind the name of a column, where it is the one that is expected"""
+
+
+def find_separator(row: str) -> str | None:
+    """Tell what stands between the cells of a row; None for any white space."""
+    separator = max(",;\t", key=row.count)
+    return separator if separator in row else None
+
+
+def split_header(text: str, separator: str | None) -> list[str]:
+    """Split a header row into the names of its columns, as occmap has them where it knows them.
+
+    The time is `stamp`, or `stamp_ns` where it is called nanoseconds.
+    """
+    cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
+    names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
+    for name, others in COLUMN_NAMES.items():
+        found = next((other for other in others if other in names), "")
+        if found and name.removesuffix("_ns") not in names:
+            names[names.index(found)] = name
+    return [name.removeprefix("field.") for name in names]
+
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+OTHER_FILES = {
+    b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
+    b"P5|image:": ("a map, not a log: `occmap diff` compares maps", ""),
+    b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
+    b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
+    re.escape(ZSTD_MAGIC): ("a file that zstd compressed", "decompress it first: unzstd PATH"),
+    rb"\xff\xfe[\t-~]\0|\xfe\xff\0[\t-~]": (
+        "text in UTF-16",
+        "make it UTF-8 first: iconv -f UTF-16 -t UTF-8 PATH > NEW.csv",
+    ),
+    re.escape(b"\xdb\x01\xf5\x5b\x7b\x1f\x1d\x7b"): (
+        "a pbstream of Cartographer",
+        "take its poses out: cartographer_dev_pbstream_trajectories_to_rosbag -input PATH -output "
+        "poses.bag",
+    ),
+    b"VERTEX": ("a pose graph, whose poses have no times", "let the SLAM write TUM"),
+}
+"""By a pattern of how a file begins: what it is, and how to make of it what is read; "" where that
+is never"""
+
+
+def name_other(path: object, content: bytes) -> tuple[str, str]:
+    """Say what a file is that occmap cannot read, by how it begins, and what mends it.
+
+    Both are "" where it is not known.
+    """
+    begins = (start for start in OTHER_FILES if re.match(start, content))
+    found, fix = OTHER_FILES.get(next(begins, b""), ("", ""))
+    return found, fix.replace("PATH", shlex.quote(str(path)))

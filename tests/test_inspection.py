@@ -317,8 +317,8 @@ def test_other_times_are_not_tried_for_scans_that_no_time_helps(tmp_path: Path) 
 def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
     ranges: int, places: int, tmp_path: Path
 ) -> None:
-    """The robot drives at 0.11 m/s, and the nearest wall is 1.1 m away."""
-    drive = Drive(spoil=lambda measured: measured * ranges)
+    """The robot drives at 0.11 m/s, the nearest wall is 1.1 m away, and one beam meets dust."""
+    drive = Drive(spoil=lambda measured: np.append(measured[1:] * ranges, 3.0))
     poses = [(x * places, y * places, yaw) for x, y, yaw in map(drive.pose, range(SCANS))]
     log = write_csv(tmp_path / "mm.csv", drive, "inf", poses)
     expected = {"ranges are metres": ranges > 1, "places are metres": places > 1}

@@ -16,7 +16,7 @@ from occmap.cli import options
 from occmap.cli.console import Console, write_rows
 from occmap.cli.declaring import CONFIG, PATH, RUN, TEXT, Answer, Option, command, fail_if, flag
 from occmap.cli.options import FILES, MAP, Values
-from occmap.errors import LogError, OccmapError, UsageError
+from occmap.errors import LogError, OccmapError, PoseError, UsageError
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.plugins import guess
@@ -24,7 +24,7 @@ from occmap.readers import open_log
 from occmap.report import Note, label_first
 from occmap.report.limits import BUILD
 from occmap.report.results import Report, tell_beams, tell_map, tell_scans
-from occmap.scans.logs import count_scans
+from occmap.scans.mounts import open_drive
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
 
@@ -45,7 +45,7 @@ SCRATCH = Option(
     help="With --dask: a folder for intermediate files, shared by all workers. A build that is "
     "killed and run again goes on where it was.",
 )
-SKIP = flag(RUN, "--skip-unreadable", text="Leave out logs without readable scans, as damage.")
+SKIP = flag(RUN, "--skip-unreadable", text="Leave out logs without scans or poses, as damage.")
 STRICT = flag(RUN, "--strict", text="Write the map, then exit with 1 if a log is damaged.")
 
 USUAL = (
@@ -128,13 +128,13 @@ def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Pat
 
 
 def find_readable(logs: list[Path], chosen: BuildOptions) -> tuple[list[Path], list[Note]]:
-    """Leave out logs that cannot be opened or hold no scans, with a note on each; never all."""
+    """Leave out logs without readable scans or without poses, with a note on each; never all."""
     readable, lost = [], []
     for path in logs:
         try:
-            count_scans(open_log(path, chosen.reading), chosen.selection.topics)
+            open_drive(open_log(path, chosen.reading), chosen)
             readable.append(path)
-        except LogError as error:
+        except (LogError, PoseError) as error:
             lost.append(Note(f"{path}: left out: {error.found}", damage=True))
     return readable or logs, lost if readable else []
 

@@ -285,7 +285,8 @@ class ConfigOption(Option):
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
             for name in BESIDE.intersection(taken):
                 beside = str(path.parent / str(taken[name]))
-                if PosingOptions(poses=beside).files:  # a topic in it may follow, as of poses
+                # A topic in it may follow, as of poses.
+                if taken[name] and PosingOptions(poses=beside).files:
                     taken[name] = beside
             ctx.default_map = {
                 str(own[name].name): convert(path, own[name], value, ctx)

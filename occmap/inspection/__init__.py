@@ -27,7 +27,7 @@ from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
-from occmap.scans.stream import Drive, find_oddity, suspect_millimetres
+from occmap.scans.stream import Drive, find_oddity
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
 
@@ -224,8 +224,6 @@ def list_doubts(topic: ScanFindings, has_poses: bool, stamps: Stamps) -> Iterato
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
-    if doubt := suspect_millimetres(topic.ranges.smallest):
-        yield Concern(doubt, None)
     if topic.ranges.body is not None:
         yield poses.warn_of_body(topic.ranges.body)
     if not topic.ranges.measured and not topic.is_of_clouds:
@@ -307,7 +305,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
     scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    spoilers += ((topic, Concern(text, None)) for topic, text in poser.suspect_places() if text)
+    spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.suspect_units())
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"

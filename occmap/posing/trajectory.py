@@ -1,27 +1,26 @@
 """Trajectory files: TUM, CSV with a header, EuRoC and KITTI.
 
-TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more columns (s). EuRoC: lines
-`stamp,x,y,z,qw,qx,qy,qz`, which may go on (ns). KITTI: the first three rows of a matrix of 4 x 4 in
-each line, and the time of each (s) in times.txt beside it.
+TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more columns (s), or what
+`rostopic echo -p` writes of poses (ns). EuRoC: lines `stamp,x,y,z,qw,qx,qy,qz`, which may go on
+(ns). KITTI: the first three rows of a matrix of 4 x 4 in each line, and the time of each (s) in
+times.txt beside it.
 """
 
-import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
+from occmap import values
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.tracks import to_quaternions
-from occmap.types import Moments, Pose, PoseBatch
-from occmap.values import parse_nanoseconds, parse_seconds, shorten, suspect_degrees
+from occmap.types import Float64, Moments, Pose, PoseBatch
 
 Parsed = TypeVar("Parsed")
-TimedPose: TypeAlias = tuple[int, Pose]
-"""A pose and its time (ns)"""
 NumberedLine: TypeAlias = tuple[int, str]
 
 TRAJECTORY_FRAME = "map"
@@ -40,45 +39,51 @@ FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns the axes of a camera (right, down, ahead) to those of a robot (ahead, left, up)"""
 TO_CAMERA = np.block([[FROM_CAMERA.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
 
+NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x1f]")
 BINARY_WITHIN = 64
-"""A log or a picture has a zero byte within these first bytes; a text may have some later, where
-a crash cut it."""
+"""A log or a picture has a byte of no text within these first bytes; a text may have some later,
+where a crash cut it."""
 
 MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
 
-class _Layout(NamedTuple):
-    """What the lines of a file hold, and where."""
-
-    columns: Sequence[str]
-    separator: str | None
-    """None: any white space."""
-    parse_stamp: Callable[[str], int]
-    """Parses a time as nanoseconds; raises ValueError"""
-    has_more: bool = False
-    """Further columns may follow"""
-
-    def parse(self, text: str) -> TimedPose:
-        """Parse a line; optional columns that are absent are 0. Raises ValueError."""
-        fields, expected = text.split(self.separator), len(self.columns)
-        if len(fields) < expected or (len(fields) > expected and not self.has_more):
-            raise ValueError(f"{len(fields)} values where {expected} belong")
-        texts = dict(zip(self.columns, fields, strict=False))
-        stamp_ns = self.parse_stamp(texts["stamp"])
-        x, y, z = (_to_float(texts.get(name, "0")) for name in "xyz")
-        if "qw" in texts:
-            qx, qy, qz, qw = (_to_float(texts[name]) for name in QUATERNION)
-            return stamp_ns, Pose(x, y, z, qx, qy, qz, qw)
-        roll, pitch, yaw = (_to_float(texts.get(name, "0")) for name in ANGLES)
-        if not math.isfinite(roll + pitch + yaw):  # an infinite angle has no sine
-            roll = pitch = yaw = math.nan
-        return stamp_ns, Pose.from_xyzrpy((x, y, z), (roll, pitch, yaw))
+Row: TypeAlias = tuple[int, list[float]]
+"""A time (ns), the place, and the quaternion, or roll, pitch and yaw"""
 
 
-TUM = _Layout(("stamp", "x", "y", "z", *QUATERNION), None, parse_seconds)
+def _parse_pose(
+    columns: Sequence[str], separator: str | None, parse_stamp: Callable[[str], int], text: str
+) -> Row:
+    """Parse a line of these columns, with any white space between where `separator` is None.
+
+    Optional columns that are absent are 0. A comma in a number stands for a dot.
+
+    Raises
+    ------
+    ValueError
+        There are fewer or more values, or one is no number.
+    """
+    if separator == ";":
+        text = text.replace(",", ".")
+    fields, expected = text.split(separator), len(columns)
+    if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):
+        raise ValueError(f"{len(fields)} values where {expected} belong")
+    texts = dict(zip(columns, fields, strict=False))
+    rotation = QUATERNION if "qw" in texts else ANGLES
+    numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
+    return parse_stamp(texts["stamp"]), numbers
+
+
+TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.parse_seconds)
 EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
-EUROC = _Layout(EUROC_COLUMNS, ",", parse_nanoseconds, has_more=True)
+"""Others may follow."""
+EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
+NUMBER = re.compile(r"[-+.\d]|nan|inf")
+"""How a line begins that is no header"""
+PLACE = re.compile(r"^(?:.*\b(?:position|translation)\.|p_(?:\w+_)?|t)([xyz])$")
+TURN = re.compile(r"^(?:.*\b(?:orientation|rotation)\.|q_(?:\w+_)?)([wxyz])$")
+"""What ROS, EuRoC and TUM call the columns of a place and of a quaternion"""
 
 
 def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None) -> PoseBatch:
@@ -101,52 +106,50 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     LogError
         The file cannot be read or holds no poses, or a line is not a pose.
     """
-    poses = list(_read_timed(path, notes, moments))
-    if not poses:
-        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
-    times = [stamp_ns for stamp_ns, _ in poses]
+    times, poses = _read_timed(path, notes, moments)
     if moments is not None and not moments.is_timed:  # only the order of the scans is known
         times = _pair(path, len(poses), moments)
-    stamp_ns, values = np.array(times, np.int64), np.array([pose for _, pose in poses])
-    return PoseBatch(stamp_ns, stamp_ns, values, TRAJECTORY_FRAME, "", static=False, topic="")
+    stamp_ns = np.array(times, np.int64)
+    return PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
 
 
 def _pair(path: Path, poses: int, moments: Moments) -> list[int]:
     """Give the times of scans that poses are for one by one; raises LogError."""
     if poses != len(moments.stamp_ns):
         found = f"it holds {poses:,} poses, and the log {len(moments.stamp_ns):,} clouds"
-        raise LogError(
-            found, where=path, fix="give a pose for each file, in the order of the names"
-        )
+        fix = "give a pose for each file, in the order of the names"
+        raise LogError(found, where=path, fix=fix)
     return moments.stamp_ns
 
 
-def _read_timed(path: Path, notes: list[str], moments: Moments | None) -> Iterator[TimedPose]:
-    """Read the poses of a file; its first line tells which format it has."""
+def _read_timed(
+    path: Path, notes: list[str], moments: Moments | None
+) -> tuple[Sequence[int], Float64]:
+    """Read the times (ns) and poses (N, 7) of a file; its first line tells its format."""
     lines = _read_lines(path)
     first = next(lines, (0, ""))
-    whole = chain([first], lines)
-    if not first[1]:
-        return iter(())
-    if len(first[1].split()) == MATRIX:
+    whole = chain([first], lines) if NUMBER.match(first[1]) else lines
+    if whole is not lines and len(first[1].split()) == MATRIX:
         return _read_matrices(path, whole, notes, moments)
-    if "," not in first[1]:
-        return _parse_lines(path, whole, TUM.parse)
-    if first[1].partition(",")[0].strip().lstrip("-").isdecimal():
-        return _parse_lines(path, whole, EUROC.parse)
-    (layout,) = _parse_lines(path, [first], _parse_header)
-    rows = list(lines)
-    poses = list(_parse_lines(path, rows, layout.parse))
-    if "yaw" in layout.columns:
-        at = layout.columns.index("yaw")
-        doubt = suspect_degrees([float(text.split(",")[at]) for _, text in rows])
+    rows: list[Row] = []
+    if first[1]:
+        (parse,) = _parse_lines(path, [first], _find_format)
+        rows += _parse_lines(path, whole, parse)
+    if not rows:
+        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
+    times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
+    if poses.shape[1] < 7:
+        doubt = values.suspect_degrees(poses[:, 5])
         notes += [f"{path}: {doubt}"] * bool(doubt)
-    return iter(poses)
+        poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
+        turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
+        poses = np.array(turned)
+    return times, poses
 
 
 def _read_matrices(
     path: Path, lines: Iterable[NumberedLine], notes: list[str], moments: Moments | None
-) -> Iterator[TimedPose]:
+) -> tuple[Sequence[int], Float64]:
     """Read KITTI's poses, each with its time.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
@@ -163,8 +166,7 @@ def _read_matrices(
     if z > y:
         rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
     rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
-    poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])]).tolist()
-    return zip(times, map(Pose._make, poses), strict=True)
+    return times, np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
 
 
 def _read_times(path: Path, poses: int) -> list[int]:
@@ -173,7 +175,7 @@ def _read_times(path: Path, poses: int) -> list[int]:
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    times = list(_parse_lines(beside, _read_lines(beside), parse_seconds, fix))
+    times = list(_parse_lines(beside, _read_lines(beside), values.parse_seconds, fix))
     if len(times) != poses:
         found = f"it holds {poses:,} poses, and {TIMES} beside it {len(times):,} times"
         raise LogError(found, where=path, fix="there must be one for each pose")
@@ -184,8 +186,11 @@ def _read_lines(path: Path) -> Iterator[NumberedLine]:
     """Read the lines that are neither empty nor comments."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
-            if b"\0" in file.read(BINARY_WITHIN):
-                raise LogError("not text, so not a trajectory", where=path, fix=SHAPES)
+            begin = file.read(BINARY_WITHIN)
+        found, fix = values.name_other(path, begin)
+        if found or NO_TEXT.search(begin):
+            found = found or "not text, so not a trajectory"
+            raise LogError(found, where=path, fix=fix or SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
                 text = line.strip()
@@ -201,31 +206,40 @@ def _parse_lines(
         try:
             yield parse(text)
         except ValueError as error:
-            whole = "" if shorten(text) in str(error) else f": {text[:60]!r}"
+            whole = "" if values.shorten(text) in str(error) else f": {text[:60]!r}"
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _parse_header(text: str) -> _Layout:
-    """Read the column names of a CSV; columns that do not belong to a pose are passed over."""
-    names = [name.strip().lower() for name in text.split(",")]
+def _find_format(text: str) -> Callable[[str], Row]:
+    """Tell by its first line how the lines of a file are parsed; raises ValueError.
+
+    Columns that do not belong to a pose are passed over.
+    """
+    if NUMBER.match(text):
+        if not set(text).intersection(",;"):
+            return TUM
+        if re.match(r"-?\d+\s*,", text):
+            return EUROC
+        raise ValueError("no header says what the columns are")
+    separator = values.find_separator(text)
+    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", it)) for it in values.split_header(text, separator)]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
+    stamp, parse = (
+        ("stamp", values.parse_seconds)
+        if "stamp" in names
+        else ("stamp_ns", values.parse_nanoseconds)
+    )
+    names = ["stamp" if name == stamp else name for name in names]
     missing = {"stamp", "x", "y", *angles}.difference(names)
     if missing:
         raise ValueError(f"the header has no column {', '.join(sorted(missing))}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    return _Layout(names, ",", parse_seconds)
+    return partial(_parse_pose, names, separator, parse)
 
 
 def _parse_row(text: str) -> list[float]:
     words = text.split()
     if len(words) != MATRIX:
         raise ValueError(f"{len(words)} values where {MATRIX} belong")
-    return list(map(_to_float, words))
-
-
-def _to_float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"{shorten(text)} is not a number") from None
+    return list(map(values.parse_number, words))

@@ -25,6 +25,8 @@ from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
+from occmap.values import ZSTD_MAGIC as ZSTD_MAGIC
+from occmap.values import name_other
 
 GZIP_MAGIC = b"\x1f\x8b"
 
@@ -33,17 +35,6 @@ _GZIP_BITS = 31
 PROBE_BYTES = 4096
 SIMILAR = 0.85
 """How alike (0 to 1) a file must be named that is suggested for one that is not there."""
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_MAP = "a map, not a log: `occmap diff` compares maps"
-OTHER_FILES = {
-    b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
-    b"P5": (_MAP, ""),
-    b"image:": (_MAP, ""),
-    b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
-    b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
-    ZSTD_MAGIC: ("a file that zstd compressed", "decompress it first: unzstd PATH"),
-}
-"""By how a file begins: what it is, and how to make a log of it; "" where it never becomes one."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +49,13 @@ class Probe:
 
     @property
     def lines(self) -> list[str]:
-        """The first lines, if it may be text; the probe may end within the last."""
-        is_text = b"\0" not in self.content
-        return self.content.decode("utf-8-sig", "replace").splitlines() if is_text else []
+        """The first lines; the probe may end within the last.
+
+        Where a zero byte follows, as in what is no text, or as a crash leaves it, a line ends.
+        """
+        text, zero, _ = self.content.partition(b"\0")
+        text = text[: text.rfind(b"\n") + 1] if zero else text
+        return text.decode("utf-8-sig", "replace").splitlines()
 
 
 def probe_path(path: Path) -> Probe:
@@ -112,21 +107,21 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
         found = _describe_folder(probe.path)
     elif not raw:
         found = "the file is empty"
-    elif not any(raw):
-        found = f"the first {len(raw):,} bytes are zero, as a power cut leaves a file"
+    elif zeros := len(raw) - len(raw.lstrip(b"\0")):
+        found = f"the first {zeros:,} bytes are zero, as a power cut leaves a file"
         fix = "take the log from where it was copied from"
     elif not content:
         found = "a gzip file with nothing in it that can be read"
-    elif begins := [start for start in OTHER_FILES if content.startswith(start)]:
-        found, fix = OTHER_FILES[begins[0]]
+    elif (other := name_other(probe.path, content))[0]:
+        found, fix = other
     elif content.isascii():
         first_line = content.decode("ascii").splitlines()[0][:60]
         found = f"a text file of no known log format: it starts with {first_line!r}"
     elif content is not raw:
-        found, fix = "a file that gzip compressed", "decompress it first: gunzip PATH"
+        found = "a file that gzip compressed"
+        fix = f"decompress it first: gunzip {shlex.quote(str(probe.path))}"
     else:
         found = f"not a known log format: it starts with the bytes {raw[:8].hex(' ')}"
-    fix = fix.replace("PATH", shlex.quote(str(probe.path)))
     return LogError(found, where=probe.path, fix=fix or otherwise)
 
 

@@ -28,20 +28,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.readers import Probe, Role, Stream, decimals
-from occmap.readers.decimals import parse_number, unquote
-from occmap.readers.text_log import (
-    POSE_NAMES,
-    Block,
-    Line,
-    LineTally,
-    Pattern,
-    TextLog,
-    read_blocks,
-)
+from occmap.readers import Probe, Role, Stream, decimals, text_log
+from occmap.readers.decimals import unquote
+from occmap.readers.text_log import POSE_NAMES, Block, Line, LineTally, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
-from occmap.values import as_float32, parse_seconds, shorten
+from occmap.values import as_float32, parse_number, parse_seconds, shorten
 
 FRONT, REAR = "front_laser", "rear_laser"
 
@@ -87,21 +79,10 @@ def imply_increment(beams: int) -> float:
     return math.pi / max(beams - beams % 2, 1)
 
 
-def find_list(words: Sequence[bytes], at: int, end: int) -> slice:
-    """Find the list whose length stands at an index, among the words before `end`."""
-    room = end - at - 1
-    if room < 0:
-        raise ValueError("the line announces no values where 0 follow")
-    length = parse_number(unquote(words[at]))
-    if not 0 <= length <= room:
-        raise ValueError(f"the line announces {length:g} values where {room} follow")
-    return slice(at + 1, at + 1 + int(length))
-
-
 def find_lists(
     words: Sequence[bytes], kind: LineType, is_timed: bool
 ) -> tuple[Sequence[slice], int]:
-    """Find the lists of a line, and where the numbers behind them begin.
+    """Find the lists of a line, each behind its length, and where the numbers behind them begin.
 
     A time, a host and a second time follow these, or up to three words without a meaning.
     """
@@ -111,7 +92,13 @@ def find_lists(
     lists: list[slice] = []
     at = 1 + kind.before
     for _ in range(kind.lists):
-        lists.append(find_list(words, at, end))
+        room = end - at - 1
+        if room < 0:
+            raise ValueError("the line announces no values where 0 follow")
+        length = parse_number(unquote(words[at]))
+        if not 0 <= length <= room:
+            raise ValueError(f"the line announces {length:g} values where {room} follow")
+        lists.append(slice(at + 1, at + 1 + int(length)))
         at = lists[-1].stop
     if not 0 <= end - at - kind.behind <= (0 if is_timed else 3):
         place = "before the time " if is_timed else ""
@@ -267,7 +254,7 @@ class CarmenLog(TextLog):
         if not self._words["ODOM"]:
             return
         tally = LineTally()
-        for block in read_blocks(self.path, self.notes):
+        for block in text_log.read_blocks(self.path, self.notes):
             lines = {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
             for some in self._parse_block(block, lines, tally):
                 yield make_poses(some)
@@ -337,8 +324,7 @@ class CarmenLog(TextLog):
             self.notes.add(f"{topic} states no angles: {beams} beams are read as {spacing}")
 
     def _note_other_lines(self) -> None:
-        used = {*SCAN_LINES, "ODOM"}
-        others = Counter({word: n for word, n in self._words.items() if word not in used})
+        others = Counter({word: n for word, n in self._words.items() if word not in LINES})
         if others:
             top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
             more = ", ..." if len(others) > 5 else ""

@@ -2,14 +2,15 @@
 
 The header row names the columns, and comments state what holds for every row.
 
-Beside occmap's own names a header may have those of `rostopic echo -p` for a LaserScan: `%time`,
-`field.header.stamp`, `field.ranges0` and so on, with times in nanoseconds.
+Beside occmap's own names a header may have those of other programs, such as `timestamp` and
+`ranges[0]`, or of `rostopic echo -p` for a LaserScan: `%time`, `field.header.stamp` and so on, with
+times in nanoseconds. Where semicolons or tabs stand between cells, a comma in a number is a dot.
 """
 
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,10 @@ import numpy as np
 
 from occmap.errors import LogError
 from occmap.readers import Probe, Role, Stream, decimals
-from occmap.readers.decimals import parse_number, unquote
+from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog, read_blocks
 from occmap.types import IDENTITY, PoseSample, Scan
-from occmap.values import as_float32, parse_seconds
+from occmap.values import as_float32, find_separator, parse_number, parse_seconds, split_header
 
 TOPIC = "scan"
 REQUIRED = ("stamp", "angle_min", "angle_increment")
@@ -35,24 +36,22 @@ MEASURED = dict.fromkeys(POSE_NAMES, decimals.NUMBER) | {
 """What differs between the scans of one laser, as ranges do"""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
-ALIASES = {"stamp": ("time", "timestamp", "t"), "yaw": ("theta", "heading")}
-"""What other programs call a column. An error names it; it is not read, as units may differ."""
-ROSTOPIC = "%time"
-"""How the header of `rostopic echo -p` starts."""
-_ROSTOPIC_BEAM = re.compile(r"field\.ranges(\d+)")
-_ROSTOPIC_NAMES = {
-    "field.header.stamp": "stamp",
-    "field.header.frame_id": "frame",
-    **{f"field.{name}": name for name in (*FINITE_NAMES, *LIMITS)},
-}
+_BEAM = re.compile(r"^r(?:anges?)?_?\[?0*(\d+)\]?$")
+"""What a beam may be called"""
+_TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
+"""By what stands between cells: makes commas of these, and dots of commas within numbers"""
 
 
 def split_names(text: str) -> list[str]:
-    """Split a header row, in occmap's own names."""
-    names = [cell.strip(' \t"') for cell in text.split(",")]
-    if text.startswith(ROSTOPIC):
-        return [_ROSTOPIC_NAMES.get(name) or _ROSTOPIC_BEAM.sub(r"r\1", name) for name in names]
-    return names
+    """Split a header row, which may stand behind a #, in occmap's own names."""
+    names = split_header(text.lstrip("# "), find_separator(text) or ",")
+    return [_BEAM.sub(r"r\1", name) for name in names]
+
+
+def is_header(names: Collection[str], stated: Collection[str] = ()) -> bool:
+    """Whether names of columns are those of a log, to which comments may add some."""
+    known = sum(map(is_known, {*names, *stated}))
+    return known >= 3 and not {"stamp", "stamp_ns", "r0"}.isdisjoint(names)
 
 
 def split_comment(text: str) -> tuple[str, str]:
@@ -104,9 +103,7 @@ def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
     posed = POSE_NAMES if given.intersection(POSE_NAMES) else ()
     for name in (*REQUIRED, *posed):
         if name not in given:
-            other = next((other for other in ALIASES.get(name, ()) if other in names), None)
-            add = f"add it, or a comment `# {name}: VALUE` for all rows"
-            return f"no column {name}", f"rename the column {other} to it" if other else add
+            return f"no column {name}", f"add it, or a comment `# {name}: VALUE` for all rows"
     beams = sum(map(_is_beam, names))
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:
@@ -130,13 +127,13 @@ class CsvReader:
 
         A header that lacks a column is recognised, so that the error can name the column.
         """
-        lines = [line.strip() for line in probe.lines]
-        header = next((line for line in lines if line and not line.startswith("#")), None)
-        stated = {split_comment(line)[0] for line in lines if line.startswith("#")} & NAMES
-        if header is None:
+        lines = [line.strip() for line in probe.lines if line.strip()]
+        rows = [line for line in lines if not line.startswith("#")]
+        comments = [line for line in lines if line.startswith("#")]
+        stated = {split_comment(line)[0] for line in comments} & NAMES
+        if not rows:
             return bool(stated)
-        names = set(split_names(header))
-        return bool(names & {"stamp", "r0"}) and sum(map(is_known, names | stated)) >= 3
+        return any(is_header(split_names(line), stated) for line in (rows[0], *comments))
 
     def open(self, path: Path) -> "CsvLog":
         """Open a log: read its header and count its rows.
@@ -164,7 +161,10 @@ class CsvLog(TextLog):
         super().__init__(path)
         header, comments = self._find_header()
         self._header_line = header.number
-        self._names = split_names(header.text)
+        self.table = _TABLES.get(find_separator(header.text) or "")
+        names = split_names(header.text)
+        stamp = "stamp" if "stamp" in names else "stamp_ns"
+        self._names = ["stamp" if name == stamp else name for name in names]
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
         self._stated = {*self._names, *comments}
@@ -175,7 +175,7 @@ class CsvLog(TextLog):
         self._columns = {name: at for at, name in enumerate(self._names) if name in NAMES}
         """The cell of each of `NAMES` that is a column"""
         self._kinds = np.array([_find_kind(name) for name in self._names])
-        if header.text.startswith(ROSTOPIC):
+        if stamp == "stamp_ns":
             self._kinds[self._kinds == decimals.SECONDS] = decimals.NANOSECONDS
         self._places = [_name_place(name) for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
@@ -205,7 +205,10 @@ class CsvLog(TextLog):
                     self.notes.add(f"comments that are not used: {names}")
                 # Of two comments about one name the first counts.
                 constants = {name: line for name, _, line in reversed(named) if name in NAMES}
-                return block.get_line(rows[0]), constants
+                first = block.get_line(rows[0])
+                maybe = (first, *headings)  # numpy comments the header out
+                known = (it for it in maybe if is_header(split_names(it.text), constants))
+                return next(known, first), constants
         found = "; ".join(["no header row", *(note.text for note in self.notes)])
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from occmap.jit import kernel, step
 from occmap.types import Float32, Float64, Int64, UInt8
-from occmap.values import as_float32, parse_nanoseconds, parse_seconds, shorten
+from occmap.values import as_float32, parse_nanoseconds, parse_number, parse_seconds
 
 OTHER, SAME, NUMBER, FINITE, SECONDS, NANOSECONDS, RANGE = range(7)
 """What a word is: passed over, the same in all lines that are alike, a number, one that is neither
@@ -137,16 +137,6 @@ def unquote(word: bytes) -> str:
     """Read a word as text without its blanks and quotes; U+FFFD is what is no UTF-8."""
     text = word.strip().decode("utf-8", "replace")
     return text[1:-1] if len(text) > 1 and text[0] == text[-1] == '"' else text
-
-
-def parse_number(text: str) -> float:
-    """Parse a number; raises ValueError also where Python alone takes it for one, such as 1_000."""
-    try:
-        if "_" in text or not text.isascii():
-            raise ValueError
-        return float(text.encode())  # of bytes, since blanks around text may be any of Unicode's
-    except ValueError:
-        raise ValueError(f"{shorten(text)} where a number belongs") from None
 
 
 @kernel

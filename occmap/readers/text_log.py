@@ -85,8 +85,8 @@ def make_block(number: int, text: bytes, ended: bool = True) -> Block:
     return Block(number, text, np.append(0, ends + 1), ended)
 
 
-def read_blocks(path: Path, notes: NoteList) -> Iterator[Block]:
-    """Yield the lines of a UTF-8 text file, plain or gzip, in blocks.
+def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iterator[Block]:
+    """Yield the lines of a UTF-8 text file, plain or gzip, in blocks, translated by a table.
 
     Where gzip data is cut or corrupt, the complete lines before the damage are given, and a note
     says what is lost.
@@ -106,7 +106,7 @@ def read_blocks(path: Path, notes: NoteList) -> Iterator[Block]:
         total += len(piece)
         end = text.rfind(b"\n") + 1
         if end and (len(text) >= BLOCK_BYTES or not piece):
-            block = make_block(number, bytes(memoryview(text)[:end]))
+            block = make_block(number, bytes(memoryview(text)[:end]).translate(table))
             yield block
             number += len(block)
             del text[:end]
@@ -117,7 +117,7 @@ def read_blocks(path: Path, notes: NoteList) -> Iterator[Block]:
     if damage:
         notes.add_damage(f"the gzip data is {damage[0]}; all after line {number - 1} is lost")
     elif text:
-        yield make_block(number, bytes(text + b"\n"), ended=False)
+        yield make_block(number, bytes(text + b"\n").translate(table), ended=False)
 
 
 def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
@@ -219,6 +219,8 @@ class TextLog(ABC):
 
     fix: ClassVar[str]
     """What to do where all lines are malformed"""
+    table: bytes | None = None
+    """What each byte of the text stands for, where that is not itself"""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -266,7 +268,7 @@ class TextLog(ABC):
                 yield some
 
     def _parse_all(self, tally: LineTally) -> Iterator[Scan | ScanRun]:
-        for block in read_blocks(self.path, self.notes):
+        for block in read_blocks(self.path, self.notes, self.table):
             yield from self._parse_block(block, self.pick_scans(block), tally)
 
     def _parse_block(

@@ -217,7 +217,8 @@ def find_inputs(
 ) -> Inputs:
     """Replace folders and patterns by the recordings in them, in the order of their time.
 
-    What holds no recording stays as it is: opening it says what is wrong.
+    What holds no recording stays as it is: opening it says what is wrong. What occmap wrote into a
+    folder is none.
 
     Parameters
     ----------
@@ -229,7 +230,8 @@ def find_inputs(
     known = set(map(os.path.realpath, others))
     for path in paths:
         entries = list_entries(path)
-        maybe = [each for each in entries if os.path.realpath(each) not in known]
+        unnamed = (each for each in entries if os.path.realpath(each) not in known)
+        maybe = [each for each in unnamed if not is_made(each)]
         kept = list(filter(is_recording, maybe))
         if not kept or is_bag(path, kept):
             logs.append(path)
@@ -275,6 +277,18 @@ def is_recording(path: Path) -> bool:
     """Whether any reader recognises a path."""
     with suppress(LogError):
         return readers.find_reader(readers.probe_path(path)) is not None
+    return False
+
+
+MADE = b"\x06\0\0\0occmap", b"#timestamp [ns],p_x [m]"
+"""What stands at the beginning of maps as MCAP and of trajectories as CSV that occmap wrote"""
+
+
+def is_made(path: Path) -> bool:
+    """Whether occmap wrote a file that could be taken for a recording by its name or content."""
+    with suppress(LogError):
+        begin = readers.probe_path(path).raw[:64]
+        return any(mark in begin for mark in MADE)
     return False
 
 

@@ -181,15 +181,22 @@ def find_oddity(angle_increment: float, beams: int) -> str:
     return ""
 
 
-FAR_M = 50.0
-"""Some beam of a laser that measures metres is shorter."""
+FAR_M = 200.0
+"""No laser that measures metres has half of its ranges beyond it."""
 
 
-def suspect_millimetres(nearest_m: float) -> str:
-    """Say if the nearest range of a laser is too far away to be metres; "" if it is not."""
-    if not FAR_M < nearest_m < math.inf:
+def find_middle(batch: ScanBatch) -> float:
+    """Find the median of a sample of the ranges that are measurements; infinite if none is."""
+    sample = batch.ranges.ravel()[::16]  # one beam of so many tells how far away things are
+    measured = sample[(sample > 0) & (sample < batch.range_max)]
+    return float(np.median(measured)) if len(measured) else math.inf
+
+
+def suspect_millimetres(middle_m: float) -> str:
+    """Say if half of the ranges of a laser are too far away to be metres; "" if they are not."""
+    if not FAR_M < middle_m < math.inf:
         return ""
-    return f"no range is below {nearest_m:.4g} m: ranges are metres; are these millimetres?"
+    return f"most ranges are above {FAR_M:g} m: ranges are metres; are these millimetres?"
 
 
 def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterator[str]:
@@ -210,8 +217,8 @@ class Drive:
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._first_ns = 0
         self._odd: dict[str, None] = {}
-        self._nearest_m: defaultdict[str, float] = defaultdict(lambda: math.inf)
-        """The nearest range of each topic that is a measurement"""
+        self._middle_m: defaultdict[str, float] = defaultdict(lambda: math.inf)
+        """The median range of each topic, of the batch where it is lowest"""
 
     def renew(self, options: BuildOptions) -> "Drive":
         """Make a drive that has read no scan, by the poses that are known and other options."""
@@ -272,10 +279,8 @@ class Drive:
         limited = map(self.limits.apply, stack(chosen, stamps))
         for batch in tally.time_each("read", limited):
             selector.look(batch)
-            ranges, beams = batch.ranges, batch.ranges.shape[1]
-            measured = (ranges > 0) & (ranges < batch.range_max)
-            nearest = float(np.min(ranges, initial=self._nearest_m[batch.topic], where=measured))
-            self._nearest_m[batch.topic] = nearest
+            beams = batch.ranges.shape[1]
+            self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
             if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
                 self._odd[f"{batch.topic}: {oddity}"] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
@@ -295,11 +300,10 @@ class Drive:
             return ""
         return "scans of one beam have no inside, and polygon frees no cell: choose another update"
 
-    def suspect_units(self) -> list[str]:
-        """Say where ranges can hardly be metres, and where places cannot be."""
-        ranges = ((topic, suspect_millimetres(it)) for topic, it in self._nearest_m.items())
-        doubts = (*ranges, *self.poser.suspect_places())
-        return [f"{topic}: {doubt}" for topic, doubt in doubts if doubt]
+    def suspect_units(self) -> Iterator[tuple[str, str]]:
+        """Say, by topic, where ranges can hardly be metres, and where places cannot be."""
+        ranges = ((topic, suspect_millimetres(it)) for topic, it in self._middle_m.items())
+        return (each for each in (*ranges, *self.poser.suspect_places()) if each[1])
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
@@ -311,7 +315,7 @@ class Drive:
             *idle,
             *self.poser.notes,
             *self._odd,
-            *self.suspect_units(),
+            *(f"{topic}: {doubt}" for topic, doubt in self.suspect_units()),
             *told,
             *self.limits.list_notes(),
         ]

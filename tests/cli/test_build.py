@@ -210,16 +210,18 @@ def test_damage_is_a_note_and_with_strict_an_error_after_the_map(here: Path) -> 
 def test_logs_that_cannot_be_read_are_left_out_as_damage(here: Path, workers: list[str]) -> None:
     (here / "rnd.bag").write_bytes(b"nothing")
     (here / "cut.mcap").write_bytes((SAMPLE_LOGS / "drive.mcap").read_bytes()[:60])
-    line = ["build", "rnd.bag", DRIVE, "cut.mcap", "-o", "m.pgm", *workers]
+    (here / "no_poses.csv").write_text("stamp,angle_min,angle_increment,r0\n1,0,0,2\n")
+    line = ["build", "rnd.bag", DRIVE, "cut.mcap", "no_poses.csv", "-o", "m.pgm", *workers]
     assert read_error(occmap(*line, "-q"), 1).startswith("rnd.bag: ")
-    told = ask(*line, "--skip-unreadable", "--fail-if", "damage > 2")
+    told = ask(*line, "--skip-unreadable", "--fail-if", "damage > 3")
     assert told["logs"] == [str(DRIVE)]
     assert told["scans"]["used"] == 414
-    first, second = told["damage"]
+    first, second, third = told["damage"]
+    assert third.startswith("no_poses.csv: left out: the scans have no poses")
     assert first.startswith("rnd.bag: left out: a text file of no known log format")
     assert second.startswith("cut.mcap: left out: nothing in it can be read")
     assert set(told["damage"]) <= set(told["notes"])
-    assert occmap(*line, "--skip-unreadable", "--fail-if", "damage > 1").code == 3
+    assert occmap(*line, "--skip-unreadable", "--fail-if", "damage > 2").code == 3
     none = occmap("build", "rnd.bag", "-o", "m.pgm", "--skip-unreadable")
     assert read_error(none, 1).startswith("rnd.bag: a text file of no known")
 

@@ -83,6 +83,12 @@ def test_flags_and_options_of_one_command() -> None:
     assert occmap(f"build {LOG} -o m.png").code == 0
 
 
+def test_no_poses_are_not_those_of_the_folder() -> None:
+    Path("slam.mcap").touch()
+    write('poses = ""')
+    assert "error: --poses is empty" in occmap(f"build {LOG} -o m.pgm").err
+
+
 def test_options_of_other_commands_are_passed_over() -> None:
     write("hit-offset = 0.25\n")
     told = occmap(f"check {LOG}")

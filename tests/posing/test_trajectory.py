@@ -32,6 +32,7 @@ def test_tum(tmp_path: Path) -> None:
 
 
 HALF = math.sqrt(0.5)
+TURN = (0, 0, 0.6, 0.8)
 
 
 @pytest.mark.parametrize(
@@ -44,13 +45,52 @@ HALF = math.sqrt(0.5)
         ),
         ("stamp,x,y,qx,qy,qz,qw\n3,2,3,0.1,0.2,0.3,0.4\n", (2, 3, 0, 0.1, 0.2, 0.3, 0.4)),
         ("\ufeffstamp,x,y,yaw\r\n3,1,2,0\r\n", (1, 2, 0, 0, 0, 0, 1)),
+        ('"Time [s]","x [m]","y (m)","theta [rad]"\n3,1,2,0\n', (1, 2, 0, 0, 0, 0, 1)),
+        ("timestamp\ttx\tty\ttz\tqx\tqy\tqz\tqw\n3\t1\t2\t4\t0\t0\t0.6\t0.8\n", (1, 2, 4, *TURN)),
+        ("t;x;y;z;qx;qy;qz;qw\n3,0;1,0;2;4;0;0;0,6;0,8\n", (1, 2, 4, *TURN)),
+        (
+            "time [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
+            "q_RS_z []\n3000000000,1,2,4,0.8,0,0,0.6\n",
+            (1, 2, 4, *TURN),
+        ),
     ],
-    ids=["heading", "columns in any order beside others", "quaternion", "byte order mark"],
+    ids=[
+        *("heading", "columns in any order beside others", "quaternion", "byte order mark"),
+        *("units", "tabs", "semicolons and decimal commas", "names of EuRoC"),
+    ],
 )
 def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
     (sample,) = read(tmp_path, text)
     assert sample.stamp_ns == 3 * 10**9
     assert sample.pose == pytest.approx(pose)
+
+
+@pytest.mark.parametrize(
+    ("place", "turn"),
+    [
+        ("pose.pose.position", "pose.pose.orientation"),  # of Odometry
+        ("pose.position", "pose.orientation"),
+        ("transform.translation", "transform.rotation"),
+    ],
+)
+def test_what_rostopic_writes_of_poses(tmp_path: Path, place: str, turn: str) -> None:
+    """The stamp of the header counts, in nanoseconds, and no speed is taken for a place."""
+    names = ["%time", "field.header.stamp", "field.header.frame_id"]
+    names += [f"field.{place}.{axis}" for axis in "xyz"] + [
+        f"field.{turn}.{axis}" for axis in "xyzw"
+    ]
+    names += ["field.pose.covariance0", "field.twist.twist.linear.x"]
+    row = "9000000000,3000000001,map,1,2,4,0,0,0.6,0.8,0.1,5"
+    (sample,) = read(tmp_path, f"{','.join(names)}\n{row}\n")
+    assert sample.stamp_ns == 3_000_000_001
+    assert sample.pose == (1, 2, 4, *TURN)
+
+
+@pytest.mark.parametrize("head", ["", "timestamp x y z qx qy qz qw\n", "stamp,x,y,z,qx,qy,qz,qw\n"])
+def test_whole_numbers_too_large_for_seconds_are_nanoseconds(tmp_path: Path, head: str) -> None:
+    line = "1305031102175304001 1 2 4 0 0 0.6 0.8\n"
+    (sample,) = read(tmp_path, head + (line.replace(" ", ",") if "," in head else line))
+    assert (sample.stamp_ns, sample.pose) == (1305031102175304001, (1, 2, 4, *TURN))
 
 
 def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
@@ -64,6 +104,9 @@ def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
     [
         ([170, 176, -178, -172, 180], True),
         ([0, 90, 180, 270, 0, 90], True),
+        ([*range(90, 180), *range(-180, 180)], True),  # a turn in small steps
+        ([*range(90, 360), *range(360)], True),
+        ([*range(200, 330), 0, *range(330, 400)], False),  # one is lost
         ([3.0, 3.1, -3.1, -3.0, 3.1], False),
         ([20.0, 22.5, 25.0, 27.5], False),  # turns that are counted
         ([0.0, 5.0, 0.0, 6.2], False),
@@ -90,13 +133,15 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
     [
         ("1 2 3\n", 1, "3 values where 8 belong"),
         ("# TUM\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1 7\n", 3, "9 values where 8 belong"),
-        ("1 0 0 0 0 0 here 1\n", 1, "'here' is not a number"),
-        ("1305031102175304000 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
+        ("1 0 0 0 0 0 here 1\n", 1, "'here' where a number belongs"),
+        ("1305031102175 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
+        ("1.5,1,2,0\n", 1, "no header says what the columns are"),
+        ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw"),
         ("stamp,x,yaw\n1,2,3\n", 1, "has no column y"),
         ("stamp,x,y\n1,2,3\n", 1, "has no column yaw"),
         ("stamp,x,y,qw\n1,2,3,1\n", 1, "has no column qx, qy, qz"),
         ("stamp,x,y,yaw,x\n1,2,3,0,4\n", 1, "names a column twice"),
-        ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' is not a number"),
+        ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' where a number belongs"),
         ("stamp,x,y,yaw\n1,2,3\n", 2, "3 values where 4 belong"),
         ("9" * 100_000, 1, "1 values where 8 belong"),
     ],
@@ -122,10 +167,23 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
         read_trajectory(tmp_path / "none.tum", [])
 
 
-def test_a_binary_file_is_no_trajectory(tmp_path: Path) -> None:
-    path = tmp_path / "drive.bag"
-    path.write_bytes(b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0")
-    with pytest.raises(LogError, match="not text, so not a trajectory"):
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0", "not text, so not a trajectory"),
+        (b"\x1b\x8c$FQ\x0fJ{h", "not text, so not a trajectory"),
+        (
+            b"\xdb\x01\xf5[{\x1f\x1d{\x8a",
+            "pbstream.*trajectories_to_rosbag -input .*drive.bin -out",
+        ),
+        ("stamp,x,y,yaw\n1,2,3,0\n".encode("utf-16"), "UTF-16.*iconv"),
+        (b"VERTEX_SE2 0 11.8 4.2 1.57\n", "pose graph, whose poses have no times"),
+    ],
+)
+def test_what_is_no_trajectory_is_named(tmp_path: Path, content: bytes, found: str) -> None:
+    path = tmp_path / "drive.bin"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=found):
         read_trajectory(path, [])
 
 

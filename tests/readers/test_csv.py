@@ -59,11 +59,27 @@ FULL = Scan(
         WHOLE.replace(",1.5,", ',"1.5",').replace("r1", '"r1"'),
         "".join(",".join(reversed(line.split(","))) + "\n" for line in (HEADER, ROW)),
         gzip.compress(WHOLE.encode(), mtime=0),
+        WHOLE.replace(",", ";"),
+        WHOLE.replace(",", "\t"),
+        WHOLE.replace(",", ";").replace(".", ","),
+        f"# {WHOLE}",
+        WHOLE.replace("stamp", "Time")
+        .replace("yaw", "theta")
+        .replace("r0,r1", "range_0,ranges[1]"),
+        WHOLE.replace("stamp", "stamp [s]").replace("x,y,yaw", "x [m],y (m),yaw [rad]"),
+        WHOLE.replace("stamp", "timestamp_ns").replace("0.1234", "01234"),
+        WHOLE.replace("0.1234", "01234"),
+        WHOLE.replace("stamp", "%time").replace("0.1234", "01234"),
     ],
-    ids=["plain", "crlf", "bom", "blanks", "quotes", "other order", "gzip"],
+    ids=[
+        *("plain", "crlf", "bom", "blanks", "quotes", "other order", "gzip", "semicolons", "tabs"),
+        *("decimal commas", "numpy's header", "other names", "units"),
+        *("named nanoseconds", "nanoseconds", "rostopic's time"),
+    ],
 )
 def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
     log = open_csv(tmp_path, content)
+    assert CsvReader().recognises(probe_path(log.path))
     assert log.streams == [Stream("scan", "csv", 1, Role.SCAN)]
     (scan,) = log.scans(["scan"])
     expect_equal(scan, FULL)
@@ -135,8 +151,7 @@ MANY = "1,2,3\n" * (BLOCK_BYTES // 6)
     ("content", "found"),
     [
         *((f"#\n{WHOLE.replace(f'{name},', '')}", f"2: no column {name}; ") for name in COLUMNS),
-        (WHOLE.replace("stamp", "time"), "1: no column stamp; rename the column time to it"),
-        (WHOLE.replace("yaw", "theta"), "1: no column yaw; rename the column theta to it"),
+        (f"nsec,time_ms{WHOLE[5:]}", "1: no column stamp; add it"),
         (f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n", r"3: no column r0; .*`poses`"),
         (WHOLE.replace("r2", "r1"), "1: column r1 stands twice"),
         *((content, " no header row; ") for content in ("", "\n", CONSTANTS)),
@@ -191,6 +206,24 @@ def test_a_bad_row_is_left_out_wherever_it_is(
         open_csv(tmp_path, f"{HEADER}\n{ROW.replace(good, bad)}\n")
     assert f"log.csv:2: {complaint}" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_zeros_that_a_crash_left_cost_their_row(tmp_path: Path) -> None:
+    log = open_csv(tmp_path, f"{HEADER}\n{ROW}\n".encode() + bytes(99) + f"\n{ROW}\n".encode())
+    assert CsvReader().recognises(probe_path(log.path))
+    assert len(list(log.scans(["scan"]))) == 2
+    assert log.notes[0].damage
+
+
+def test_a_header_goes_before_a_comment_that_repeats_it(tmp_path: Path) -> None:
+    log = open_csv(tmp_path, f"# {HEADER}\n{WHOLE}")
+    assert (len(list(log.scans(["scan"]))), log.notes) == (1, [])
+
+
+def test_empty_cells_between_tabs_are_not_measured(tmp_path: Path) -> None:
+    header = "stamp\tangle_min\tangle_increment\tr0\tr1\tr2\n"
+    (scan,) = read_text(tmp_path, f"{header}1\t0\t0.1\t\t\t5\n")
+    np.testing.assert_array_equal(scan.ranges, [np.nan, np.nan, 5])
 
 
 def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:

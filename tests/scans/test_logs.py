@@ -48,6 +48,15 @@ def test_what_else_the_user_names_is_no_recording(day: Path) -> None:
     assert notes[0].endswith("2 other files passed over")
 
 
+def test_what_occmap_wrote_into_a_folder_is_no_recording(day: Path) -> None:
+    made = [day / "map.mcap", day / "way.csv", day / "way.tum"]
+    occmap.build_map(day, outputs=made)
+    names, notes = find(day)
+    assert names == ["c.csv", "a.csv", "b.csv"]
+    (note,) = notes
+    assert note.endswith("4 other files passed over")
+
+
 def test_a_recording_that_failed_is_named(day: Path) -> None:
     """Nothing was written to one, and what is in the other of the name of those found is none."""
     (day / "d.mcap").touch()
