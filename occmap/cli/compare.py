@@ -128,7 +128,10 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     first, as one may make up for the other, and if the mount is off, for all four together. A gain
     counts if it is more than two standard errors and half a percent, and if both halves of the
     held-out scans show it. What is found is added to the --time-offset and --sensor-pose that you
-    give.
+    give. A command is printed if each half, and each laser mapped alone, gains so much by itself.
+
+    Of several lasers in a log, choose one by --scan-topic to look for its mount, which is then
+    given by --static-tf.
 
     Several logs are taken for recordings of one robot, whose mount is one: each has a map of its
     own, in whatever frame, and a table says what each gains by what suits all of them best.
@@ -165,7 +168,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         table = [TUNED, *map(list_tuned, tuning.by_log)]
         yield from ("", *align(table, labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or tuning.is_doubtful or found
+    is_unseen = tuning.mount.verdict is Verdict.UNSEEN
+    unsure = disagree or is_unseen or tuning.is_doubtful or found
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 
