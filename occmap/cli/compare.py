@@ -5,12 +5,13 @@ Beside them `occmap diff`: what changed between two maps, and a limit on it.
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from occmap.choices import take
+from occmap.choices import Form, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_command, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Option, Value, command, fail_if
@@ -23,10 +24,12 @@ from occmap.scoring import SMALL
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.types import BEAM_UPDATES
+from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import WriteOptions
 
 VARIANTS = "What to compare"
+BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
+"""What is told and completed: `combine` says why the update for clouds is none of them"""
 
 
 @command(
@@ -37,7 +40,7 @@ VARIANTS = "What to compare"
         VARIANTS,
         "--update",
         "updates",
-        type=Value(OPTIONS["update"]),
+        type=Value(replace(OPTIONS["update"], form=BEAMS, kind=BEAM_UPDATES)),
         multiple=True,
         metavar=f"[{'|'.join(BEAM_UPDATES)}]",
         show_default="all",
