@@ -5,12 +5,13 @@ Beside them `occmap diff`: what changed between two maps, and a limit on it.
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from occmap.choices import take
+from occmap.choices import Form, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_command, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, Option, Value, command, fail_if
@@ -23,10 +24,12 @@ from occmap.scoring import SMALL
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.types import BEAM_UPDATES
+from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import WriteOptions
 
 VARIANTS = "What to compare"
+BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
+"""What is told and completed: `combine` says why the update for clouds is none of them"""
 
 
 @command(
@@ -37,7 +40,7 @@ VARIANTS = "What to compare"
         VARIANTS,
         "--update",
         "updates",
-        type=Value(OPTIONS["update"]),
+        type=Value(replace(OPTIONS["update"], form=BEAMS, kind=BEAM_UPDATES)),
         multiple=True,
         metavar=f"[{'|'.join(BEAM_UPDATES)}]",
         show_default="all",
@@ -128,7 +131,10 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     first, as one may make up for the other, and if the mount is off, for all four together. A gain
     counts if it is more than two standard errors and half a percent, and if both halves of the
     held-out scans show it. What is found is added to the --time-offset and --sensor-pose that you
-    give.
+    give. A command is printed if each half, and each laser mapped alone, gains so much by itself.
+
+    Of several lasers in a log, choose one by --scan-topic to look for its mount, which is then
+    given by --static-tf.
 
     Several logs are taken for recordings of one robot, whose mount is one: each has a map of its
     own, in whatever frame, and a table says what each gains by what suits all of them best.
@@ -165,7 +171,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         table = [TUNED, *map(list_tuned, tuning.by_log)]
         yield from ("", *align(table, labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or tuning.is_doubtful or found
+    is_unseen = tuning.mount.verdict is Verdict.UNSEEN
+    unsure = disagree or is_unseen or tuning.is_doubtful or found
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 

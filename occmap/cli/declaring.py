@@ -64,7 +64,8 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
         """List what a word may go on as."""
         if self.known.kind is Path:
             return [CompletionItem(incomplete, type="file")]
-        words: list[str] = list(self.known.kind) if isinstance(self.known.kind, EnumType) else []
+        kind = self.known.kind
+        words: list[str] = list(kind) if isinstance(kind, EnumType | tuple) else []
         return [CompletionItem(word) for word in words if word.startswith(incomplete)]
 
 

@@ -234,8 +234,11 @@ def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
 
 
 def list_scans(explanation: Explanation) -> Iterator[Row]:
-    """Sum up the scans that observed the cell, and list the first of them."""
-    scans = explanation.scans
+    """Sum up the scans that observed the cell, and list some, those that speak for a thing first.
+
+    A cell is mostly seen through, and who asks wants to know who hit it.
+    """
+    scans = sorted(explanation.scans, key=lambda scan: scan.seen.numbers[0] <= 0)
     used = f"of {count(explanation.scans_used, 'scan')} used"
     if not scans:
         yield "scans", f"none {used} observed the cell"

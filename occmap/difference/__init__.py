@@ -160,7 +160,7 @@ def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()
     corner = Place(place.resolution, *place.measure(both)[:2])
     blob = find_largest_blob(one != other)
     changed, known = count_changes(one, other), int(np.count_nonzero(one | other))
-    notes = []
+    notes = [*before.notes, *after.notes]
     if before.evidence and after.evidence and before.align != after.align:
         turns = (f"{each.path} is turned by {each.align or 0} degrees" for each in (before, after))
         notes.append(f"{', '.join(turns)}: to see what changed, build both with one `align`")

@@ -20,10 +20,12 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.evidence.manifest import list_inputs
 from occmap.grid import CellBox
+from occmap.report import count
 from occmap.store import as_blocks, identify, open_saved
 from occmap.store.publishing import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
+from occmap.writers.pgm import UNKNOWN
 
 if TYPE_CHECKING:
     from occmap.writers.images import GreyImage
@@ -81,6 +83,8 @@ class ClassMap:
     """By what it is turned (degrees), as it says itself; "" where it is not, or does not say"""
     inputs: frozenset[str] = frozenset()
     """The SHA-256 of the files that it was made of, where it says so"""
+    notes: tuple[str, ...] = ()
+    """What a user should know of it"""
 
 
 def load_map(path: Path, thresholds: WriteOptions) -> ClassMap:
@@ -126,7 +130,14 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
     with stating.open("rb") as file:
         lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)$", file.read(YAML_BYTES), re.M)
     said = {name.decode(): text.decode() for name, text in lines}
-    return ClassMap(path, classify(read_image(image), meta), meta.place, image, **said)
+    pixels = read_image(image)
+    classes, notes = classify(pixels, meta), list[str]()
+    taken = int(np.count_nonzero(classes[pixels.grey[::-1] == UNKNOWN] == CellClass.FREE))
+    if taken and meta.mode is MapMode.TRINARY:
+        found = f"its free_thresh of {meta.free_thresh:g} makes {count(taken, 'pixel')} of grey"
+        fix = "write `free_thresh: 0.196` into it to have them unknown"
+        notes = [f"{stating}: {found} {UNKNOWN} free, which map_saver writes for unknown; {fix}"]
+    return ClassMap(path, classes, meta.place, image, **said, notes=tuple(notes))
 
 
 def load_png(path: Path, thresholds: WriteOptions) -> ClassMap:

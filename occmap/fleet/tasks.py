@@ -304,7 +304,7 @@ def store_block(job: BlockJob) -> BlockRecord:
 def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
     """Paint the pictures of a block, if it is one that was written, and measure it.
 
-    Returns a box around the cells that are observed, if there are any; numbers (3,) as
+    Returns a box around the cells that are observed, if there are any; numbers (4,) as
     `count_cells` gives them; and the hits in cells called occupied, and all hits.
 
     Raises

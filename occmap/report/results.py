@@ -17,9 +17,9 @@ from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, wr
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally
 from occmap.sensor import ReturnCounts
-from occmap.sensor.models import parse_model, shorten_model
+from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
 from occmap.types import Int64, Update
-from occmap.writers import WriteOptions, list_idle
+from occmap.writers import MapMode, WriteOptions, list_idle
 
 LEAST_AGREEMENT = 0.55
 """At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
@@ -50,7 +50,7 @@ class MapFacts(NamedTuple):
     shape: tuple[int, int]
     """Rows and columns"""
     counts: Int64
-    """(3,) as `count_cells` gives them"""
+    """(4,) as `count_cells` gives them"""
     agreement: float | None
     lost: Sequence[str] = ()
     """What there is to say of cells that do not last"""
@@ -104,7 +104,7 @@ class MapSummary:
         """Sum up a map of evidence."""
         rows, columns = facts.shape
         cells = rows * columns
-        observed, occupied, free = facts.counts.tolist()
+        observed, occupied, free, _ = facts.counts.tolist()
         return cls(
             update=Update(manifest.update),
             model=manifest.model,
@@ -190,9 +190,12 @@ def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
 
 
 def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:
-    """(3,) how many cells are observed, and occupied and free as they are written."""
+    """(4,) cells that are observed; that are occupied, and free, as they are written; and walls.
+
+    These are the cells that the map itself calls occupied.
+    """
     written = replace(grid, decision=writing.decide(grid.decision))
-    masks = written.observed, written.occupied, written.free
+    masks = written.observed, written.occupied, written.free, grid.occupied
     return np.array([np.count_nonzero(mask) for mask in masks])
 
 
@@ -279,6 +282,7 @@ def list_notes(
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
     yield from list_vain_edits(facts, options.writing)
+    yield from list_unwritten(facts, options.model, options.writing)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
@@ -292,7 +296,7 @@ def list_notes(
         )
     # Evidence that the logs are added to may have walls; clouds have no beams.
     if not tally.beams.hit and options.update is not Update.CLOUD:
-        _, occupied, _ = facts.counts
+        _, occupied, *_ = facts.counts
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
@@ -338,6 +342,22 @@ def list_disagreement(
             f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
             f"poses do not fit the scans{less}; see `occmap check`, try {timed}another trajectory "
             "by `poses=FILE`"
+        )
+
+
+def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -> Iterator[str]:
+    """Say how many walls the YAML's own thresholds lose, where loaders decide by these."""
+    _, occupied, _, walls = facts.counts.tolist()
+    is_left_to_yaml = writing.mode is not MapMode.TRINARY and writing.occupied_thresh is None
+    if is_left_to_yaml and occupied < walls:
+        # Rounded down, so that it leaves out none of them.
+        cut = math.floor(1e5 * find_decision(model).occupied_above) / 1e5
+        free, limit = writing.thresholds
+        lower = f" and `free_thresh={cut - 0.01:.5g}`" * (cut < free + 0.01)
+        yield (
+            f"`mode={writing.mode}`: {walls - occupied:,} of the {walls:,} cells that count as "
+            f"occupied for `agree` are not by the occupied_thresh that is written, {limit:g}; with "
+            f"`occupied_thresh={cut:.5g}`{lower} all are"
         )
 
 

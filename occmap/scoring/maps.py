@@ -174,10 +174,10 @@ def score(
     true = load_map(truth, options.writing) if truth else None
     if picture:
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
-    by_logs, by_truth, notes = None, None, list[str]()
+    by_logs, by_truth, notes = None, None, [*written.notes, *(true.notes if true else ())]
     if against.logs:
-        by_logs, notes = score_by_logs(written, against.logs, options, against.fit, progress)
-        notes += list_own(written, against.logs)
+        by_logs, told = score_by_logs(written, against.logs, options, against.fit, progress)
+        notes += [*told, *list_own(written, against.logs)]
     if true:
         found = AS_THEY_LIE
         if against.fit:

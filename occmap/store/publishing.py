@@ -25,7 +25,7 @@ from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
-from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision
+from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
 from occmap.store import Blocks, Saved, identify, read_all, read_part
 from occmap.store.layout import Block, list_blocks
 from occmap.types import Int64, UInt8
@@ -224,7 +224,7 @@ def survey_blocks(made: BlockMap) -> MapFacts:
     MapError
         A block cannot be read.
     """
-    cells, found = np.zeros(3, np.int64), np.zeros(4, np.int64)
+    cells, found = np.zeros(4, np.int64), np.zeros(4, np.int64)
     for piece in made.list_pieces(made.box):
         cells += results.count_cells(piece.map, made.options.writing)
         found += piece.found
@@ -395,6 +395,7 @@ def summarise(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
             *results.list_vain_edits(facts, options.writing),
+            *results.list_unwritten(facts, parse_model(manifest.model), options.writing),
             *facts.lost,
             *results.list_disagreement(facts, options.min_passes),
         ),

@@ -144,12 +144,14 @@ def tune(
         command=(),
         agreement=after.agreement,
     )
-    better = replace(options, posing=best.apply(options.posing, scorer.mount))
     doubts = list(list_doubts(tuning, scorer))
-    if tuning.time.verdict in (Verdict.FOUND, Verdict.DISAGREE):
-        doubts += list_better_stamps(paths, options)
-    command = compose_build(remarks.logs, better, {}) if best.is_any and not doubts else ()
-    return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
+    if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
+        doubts += list_other_cures(paths, options)
+    notes = [*remarks.notes, *unsearched, *doubts]
+    if doubts or not best.is_any:
+        return replace(tuning, notes=notes)
+    command = compose_build(remarks.logs, *search.mend(scorer, best))
+    return replace(tuning, command=command, notes=notes)
 
 
 def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
@@ -179,14 +181,19 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
     return {"time": time, "mount": mount, "deskew": deskew, "together": together}, unsearched
 
 
-def list_better_stamps(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
-    """Say where the scans fit the other of their two times better than any time offset."""
+def list_other_cures(paths: Sequence[Path], options: BuildOptions) -> Iterator[str]:
+    """Say what mends faults of logs that a correction could at best make up for.
+
+    The scans may fit the other of their two times better, poses may jump, or a laser be turned.
+    """
     for log in inspect(paths, options).logs:
-        for topic in log.scans:
-            if (stamps := topic.times.suggested_stamps) is not options.posing.stamps:
-                drift = f"stamps drift by {topic.times.drift_s:.3g} s against the record times"
-                better = f"the scans fit better: tune again with `stamps={stamps.value}`"
-                yield f"{log.path}: {topic.topic}: {drift}; {better}"
+        cures = {topic.times.suggested_stamps for topic in log.scans} - {options.posing.stamps}
+        advice = [f"`stamps={stamps.value}`" for stamps in cures]
+        for concern in log.concerns:
+            advice += [f"`{name}={value}`" for name, value in (concern.remedy or {}).items()]
+        if advice:
+            typed = " and ".join(dict.fromkeys(advice))
+            yield f"{log.path}: tune again with {typed}, as `occmap check` advises"
 
 
 def improve(before: Trial, after: Trial) -> dict[str, Any]:
@@ -223,10 +230,11 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")
     if scorer.mount is None:
-        notes.append(
-            "the mount is not searched: no single `sensor_pose` says where the lasers sit; name "
-            "one laser by `topics`, or its body by `base_frame`"
-        )
+        found = "the mount is not searched: no single `sensor_pose` says where the lasers sit"
+        lasers = next((log.topics for log in scorer.logs if len(log.topics) > 1), [])
+        one_by_one = ", then with ".join(f"`topics={topic}`" for topic in lasers)
+        fix = f"tune with {one_by_one}" if lasers else "name the body of one by `base_frame`"
+        notes.append(f"{found}; {fix}")
         return timed, [], notes
     if not travels:
         needed = f"more than {TRAVEL_M:g} m of travel"
@@ -260,6 +268,8 @@ def list_doubts(tuning: Tuning, scorer: Scorer) -> Iterator[str]:
                 f"{each.log} loses {-each.gain:.4f} +- {each.gain_error:.4f} by what the other "
                 "logs gain by: its mount or its clock may be another; tune it by itself"
             )
+    if tuning.correction.is_any:
+        yield from list_unlike(scorer, tuning.correction)
     half = tuning.scans.held_out // 2
     if half < FEW_SCANS:
         few = f"{count(half, 'held-out scan')} in each half: too few to tell"
@@ -267,3 +277,29 @@ def list_doubts(tuning: Tuning, scorer: Scorer) -> Iterator[str]:
     if scorer.is_at_edge(tuning.correction):
         offset = scorer.options.posing.time_offset_s + tuning.correction.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"
+
+
+def list_unlike(scorer: Scorer, best: Correction) -> Iterator[str]:
+    """Say which half of the scans, or which of several lasers, does not gain for sure by itself.
+
+    What is wrong with a log is wrong in all of it: each half alone would lead to the same advice,
+    and a clock that is wrong blurs the map of each laser alone. An offset that only makes lasers
+    fit each other makes up for the mount of one of them, or for a clock of its own.
+    """
+    both = Correction(), best
+    before, after = (scorer.score(each).predicted for each in both)
+    middle = len(before) // 2
+    parts = {
+        "the first half of the scans": Gain.measure(before[:middle], after[:middle]),
+        "the second half of the scans": Gain.measure(before[middle:], after[middle:]),
+    }
+    topics = sorted({topic for log in scorer.logs for topic in log.topics})
+    for topic in topics if len(topics) > 1 and best.time_s else ():
+        alone = [log.take(topic) for log in scorer.logs]
+        trials = [Trial.join(scorer.score_log(log, each) for log in alone) for each in both]
+        gain = Gain.measure(*(trial.predicted for trial in trials))
+        parts[f"{topic}, mapped alone,"] = gain
+    for part, gain in parts.items():
+        if not gain.certain:
+            found = f"{part} gains only {gain.gain:.4f} +- {gain.gain_error:.4f}"
+            yield f"{found} by what is found, which may be chance or make up for another fault"

@@ -17,8 +17,9 @@ from occmap.evidence import render
 from occmap.options import BuildOptions
 from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
-from occmap.posing.chain import MAX_TURN_S
+from occmap.posing.chain import MAX_TURN_S, Transforms
 from occmap.scans import make_engine, mounts
+from occmap.scans.logs import choose_topics
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Reading
@@ -45,6 +46,18 @@ class KeptLog:
     path: str
     poser: Poser
     batches: tuple[ScanBatch, ...]
+    has_others: bool = False
+    """Whether the log has scans on topics that are not asked for, too"""
+
+    @property
+    def topics(self) -> list[str]:
+        """The topics of the scans."""
+        return sorted({batch.topic for batch in self.batches})
+
+    def take(self, topic: str) -> Self:
+        """Take the scans of one topic."""
+        mine = tuple(batch for batch in self.batches if batch.topic == topic)
+        return replace(self, batches=mine)
 
     @property
     def stated(self) -> bool:
@@ -105,7 +118,8 @@ def keep_log(drive: Drive, most: int, tally: Tally) -> KeptLog:
     for posed in drive.read(tally):
         sample.add(posed.batch)
     tally.scans_used += sample.seen
-    return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts))
+    has_others = len(choose_topics(drive.log, ())) > len(drive.topics)
+    return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts), has_others)
 
 
 def drop_outer(log: KeptLog, options: PosingOptions, reach_s: float) -> KeptLog:
@@ -275,6 +289,27 @@ def climb(scorer: Scorer, best: Correction, knob: Knob, step: float) -> Correcti
         if best != start:
             break
     return best
+
+
+def mend(scorer: Scorer, best: Correction) -> tuple[BuildOptions, dict[str, str]]:
+    """Correct the options.
+
+    Returns
+    -------
+    options, changes
+        And those to write in place of them, as text: where a log has other lasers, too, the mount
+        is a transform to the one that is tuned, as `sensor_pose` is for a laser that is alone.
+    """
+    posing = best.apply(scorer.options.posing, scorer.mount)
+    one = next(log for log in scorer.logs if log.batches)
+    mended, given = posing.sensor_pose, scorer.options.posing.sensor_pose
+    if one.has_others and mended and given is None and scorer.mount:
+        seat = mounts.find_mount(one.poser, one.batches[0].frame, in_3d=True)
+        if seat and seat.frames:
+            place = Transforms.fixed(scorer.mount).invert().then(Transforms.fixed(mended)).first
+            changes = seat.write(mounts.turn_mount(seat.pose, place))
+            return replace(scorer.options, posing=replace(posing, sensor_pose=None)), changes
+    return replace(scorer.options, posing=posing), {}
 
 
 class Verdict(StrEnum):

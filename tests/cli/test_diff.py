@@ -36,6 +36,16 @@ def test_formats_may_be_mixed(names: tuple[str, str]) -> None:
     assert "1 free to occupied" in occmap("diff", *names).out
 
 
+@pytest.mark.parametrize("words", ["diff a.pgm b.pgm", "score a.pgm --truth b.pgm"])
+def test_a_map_whose_unknown_cells_load_as_free_is_noted(words: str) -> None:
+    for name in ("a.yaml", "b.yaml"):
+        text = Path(name).read_text()
+        Path(name).write_text(text.replace("free_thresh: 0.196", "free_thresh: 0.25"))
+    notes = ask(words)["notes"]
+    assert [note.split(":")[0] for note in notes] == ["a.yaml", "b.yaml"]
+    assert all("write `free_thresh: 0.196` into it" in note for note in notes)
+
+
 def test_json() -> None:
     found = ask("diff a.pgm b.pgm")
     assert (found["share"], found["changed"], found["known"]) == (0.2, 1, 5)

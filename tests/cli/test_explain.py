@@ -141,12 +141,13 @@ def test_a_cell_that_nothing_observed() -> None:
     assert far[1:] == inside[1:3]
 
 
-def test_a_long_list_is_cut_and_json_is_not() -> None:
-    write_csv(Path("long.csv"), ACROSS[:1] * 50, [0.32])
+def test_a_long_list_is_cut_to_those_that_hit_first_and_json_is_not() -> None:
+    write_csv(Path("long.csv"), [*ACROSS[2:] * 40, *ACROSS[:1] * 10], [0.32])
     save("long")
     question = "explain long.npz 0.37 0.05 --log long.csv"
     lines = occmap(question).out.splitlines()
-    assert [line.split()[0] for line in lines[10:-1]] == [f"{s}.000" for s in range(12)]
+    shown = [*range(40, 50), 0, 1]
+    assert [line.split()[0] for line in lines[10:-1]] == [f"{s}.000" for s in shown]
     assert lines[-1] == "         and 38 more: --json lists all"
     found = ask(question)
     assert [scan["stamp_ns"] for scan in found["scans"]] == [s * 10**9 for s in range(50)]

@@ -1,5 +1,6 @@
 """`occmap render`, `occmap merge` and `occmap build --resume` as a user types them."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,20 @@ def test_an_option_that_does_nothing_is_noted(command: str, flags: str, found: s
     assert result.err == "".join(f"note: {note}\n" for note in result.json["notes"])
     assert result.err.startswith(f"note: {found}" if found else "")
     assert result.err.count("\n") == bool(found)
+
+
+@pytest.mark.parametrize("command", ["build beam a.csv -r 0.1", "render a.npz"])
+@pytest.mark.parametrize("model", ["simple:p_hit=0.6", "counting:strength=6,cut=0.1"])
+def test_walls_below_the_threshold_that_is_written_are_counted(command: str, model: str) -> None:
+    """One hit, of probability 0.6 or below: the model calls its cell occupied, a loader not."""
+    line = f"{command} --model {model} -o m.pgm --mode scale"
+    (told,) = ask(line)["notes"]
+    assert re.match(r"--mode scale: (\d+) of the \1 cells that count as occupied ", told)
+    typed = re.findall(r"--[a-z]+-thresh 0[.0-9]+", told)
+    assert len(typed) == (2 if "cut" in model else 1)
+    assert ask(f"{line} {' '.join(typed)}")["notes"] == []
+    assert occmap(f"{command} --model {model} -o n.pgm").code == 0
+    assert not re.search("occupied to|to occupied", occmap("diff n.pgm m.pgm").out)
 
 
 def test_a_log_that_counts_twice_is_noted_and_taken_out_as_the_note_says() -> None:

@@ -83,6 +83,19 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
     assert write_art(load_map(path, OPTIONS).classes) == ".#"
 
 
+@pytest.mark.parametrize(("free", "art"), [("0.25", "#.."), ("0.196", "#?.")])
+def test_a_threshold_that_makes_what_is_unknown_free_is_told(
+    tmp_path: Path, free: str, art: str
+) -> None:
+    """205 is (255 - 205) / 255 = 0.19608; nav2's map_saver writes 0.25 unless it is told."""
+    thresholds = f"occupied_thresh: 0.65\nfree_thresh: {free}\n"
+    path = write_foreign(tmp_path, META + thresholds, [[0, 205, 254]])
+    loaded = load_map(path, OPTIONS)
+    assert write_art(loaded.classes) == art
+    told = [f"{path}: its free_thresh of 0.25 makes 1 pixel of grey 205 free"]
+    assert [note.split(",")[0] for note in loaded.notes] == told * (free == "0.25")
+
+
 @pytest.mark.parametrize(
     ("text", "found"),
     [

@@ -2,12 +2,16 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 
 from occmap.types import Float64
+from tests.bench.plans import cast_scans
 from tests.csv_logs import write_poses, write_scans
+from tests.readers.ros import ROS1, SECOND, Written, scan, write_bag1
 from tests.samples import SAMPLE_LOGS, Planar, import_generator
 
 drive = import_generator("drive")
@@ -50,3 +54,27 @@ def write_parts(folder: Path, turns_deg: Sequence[float], scans: int) -> list[Pa
         log = folder / f"part{part}.csv"
         parts.append(write_scans(log, stamps, ranges, poses, **SHAPE))
     return parts
+
+
+ROOM = np.array([(-6, -4, 0, -4), (-6, 0, 0, 0), (-6, -4, -6, 0), (0, -4, 0, 0.0)])
+"""Four walls of no thickness"""
+SEATS = {"/front": (0.3, 0.0, 0.0), "/rear": (-0.3, 0.0, math.pi)}
+"""Topics of two lasers, and where they sit on the robot; their frames are called likewise"""
+
+
+def write_two_lasers(folder: Path, delay_s: float) -> tuple[Path, Path]:
+    """Write a bag of scans that two lasers take in turn as they go round, and a file of poses."""
+    turn = np.linspace(0, 2 * math.tau, 400)
+    way = np.stack([1.8 * np.cos(turn) - 3, 0.9 * np.sin(turn) - 2, turn + math.pi / 2], axis=1)
+    way[:, 2] += np.arctan(np.sin(2 * turn) / (3 - np.cos(2 * turn)))  # it looks ahead
+    stamps = 100 + np.arange(400) / 5
+    log, bearings = [], np.linspace(-2, 2, 81)
+    for stamp, robot, topic in zip(stamps[20:-20], way[20:-20], cycle(SEATS), strict=False):
+        laser = drive.compose(drive.Planar(*robot), drive.Planar(*SEATS[topic]))
+        ranges = cast_scans(np.array([laser]), bearings, ROOM)[0].astype(np.float32)
+        stamp_ns = round((stamp + delay_s) * SECOND)
+        made = scan(ROS1, stamp_ns, topic[1:], ranges)
+        shape = {"angle_min": -2.0, "angle_increment": 0.05, "time_increment": 0.0}
+        log.append(Written(topic, stamp_ns, replace(made, **shape)))
+    bag = write_bag1(folder / "two.bag", log)
+    return bag, write_poses(folder / "poses.csv", stamps, way)

@@ -13,13 +13,13 @@ from occmap.choices import to_rpy
 from occmap.cli.compare import format_tuning
 from occmap.errors import LogError, PoseError
 from occmap.inspection import inspect
-from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
+from occmap.options import DEFAULT_UPDATE, OPTIONS, BuildOptions, Selection, choose_model
 from occmap.posing import Deskew, PosingOptions
 from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Reading, ignore_progress
-from occmap.scoring import GOLDEN, Gain, Sample
+from occmap.scoring import GOLDEN, Gain, Sample, Trial
 from occmap.scoring.compare import Variant, compare
-from occmap.tuning import list_better_stamps, tune
+from occmap.tuning import list_other_cures, list_unlike, tune
 from occmap.tuning.search import (
     TIME,
     YAW,
@@ -38,7 +38,7 @@ from tests.csv_logs import write_poses, write_scans
 from tests.inspection_logs import Drive, write_bag
 from tests.readers.ros import SECOND
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
-from tests.tuning.simulated import read_drive, write_drive, write_parts
+from tests.tuning.simulated import ROOM, read_drive, write_drive, write_parts, write_two_lasers
 
 STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
 
@@ -118,10 +118,6 @@ def test_a_wrong_mount_is_not_taken_for_a_wrong_clock() -> None:
     assert tuning.share > 0.95
 
 
-ROOM = np.array([(-6, -4, 0, -4), (-6, 0, 0, 0), (-6, -4, -6, 0), (0, -4, 0, 0.0)])
-"""Four walls of no thickness"""
-
-
 def write_spin(folder: Path, increment_s: float) -> tuple[Path, Path]:
     """A laser in a room of 6 x 4 m that turns at 2 rad/s as it drives; and its poses."""
 
@@ -158,13 +154,75 @@ def test_no_command_is_given_where_the_other_times_fit_better(
         return stamp + 3 * SECOND * (stamp >= 120 * SECOND)
 
     log = write_bag(tmp_path / "jump.bag", Drive(), [(0.0, 0.0)], scan_stamp=jump)
-    (told,) = list_better_stamps([log], BuildOptions())
+    (told,) = list_other_cures([log], BuildOptions())
     assert "tune again with `stamps=record`" in told
-    monkeypatch.setattr(tuning_package, "list_better_stamps", lambda *_: [told])
+    monkeypatch.setattr(tuning_package, "list_other_cures", lambda *_: [told])
     scans, poses = write_drive(tmp_path, lambda _: 0.1)
     tuning = tune([scans], follow(poses))
     assert (tuning.time.verdict, tuning.command) == (Verdict.FOUND, ())
     assert told in tuning.notes
+
+
+def test_no_command_is_given_where_poses_jump(tmp_path: Path) -> None:
+    scans, poses = write_drive(tmp_path, lambda _: 0.1)
+    table = np.loadtxt(poses, delimiter=",", skiprows=1)
+    table[207:, 1] += 2
+    tuning = tune([scans], follow(write_poses(poses, table[:, 0], table[:, 1:])))
+    assert tuning.correction.time_s
+    assert tuning.command == ()
+    assert tuning.notes[-1].startswith(f"{scans}: tune again with `end_s=")
+
+
+def seat_lasers(poses: Path, rear_x: float) -> BuildOptions:
+    """Options for two lasers; the rear one is thought to sit at an x, and really at -0.3 m."""
+    seats = ["base_link,front,0.3,0,0,0,0,0", f"base_link,rear,{rear_x},0,0,0,0,{math.pi}"]
+    known = {"poses": str(poses), "static_transforms": OPTIONS["static_transforms"].read(seats)}
+    return BuildOptions(posing=PosingOptions(**known))
+
+
+@pytest.mark.parametrize(("late_s", "rear_x"), [(0.1, -0.3), (0.0, -0.2)])
+def test_a_time_that_makes_up_for_the_mount_of_one_of_two_lasers_is_not_recommended(
+    late_s: float, rear_x: float, tmp_path: Path
+) -> None:
+    """Both halves show it, and certainly; but a clock that is late shows in each laser's map."""
+    log, poses = write_two_lasers(tmp_path, late_s)
+    tuning = tune([log], seat_lasers(poses, rear_x))
+    assert tuning.time.verdict is Verdict.FOUND
+    assert all(half.certain for half in tuning.time.halves)
+    assert tuning.correction.time_s == pytest.approx(-0.1, abs=2 * STEP_S + 1e-9)
+    assert bool(tuning.command) == bool(late_s)
+    doubts = [text.split(",")[0] for text in tuning.notes if "mapped alone, gains only" in text]
+    assert doubts == ([] if late_s else ["/front", "/rear"])
+    assert any("`topics=/front`, then with `topics=/rear`" in text for text in tuning.notes)
+
+
+def test_a_half_that_may_gain_by_chance_is_told() -> None:
+    """Of four scans of ten beams the first two gain 4 and 0 beams, the others 2 each."""
+    best = Correction(time_s=-0.1)
+    fared = {Correction(): [1, 4, 5, 3], best: [5, 4, 7, 5]}
+    tried = {
+        each: Trial(np.pad(predict(near), [(0, 0), (0, 4)]), np.zeros((1, 3)), None)
+        for each, near in fared.items()
+    }
+    scorer = Scorer([], BuildOptions(), None, lambda: None, tried=tried)
+    (told,) = list_unlike(scorer, best)
+    assert told.startswith("the first half of the scans gains only 0.2000 +- 0.2000 ")
+
+
+def test_the_mount_of_one_of_two_lasers_is_given_as_a_transform_to_its_frame(
+    tmp_path: Path,
+) -> None:
+    log, poses = write_two_lasers(tmp_path, 0.0)
+    options = seat_lasers(poses, -0.2)
+    tuning = tune([log], replace(options, selection=Selection(topics=("/rear",))))
+    found = tuning.correction
+    assert found.x < -0.05
+    (given,) = [word for word in tuning.command if word.startswith("base_link,rear,")]
+    place = [-0.2 + found.x, found.y, 0, 0, 0]
+    assert [*map(float, given.split(",")[2:7])] == pytest.approx(place, abs=1e-5)
+    assert math.remainder(float(given.split(",")[7]) - math.pi - found.yaw, math.tau) < 2e-5
+    assert "base_link,front,0.3,0,0,0,0,0" in tuning.command
+    assert "--sensor-pose" not in tuning.command
 
 
 def test_better_is_what_surely_gains(tmp_path: Path) -> None:
