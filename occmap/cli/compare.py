@@ -171,8 +171,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         table = [TUNED, *map(list_tuned, tuning.by_log)]
         yield from ("", *align(table, labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    is_unseen = tuning.mount.verdict is Verdict.UNSEEN
-    unsure = disagree or is_unseen or tuning.is_doubtful or found
+    unsure = disagree or found or tuning.is_doubtful or tuning.mount.verdict is Verdict.UNSEEN
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 

@@ -353,7 +353,7 @@ def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -
         # Rounded down, so that it leaves out none of them.
         cut = math.floor(1e5 * find_decision(model).occupied_above) / 1e5
         free, limit = writing.thresholds
-        lower = f" and `free_thresh={cut - 0.01:.5g}`" * (cut < free + 0.01)
+        lower = f" and `free_thresh={max(cut - 0.01, cut / 2):.5g}`" * (cut < free + 0.01)
         yield (
             f"`mode={writing.mode}`: {walls - occupied:,} of the {walls:,} cells that count as "
             f"occupied for `agree` are not by the occupied_thresh that is written, {limit:g}; with "

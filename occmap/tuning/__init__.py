@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from occmap.inspection import inspect
-from occmap.options import BuildOptions, compose_build
+from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import open_scans
@@ -147,11 +147,8 @@ def tune(
     doubts = list(list_doubts(tuning, scorer))
     if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
         doubts += list_other_cures(paths, options)
-    notes = [*remarks.notes, *unsearched, *doubts]
-    if doubts or not best.is_any:
-        return replace(tuning, notes=notes)
-    command = compose_build(remarks.logs, *search.mend(scorer, best))
-    return replace(tuning, command=command, notes=notes)
+    command = search.compose(scorer, best) if best.is_any and not doubts else ()
+    return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
 
 
 def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
@@ -287,19 +284,16 @@ def list_unlike(scorer: Scorer, best: Correction) -> Iterator[str]:
     fit each other makes up for the mount of one of them, or for a clock of its own.
     """
     both = Correction(), best
-    before, after = (scorer.score(each).predicted for each in both)
-    middle = len(before) // 2
-    parts = {
-        "the first half of the scans": Gain.measure(before[:middle], after[:middle]),
-        "the second half of the scans": Gain.measure(before[middle:], after[middle:]),
-    }
+    fared = [scorer.score(each).predicted for each in both]
+    halves = zip(*(np.split(each, [len(each) // 2]) for each in fared), strict=True)
+    parts = dict(zip(("the first half of the scans", "the second half"), halves, strict=True))
     topics = sorted({topic for log in scorer.logs for topic in log.topics})
     for topic in topics if len(topics) > 1 and best.time_s else ():
         alone = [log.take(topic) for log in scorer.logs]
-        trials = [Trial.join(scorer.score_log(log, each) for log in alone) for each in both]
-        gain = Gain.measure(*(trial.predicted for trial in trials))
-        parts[f"{topic}, mapped alone,"] = gain
-    for part, gain in parts.items():
+        trials = (Trial.join(scorer.score_log(log, each) for log in alone) for each in both)
+        parts[f"{topic}, mapped alone,"] = tuple(trial.predicted for trial in trials)
+    for part, predicted in parts.items():
+        gain = Gain.measure(*predicted)
         if not gain.certain:
             found = f"{part} gains only {gain.gain:.4f} +- {gain.gain_error:.4f}"
             yield f"{found} by what is found, which may be chance or make up for another fault"

@@ -14,7 +14,7 @@ import numpy as np
 from occmap.choices import to_rpy
 from occmap.errors import PoseError
 from occmap.evidence import render
-from occmap.options import BuildOptions
+from occmap.options import BuildOptions, compose_build
 from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import MAX_TURN_S, Transforms
@@ -291,25 +291,22 @@ def climb(scorer: Scorer, best: Correction, knob: Knob, step: float) -> Correcti
     return best
 
 
-def mend(scorer: Scorer, best: Correction) -> tuple[BuildOptions, dict[str, str]]:
-    """Correct the options.
+def compose(scorer: Scorer, best: Correction) -> tuple[str, ...]:
+    """Compose the line of a build with a correction.
 
-    Returns
-    -------
-    options, changes
-        And those to write in place of them, as text: where a log has other lasers, too, the mount
-        is a transform to the one that is tuned, as `sensor_pose` is for a laser that is alone.
+    Where a log has other lasers, too, the mount is written as a transform to the one that is tuned,
+    since `sensor_pose` is for a laser that is alone.
     """
-    posing = best.apply(scorer.options.posing, scorer.mount)
-    one = next(log for log in scorer.logs if log.batches)
-    mended, given = posing.sensor_pose, scorer.options.posing.sensor_pose
-    if one.has_others and mended and given is None and scorer.mount:
-        seat = mounts.find_mount(one.poser, one.batches[0].frame, in_3d=True)
-        if seat and seat.frames:
-            place = Transforms.fixed(scorer.mount).invert().then(Transforms.fixed(mended)).first
-            changes = seat.write(mounts.turn_mount(seat.pose, place))
-            return replace(scorer.options, posing=replace(posing, sensor_pose=None)), changes
-    return replace(scorer.options, posing=posing), {}
+    options, mount, changes = scorer.options, scorer.mount, dict[str, str]()
+    posing = best.apply(options.posing, mount)
+    one, moved = next(log for log in scorer.logs if log.batches), posing.sensor_pose
+    seat = mounts.find_mount(one.poser, one.batches[0].frame, in_3d=True)
+    if one.has_others and mount and moved and seat and seat.frames:
+        step = Transforms.fixed(mount).invert().then(Transforms.fixed(moved)).first
+        changes = seat.write(mounts.turn_mount(seat.pose, step))
+        posing = replace(posing, sensor_pose=None)
+    paths = [log.path for log in scorer.logs]
+    return compose_build(paths, replace(options, posing=posing), changes)
 
 
 class Verdict(StrEnum):
