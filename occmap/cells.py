@@ -276,6 +276,13 @@ class Ground:
         known = (number >= 0) & self.measured[number, flat]
         return np.where(known, self.height_mm[number, flat] / 1000, np.nan)
 
+    def measure_rise(self, other: "Ground") -> Int32:
+        """How much higher another ground is in each column that both measured (N,; mm)."""
+        mine, its = ((each.blocks[:, 0] << 32) + each.blocks[:, 1] for each in (self, other))
+        _, mine, its = np.intersect1d(mine, its, return_indices=True)
+        both = self.measured[mine] & other.measured[its]
+        return (other.height_mm[its] - self.height_mm[mine])[both]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:

@@ -42,7 +42,7 @@ class Form(NamedTuple):
 def write_value(value: Any) -> str:
     """Write a value, or one item of several, as it is typed."""
     if isinstance(value, Pose):
-        return format_mount(value)
+        return format_place(value) if value.z else format_mount(value)
     if isinstance(value, PoseSample):
         return format_static(value.parent, value.child, value.pose)
     if isinstance(value, tuple):
@@ -55,6 +55,11 @@ def format_mount(pose: Pose) -> str:
     roll, pitch, yaw = to_rpy(pose)
     level = abs(roll) < LEVEL_RAD and abs(pitch) < LEVEL_RAD
     return _join([pose.x, pose.y, yaw] if level else [pose.x, pose.y, yaw, roll, pitch])
+
+
+def format_place(pose: Pose) -> str:
+    """Write a pose as `transform` takes it, with its height: x,y,yaw,z."""
+    return _join([pose.x, pose.y, to_rpy(pose)[2], pose.z])
 
 
 def format_static(parent: str, child: str, pose: Pose) -> str:
@@ -138,13 +143,21 @@ def _read_path(value: Any) -> Path:
     raise ValueError
 
 
-def _read_pose(value: Any, *sizes: int) -> Pose:
+def _read_mount(value: Any) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
     if isinstance(value, Pose):
         return value
-    numbers = _read_numbers(value, *sizes, angles=slice(2, None))
+    numbers = _read_numbers(value, 3, 5, angles=slice(2, None))
     x, y, yaw, roll, pitch, *_ = (*numbers, 0.0, 0.0)
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
+
+
+def _read_place(value: Any) -> Pose:
+    """Make a pose of (x, y, yaw), or of (x, y, yaw, z), in metres and radians."""
+    if isinstance(value, Pose):
+        return value
+    x, y, yaw, *up = _read_numbers(value, 3, 4, angles=slice(2, 3))
+    return Pose.planar(x, y, yaw)._replace(z=sum(up))
 
 
 def _read_transform(value: Any) -> PoseSample:
@@ -175,12 +188,9 @@ FORMS: dict[Any, Form] = {
 }
 """How values look by their type, where an option does not say it"""
 MOUNT = Form(
-    lambda value: _read_pose(value, 3, 5),
-    "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
+    _read_mount, "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 )
-PLANAR = Form(
-    lambda value: _read_pose(value, 3), "x,y,yaw in metres and radians, such as 12.5,-3,1.5708"
-)
+PLACE = Form(_read_place, "x,y,yaw or x,y,yaw,z in metres and radians, such as 12.5,-3,1.5708")
 GLOBE = Form(
     lambda value: _read_numbers(value, 3), "latitude,longitude,yaw in degrees, such as 52.5,13.4,30"
 )

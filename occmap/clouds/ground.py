@@ -5,10 +5,12 @@ otherwise than they are said to.
 """
 
 import math
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
 from threading import Lock
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, list_clouds
 from occmap.errors import MapError
+from occmap.report import join_names
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
 POINTS_A_CLOUD = 25_000
@@ -31,6 +34,8 @@ BESIDE, BY, UNDER = (7, 20, 40), 27, 2
 """Columns beside the path that the ground grows from, that the robot passes by, and that it stands
 on; ground is looked for farther away only where nearer columns hold too few points"""
 FEWEST_SEEDS = 100
+AS_HIGH_MM = 50
+"""Sensors whose heights above the ground differ by no more count as one."""
 KNOWN_POINTS = 1000
 """Points that are taken to show ground that is known"""
 NO_PEAKS = Peaks(*np.zeros((4, 0), np.int32))
@@ -64,31 +69,40 @@ def draw(stamp_ns: int) -> float:
     return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
 
 
+Sensor: TypeAlias = tuple[str, str, str]
+"""A log, a topic and a frame"""
+
+
 class Counted(NamedTuple):
     """What clouds show of the ground, as one process counted it for another."""
 
     table: Histogram
-    path: Int64
-    """(P, 3) where the sensor went (mm)"""
+    paths: dict[Sensor, Int64]
+    """(P, 3) where each sensor went (mm)"""
     sample: Float64
     """(N, 3) where some of the points lie (m)"""
+
+    @property
+    def path(self) -> Int64:
+        """(P, 3) where any sensor went (mm)."""
+        return np.concatenate([np.zeros((0, 3), np.int64), *self.paths.values()])
 
 
 class GroundFinder:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
-    def __init__(self, clouds: int) -> None:
-        """Make one for a build of so many clouds."""
-        self._clouds = clouds
+    def __init__(self, clouds: int, log: str = "") -> None:
+        """Make one for a build of so many clouds, those of a log."""
+        self._clouds, self._log = clouds, log
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
-        self._path: list[Float64] = []
+        self._paths: defaultdict[Sensor, list[Int64]] = defaultdict(list)
         self._sample: list[Float64] = []
         self._lock = Lock()
 
-    def start_over(self) -> "GroundFinder":
-        """Make one for the same build that has seen nothing."""
-        return GroundFinder(self._clouds)
+    def start_over(self, log: str) -> "GroundFinder":
+        """Make one for a log of the same build that has seen nothing."""
+        return GroundFinder(self._clouds, log)
 
     def wants(self, stamp_ns: int, points: int) -> bool:
         """Whether a cloud is among those that are counted, however logs are cut into parts."""
@@ -109,7 +123,8 @@ class GroundFinder:
                 sample.append(sample_points(cloud))
         with self._lock:
             self._idle.append(table)
-            self._path += path
+            sensor = self._log, posed.batch.topic, posed.batch.frame
+            self._paths[sensor].append(np.rint(np.array(path) * 1000).astype(np.int64))
             self._sample += sample
 
     def count(self) -> Counted:
@@ -120,13 +135,14 @@ class GroundFinder:
             table = grow_table(table, max(size, len(table.keys)))
             heights.add_histogram(other, table)
         self._idle = [table]
-        path = thin_path(np.array(self._path).reshape(-1, 3))
-        return Counted(table, path, np.concatenate([np.zeros((0, 3)), *self._sample]))
+        paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._paths.items())}
+        return Counted(table, paths, np.concatenate([np.zeros((0, 3)), *self._sample]))
 
     def join(self, counted: Counted) -> None:
         """Add what another finder counted, maybe in another process."""
         self._idle.append(counted.table)
-        self._path += list(counted.path / 1000)
+        for sensor, path in counted.paths.items():
+            self._paths[sensor].append(path)
         self._sample.append(counted.sample)
 
     def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
@@ -142,13 +158,14 @@ class GroundFinder:
         MapError
             No ground is found.
         """
-        table, path, _ = self.count()
-        columns = read_columns(table, path, known)
+        counted = self.count()
+        columns = read_columns(counted.table, counted.path, known)
         blocks = columns.blocks
-        depths = measure_depth(columns, path, options.sensor_height)
+        seats = list_seats(columns, counted.paths, options.sensor_height)
+        stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
         if options.ground == FLAT:
-            return make_flat(path, depths.ground), []
-        height = grow(columns, path, depths, known)
+            return make_flat(stood), []
+        height = grow(columns, seats, known)
         measured = height != NO_GROUND
         if not measured.any():
             raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
@@ -159,11 +176,12 @@ class GroundFinder:
             fill(blocks, height, LEVEL_FILLED - FILLED)
             beyond &= height != NO_GROUND
             height[beyond] = plane[beyond]
+        shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
         note = (
-            f"the sensor is {depths.ground / 1000:.2f} m above the ground, which was found for "
-            f"{np.count_nonzero(measured):,} of {columns.filled:,} columns of 0.15 m"
+            f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
+            f"{columns.filled:,} columns of 0.15 m"
         )
-        return pack_ground(blocks, height, measured), [note, *list_storeys(path)]
+        return pack_ground(blocks, height, measured), [note, *list_storeys(stood)]
 
 
 def sample_points(cloud: Cloud) -> Float64:
@@ -197,12 +215,12 @@ def grow_table(table: Histogram, size: int) -> Histogram:
     return grown
 
 
-def thin_path(path: Float64) -> Int64:
-    """Take one place of the sensor of each column and height, in mm (P, 3), in ascending order."""
+def thin_path(*parts: Int64) -> Int64:
+    """Take one place of a sensor (N, 3) of each column and height, in ascending order (mm)."""
     # Of several the least counts, not the first: threads hand them over in any order.
-    rounded = np.unique(np.rint(path * 1000).astype(np.int64), axis=0)
-    _, first = np.unique(rounded // SHORT_MM, axis=0, return_index=True)
-    return rounded[first]
+    every = np.unique(np.concatenate(parts), axis=0)
+    _, first = np.unique(every // SHORT_MM, axis=0, return_index=True)
+    return every[first]
 
 
 class Columns(NamedTuple):
@@ -214,24 +232,29 @@ class Columns(NamedTuple):
     """How many columns hold points"""
 
 
-class Depths(NamedTuple):
-    """How far below the sensor the ground lies (mm)."""
+class Seat(NamedTuple):
+    """Where sensors sit that are as high above the ground."""
 
-    ground: int
+    sensors: tuple[Sensor, ...]
+    path: Int64
+    """(P, 3) where they went (mm)"""
+    height: int
+    """How high above the ground (mm)"""
     spread: int
     """By how much that differs"""
     beside: int
     """So far beside the path this was seen (columns)"""
 
 
-def grow(columns: Columns, path: Int64, depths: Depths, known: Ground | None) -> Int32:
+def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32:
     """Let the ground grow from under the path, without what is low and stands on it (C,)."""
     blocks, peaks, _ = columns
     height, queue = np.empty_like(peaks.first), np.empty((2, len(peaks.first)), np.int64)
-    reach, (depth, spread, _) = (depths.beside, BY, UNDER), depths
     grown = []
     for _ in range(PASSES):
-        found = look_beside(columns, path, reach, (depth - spread, depth + spread))[0]
+        found = find_nothing(columns)
+        for _, path, above, spread, beside in seats:
+            look_beside(columns, path, (beside, BY, UNDER), (above - spread, above + spread), found)
         lay_known(blocks, known, found)
         for apart in REACHES:
             if growth.grow_ground(blocks, peaks, found, apart, height.size, queue) and apart > 1:
@@ -254,21 +277,25 @@ def fill(blocks: Blocks, height: Int32, rounds: int) -> None:
     growth.grow_ground(blocks, NO_PEAKS, found, 1, rounds, np.empty((2, len(height)), np.int64))
 
 
+def find_nothing(columns: Columns) -> Found:
+    """Begin to look for the ground of columns."""
+    height = np.full_like(columns.peaks.first, NO_GROUND)
+    return Found(height, np.zeros_like(height), np.zeros(len(height), np.uint8))
+
+
 def look_beside(
-    columns: Columns, path: Int64, reach: tuple[int, int, int], band: tuple[int, int]
-) -> tuple[Found, Int64]:
-    """Take as ground what lies so deep below the sensor, beside its path.
+    columns: Columns, path: Int64, reach: tuple[int, int, int], band: tuple[int, int], found: Found
+) -> Int64:
+    """Add to the ground what lies so deep below a sensor, beside its path.
 
     Returns
     -------
-    found, depths
-        The ground, and how many peaks lie in each `BIN_MM` of the band.
+    Int64
+        How many peaks lie in each `BIN_MM` of the band.
     """
-    height = np.full_like(columns.peaks.first, NO_GROUND)
-    found = Found(height, np.zeros_like(height), np.zeros(len(height), np.uint8))
     depths = np.zeros((band[1] - band[0]) // BIN_MM + 1, np.int64)
     growth.look_beside(columns.blocks, columns.peaks, path, reach, band, found, depths)
-    return found, depths
+    return depths
 
 
 def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
@@ -325,12 +352,22 @@ def measure_volume(rows: list[list[int]]) -> int:
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
-def list_storeys(path: Int64) -> Iterator[str]:
+def tell_heights(seats: Sequence[Seat]) -> str:
+    """Say how high the sensors are, and which is which where that differs."""
+    heights_m = [f"{each.height / 1000:.2f} m" for each in seats]
+    if len(seats) == 1:
+        return f"the sensor is {heights_m[0]}"
+    names = [join_names(f"{log} {topic}" for log, topic, _ in each.sensors) for each in seats]
+    told = zip(heights_m, names, strict=True)
+    return "the sensors are " + " and ".join(f"{height} ({name})" for height, name in told)
+
+
+def list_storeys(stood: Int64) -> Iterator[str]:
     """Say if a path (P, 3; mm) goes over itself, since there is one ground in each place."""
-    _, place = np.unique(path[:, :2] // SQUARE_MM, axis=0, return_inverse=True)
-    low, high = np.full(len(path), 1 << 40), np.full(len(path), -1 << 40)
-    np.minimum.at(low, place, path[:, 2])
-    np.maximum.at(high, place, path[:, 2])
+    _, place = np.unique(stood[:, :2] // SQUARE_MM, axis=0, return_inverse=True)
+    low, high = np.full(len(stood), 1 << 40), np.full(len(stood), -1 << 40)
+    np.minimum.at(low, place, stood[:, 2])
+    np.maximum.at(high, place, stood[:, 2])
     over = np.count_nonzero(high - low > STOREY_MM)
     if over:
         yield (
@@ -382,32 +419,67 @@ def index_blocks(places: Int64) -> Blocks:
     return Blocks(table, corner, places)
 
 
-def measure_depth(columns: Columns, path: Int64, sensor_height: float | None) -> Depths:
-    """Measure how far below the sensor the ground lies: the median of peaks beside the path.
+def list_seats(
+    columns: Columns, paths: Mapping[Sensor, Int64], given_m: float | None
+) -> list[Seat]:
+    """Measure how high each sensor is above the ground; those that are as high count as one.
 
     Raises
     ------
     MapError
-        Nothing lies below it, or there is no path.
+        Nothing lies below any of them, or there is no path.
     """
-    if not len(path):
+    if not paths:
         fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
         raise MapError("no cloud that is asked for has points and a pose", fix=fix)
+    measure = partial(measure_seat, columns, find_nothing(columns), given_m)
+    found = [measure((sensor,), path) for sensor, path in paths.items()]
+    alike: list[list[Seat]] = []
+    for seat in sorted(filter(None, found), key=lambda each: each.height):
+        if not alike or seat.height - alike[-1][-1].height > AS_HIGH_MM:
+            alike.append([])
+        alike[-1].append(seat)
+    if not alike:
+        raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
+    seats = []
+    for some in alike:
+        sensors = tuple(sensor for each in some for sensor in each.sensors)
+        together = measure(sensors, thin_path(*(each.path for each in some)))
+        seats.append(together or some[0])
+    return seats
+
+
+def measure_seat(
+    columns: Columns,
+    scratch: Found,
+    given_m: float | None,
+    sensors: tuple[Sensor, ...],
+    path: Int64,
+) -> Seat | None:
+    """Measure how high sensors are: the median depth of peaks beside the path; None: none lies.
+
+    Parameters
+    ----------
+    scratch
+        To work with.
+    given_m
+        The height that the user gave.
+    """
     for beside in BESIDE:
-        _, depths = look_beside(columns, path, (beside, 0, 0), DEPTHS)
+        depths = look_beside(columns, path, (beside, 0, 0), DEPTHS, scratch)
         if depths.sum() >= FEWEST_SEEDS:
             break
-    if sensor_height is not None:
-        return Depths(round(sensor_height * 1000), 150, beside)
+    if given_m is not None:
+        return Seat(sensors, path, round(given_m * 1000), 150, beside)
     if not depths.any():
-        raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
+        return None
     middle = DEPTHS[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2
     half = depths.sum() / 2
     depth = int(middle[np.searchsorted(np.cumsum(depths), half)])
     off = np.abs(middle - depth)
     order = np.argsort(off, kind="stable")
     deviation = int(off[order][np.searchsorted(np.cumsum(depths[order]), half)])
-    return Depths(depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
+    return Seat(sensors, path, depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
 
 
 def lay_known(blocks: Blocks, known: Ground | None, found: Found) -> None:
@@ -430,13 +502,13 @@ def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:
     return Ground(blocks.places[kept], levels[kept], seen[kept])
 
 
-def make_flat(path: Int64, depth: int) -> Ground:
-    """Make a plane so far below a path (P, 3), as far as points count; all in mm."""
+def make_flat(stood: Int64) -> Ground:
+    """Make a plane where robots stood (P, 3), as far as points count; all in mm."""
     side, reach = COLUMN_MM * BLOCK, round(heights.FAR_M * 1000)
-    low, high = (path.min(axis=0) - reach) // side, (path.max(axis=0) + reach) // side
+    low, high = (stood.min(axis=0) - reach) // side, (stood.max(axis=0) + reach) // side
     rows, cols = (np.arange(low[axis], high[axis] + 1) for axis in (1, 0))
     places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
-    level = int(np.median(path[:, 2])) - depth
+    level = math.floor(np.median(stood[:, 2]))
     height = np.full((len(places), BLOCK**2), level, np.int32)
     return Ground(places, height, np.ones(height.shape, np.bool_))
 

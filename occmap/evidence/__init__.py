@@ -10,7 +10,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
+from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, Slices, to_log_odds
+from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
 from occmap.grid import CellBox, Lattice, rendering, tiles
@@ -18,7 +19,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
-from occmap.types import Float64, Int64, Update
+from occmap.types import IDENTITY, Float64, Int64, Pose, Update
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -344,3 +345,47 @@ def check_passes(min_passes: int | None, model: SensorModel) -> None:
             "and knows no hits",
             fix="leave it out, or build with `model=simple` or `model=counting`",
         )
+
+
+UNEVEN_MM = 50
+"""Columns whose ground differs by more were not traced alike."""
+
+
+def refuse_other(
+    ground: Ground, known: Ground, share: float, placed: Pose | None, otherwise: str
+) -> None:
+    """Refuse ground that does not lie on that which is known.
+
+    Parameters
+    ----------
+    share
+        So many of the columns that both measured may differ.
+    placed
+        The `transform` of its logs.
+    otherwise
+        What to do where another z does not lay it there.
+
+    Raises
+    ------
+    MapError
+        Saying how far apart they are, and what to do.
+    """
+    rise = known.measure_rise(ground)
+    if not len(rise):
+        return
+    middle, differs = int(np.median(rise)), np.abs(rise) > UNEVEN_MM
+    spread = np.median(np.abs(rise - middle))
+    is_moved = abs(middle) > UNEVEN_MM and spread <= max(UNEVEN_MM, abs(middle) / 4)
+    if not is_moved and np.count_nonzero(differs) <= share * len(rise):
+        return
+    told = f"{differs.mean():.0%} of what both measured differs by more than {UNEVEN_MM / 1000:g} m"
+    if not is_moved:
+        raise MapError(f"lies over other ground: {told}", fix=otherwise)
+    found = f"its ground lies {abs(middle) / 1000:.2f} m {'higher' if middle > 0 else 'lower'}"
+    first = placed or IDENTITY
+    moved = format_place(first._replace(z=first.z - middle / 1000))
+    raise MapError(
+        f"{found} than the known one (the median): {told}",
+        fix=f"if it is the same floor, build it with `transform=({moved})`, which moves its z; "
+        "another storey is a map of its own",
+    )

@@ -116,7 +116,8 @@ class Fleet:
         """Build a store of which this process never holds the map; raises as `build`."""
         writers.check_outputs([output], pipeline.list_inputs(paths, options), options.writing)
         options, unaligned = settle_align(paths, options)
-        with self.work(paths, options, Keep(slices=True), progress) as work:
+        options, keep = pipeline.choose_keep(options, [output], None)
+        with self.work(paths, options, keep, progress) as work:
             tally, remarks, options = work.tally, work.remarks, work.setting.options
             refuse_unused(paths, tally)
             refuse_unseen(paths, tally, work.reductions)
@@ -207,7 +208,7 @@ def settle(cluster: Cluster, jobs: Sequence[Job], tally: Tally, remarks: Remarks
     )
     options = settled[0]
     setting = replace(setting, options=options, scans=sum(counts))
-    if options.update is not Update.CLOUD or options.clouds.file is not None:
+    if options.update is not Update.CLOUD:
         return setting
     with tally.time("ground"):
         found = find_ground(cluster, jobs, setting)

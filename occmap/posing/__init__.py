@@ -11,7 +11,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from occmap.choices import ABOVE_ZERO, MOUNT, PLANAR, TILT, TRANSFORM, check_bounds, option
+from occmap.choices import ABOVE_ZERO, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
 from occmap.errors import require
 from occmap.types import Pose, PoseSample
 
@@ -113,8 +113,8 @@ class PosingOptions:
         None,
         "Pose of the logs' map frame in the new map (m, rad), to join sessions that have a frame "
         "each.",
-        metavar="X,Y,YAW",
-        form=PLANAR,
+        metavar="X,Y,YAW[,Z]",
+        form=PLACE,
     )
     base_frame: str | None = option(None, "The moving body that `sensor_pose` is on.", unit="frame")
     # None: across any gap. Logs that are whole have gaps of one second, and a robot that is not

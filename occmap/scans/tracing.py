@@ -11,14 +11,14 @@ import numpy as np
 
 from occmap.cells import Ground, Slices
 from occmap.errors import MapError, name_log
-from occmap.evidence import list_misfit
+from occmap.evidence import list_misfit, refuse_other
 from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
 from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
-from occmap.report import Note
+from occmap.report import Note, join_names
 from occmap.scans import make_grid, plan_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import encode_cells, open_drive
@@ -95,6 +95,8 @@ BEGIN_M = 100.0
 """SLAM that knows no gravity begins at the zero of its map"""
 UPRIGHT_CELL_M = 0.05
 """Side of the cells that tell if walls stand upright"""
+OTHER_SHARE = 0.75
+"""Poses that are off by tenths of a degree put half of the ground elsewhere, up and down."""
 LEVEL_ROUNDS = 3
 """A floor that leans much shows its angle roughly at first."""
 
@@ -149,15 +151,17 @@ def level_ground(
     from occmap.clouds.ground import find_level  # noqa: PLC0415  late: it brings numba
 
     finder, level = count(options), (0.0, 0.0)
-    found = BuildGround(*finder.find(options.clouds, known), options)
-    if known is not None or options.posing.level is not None:
+    if known is not None:
+        return extend_ground(finder, options, known)
+    found = BuildGround(*finder.find(options.clouds), options)
+    if options.posing.level is not None:
         return found
     place = place_logs(options.posing)
     start, turned = place.position[0], place.rotation[0]
-    _, path, sample = finder.count()
-    if np.linalg.norm(path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
+    seen = finder.count()
+    if np.linalg.norm(seen.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    sample = (sample - start) @ turned  # in the logs' own map
+    sample = (seen.sample - start) @ turned  # in the logs' own map
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
@@ -177,6 +181,29 @@ def level_ground(
     return found
 
 
+def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) -> BuildGround:
+    """Let known ground go on below clouds, unless it is given as it is.
+
+    Raises
+    ------
+    MapError
+        Most of the ground that the clouds show lies elsewhere, or they show none to go on with.
+    """
+    is_whole = options.clouds.file is not None
+    try:
+        own, _ = finder.find(options.clouds)
+    except MapError:
+        if not is_whole:
+            raise
+    else:
+        logs = dict.fromkeys(log for log, _, _ in finder.count().paths)
+        fix = "see in `occmap check` if poses, mount or `level` are wrong"
+        with name_log(join_names(logs)):
+            refuse_other(own, known, OTHER_SHARE, options.posing.transform, fix)
+    found = (known, []) if is_whole else finder.find(options.clouds, known)
+    return BuildGround(*found, options)
+
+
 def measure_spread(points: Float64) -> float:
     """Measure over how many cells points (N, 3) spread (the entropy): upright walls fill few."""
     _, many = np.unique(encode_cells(points[:, :2], UPRIGHT_CELL_M), return_counts=True)
@@ -187,7 +214,7 @@ def measure_spread(points: Float64) -> float:
 def count_ground(drive: Drive, finder: "GroundFinder") -> None:
     """Let a finder of the ground see the clouds of a drive."""
     for _ in drive.rounds():  # the second time without clouds that leap away
-        seen = finder.start_over()
+        seen = finder.start_over(str(drive.log.path))
         with name_log(drive.log.path), Workers(seen.add, drive.options.jobs) as workers:
             for posed in drive.read(Tally(), seen.wants):
                 workers.give(posed)
@@ -347,7 +374,7 @@ def observe(
     tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
     ground, known = keep.ground, dict[Path, Drive]()
-    if options.update is Update.CLOUD and options.clouds.file is None:
+    if options.update is Update.CLOUD:
         with tally.time("poses"):
             known = {log.path: open_drive(log, options) for log in logs}
         with tally.time("ground"):

@@ -9,48 +9,38 @@ from pathlib import Path
 import numpy as np
 
 from occmap.cells import Evidence, Ground, Manifest
-from occmap.errors import MapError
-from occmap.evidence import Described, list_misfit, read_model, to_grid
+from occmap.errors import MapError, name_log
+from occmap.evidence import Described, list_misfit, read_model, refuse_other, to_grid
 from occmap.evidence.manifest import MEANING, leave_out_edits
 from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
-from occmap.types import Int64
+from occmap.types import Int64, Pose
 
-UNEVEN_MM = 50
-"""Columns whose ground differs by more were not traced alike."""
 UNEVEN_SHARE = 0.05
 """Noise of poses makes some such columns; more than this share of them is a different ground."""
 
 
-def join_grounds(ground: Ground | None, other: Ground | None, where: str) -> Ground | None:
-    """Extend a ground by another one where it has none.
-
-    Parameters
-    ----------
-    where
-        The file of the other one.
+def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
+    """Extend a ground by that of evidence where it has none.
 
     Raises
     ------
     MapError
         They differ where both were measured.
     """
+    other = evidence.ground
     if ground is None or other is None:
         return ground or other
+    builds = evidence.manifest.builds
+    placed = builds[-1]["options"]["posing"]["transform"] if builds else None
+    fix = "build it over the ground of the other one: `ground=first.npz`"
+    with name_log(evidence.where):
+        refuse_other(other, ground, UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
     mine, its = spread(ground, blocks), spread(other, blocks)
-    both = mine.measured & its.measured
-    uneven = np.abs(mine.height_mm - its.height_mm)[both] > UNEVEN_MM
-    if uneven.sum() > UNEVEN_SHARE * len(uneven):
-        raise MapError(
-            f"lies over other ground: {uneven.mean():.0%} of what both measured differs by more "
-            f"than {UNEVEN_MM / 1000:g} m",
-            where=where,
-            fix="build it over the ground of the other one: `ground=first.npz`",
-        )
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
     height = np.where(known, mine.height_mm, its.height_mm)
     return Ground(blocks, height, mine.measured | its.measured)
@@ -150,7 +140,7 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     notes = list(first.notes)
     for other in others:
         refuse_different(first.manifest, other)
-        ground = join_grounds(ground, other.ground, other.where)
+        ground = join_grounds(ground, other)
         notes += other.notes
         if model is not None:
             added = tiles.view_tiles(other.tiles, other.cells)

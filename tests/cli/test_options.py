@@ -75,7 +75,7 @@ def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None
         ("ignore_sectors", "1,one", "--ignore-sector 1,one: 'one' is not a number"),
         ("footprint", "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; give x_min,y_min"),
         ("extent", "1", "--extent 1: 1 value where 4 belong; give x_min,y_min,x_max,y_max in met"),
-        ("transform", "1,2", "--transform 1,2: 2 values where 3 belong; give x,y,yaw"),
+        ("transform", "1,2", "--transform 1,2: 2 values where 3 or 4 belong; give x,y,"),
         ("max_range", "far", "--max-range is 'far'; give a number"),
         ("stride", "1.5", "--stride is '1.5'; give a whole number"),
         ("align", "north", "--align is 'north'; give a number, or auto, so that walls run"),

@@ -86,9 +86,12 @@ def list_rays(rings: int = 40, azimuths: int = 240) -> Float64:
 
 
 def drive(
-    room: Room, mounts: Sequence[Float64] = (np.eye(3),), clouds: int = 30
+    room: Room,
+    mounts: Sequence[Float64] = (np.eye(3),),
+    clouds: int = 30,
+    sensor_m: float = SENSOR_M,
 ) -> list[PosedScans]:
-    """Drive through the middle of a room.
+    """Drive through the middle of a room, with a sensor so high above its floor.
 
     Parameters
     ----------
@@ -98,7 +101,7 @@ def drive(
     """
     made, rays = [], list_rays()
     for number, x in enumerate(np.linspace(0.8, 9.2, clouds)):
-        origin = np.array([x, 3.03, SENSOR_M + float(room.floor(np.array(x)))])
+        origin = np.array([x, 3.03, sensor_m + float(room.floor(np.array(x)))])
         ends = room.cast(origin, rays)
         which = np.arange(len(ends)) * len(mounts) // len(ends)
         points = np.einsum("nji,nj->ni", np.array(mounts)[which], ends - origin)

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground
-from occmap.clouds.ground import Columns, fit_plane, index_blocks, list_storeys, look_beside
+from occmap.clouds.ground import (
+    Columns,
+    find_nothing,
+    fit_plane,
+    index_blocks,
+    list_storeys,
+    look_beside,
+)
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, list_peaks, pack
@@ -56,7 +63,8 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
     heights = np.array([-280, -160, 0], np.int32)
     columns = Columns(BLOCKS, growth.Peaks(first, many, heights, np.array(weights, np.int32)), 1)
-    found, _ = look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300))
+    found = find_nothing(columns)
+    look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300), found)
     assert found.height[0] == height
 
 

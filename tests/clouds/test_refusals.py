@@ -1,6 +1,7 @@
 """What makes no map of clouds is refused at once, and `check` says so beforehand."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from occmap.clouds.engine import CloudEngine, make_band
 from occmap.errors import MapError
 from occmap.grid import Lattice
 from occmap.sensor import ReturnOptions
-from tests.cli.runner import occmap
+from tests.cli.runner import ask, occmap
 from tests.clouds.simulation import HALL, LATTICE, ROOM, Room, drive, find_ground, observe
 from tests.samples import SAMPLE_LOGS
 
@@ -83,3 +84,36 @@ def test_a_model_of_beams_is_refused_for_clouds(tmp_path: Path) -> None:
     rendered = occmap("render", saved, "--model", "quadratic", "-o", tmp_path / "hall.pgm")
     assert rendered.code == 1
     assert "build it" not in rendered.err
+
+
+def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None:
+    first, other = tmp_path / "first.npz", tmp_path / "other.npz"
+    assert occmap("build", HALL, "--end", "2", "-o", first).code == 0
+    lower = ("build", HALL, "--start", "2", "--transform", "0.5,0,0,-0.4", "-o", other)
+    assert occmap(*lower).code == 0
+    for words in (
+        (*lower, "--resume", first),
+        (*lower, "--ground", first),
+        ("merge", first, other, "-o", tmp_path / "both.npz"),
+    ):
+        done = occmap(*words)
+        assert done.code == 1
+        assert "0.40 m lower" in done.err
+        assert "--transform 0.5,0,0,0" in done.err
+    (tmp_path / "other.npz").unlink()
+    assert (
+        occmap(*lower[:-4], "--transform", "0,0,0,0.02", "--resume", first, *lower[-2:]).code == 0
+    )
+
+
+def test_a_session_counts_the_columns_that_its_own_clouds_show(tmp_path: Path) -> None:
+    first = tmp_path / "first.npz"
+    assert occmap("build", HALL, "-o", first).code == 0
+    notes = ask("build", HALL, "--end", "1", "--resume", first, "-o", tmp_path / "more.npz")[
+        "notes"
+    ]
+    (shown,) = filter(
+        None, (re.search(r"for ([\d,]+) of ([\d,]+) columns", each) for each in notes)
+    )
+    found, filled = (int(number.replace(",", "")) for number in shown.groups())
+    assert found <= filled

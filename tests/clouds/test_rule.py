@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from occmap.clouds import CloudOptions
+from occmap.clouds.ground import GroundFinder
 from occmap.errors import MapError, UsageError
 from occmap.types import Float64, PosedScans
 from tests.clouds.reference import SlowEngine
@@ -204,3 +205,19 @@ def test_heights_that_leave_no_band_are_refused() -> None:
         CloudOptions(min_height=1.0, max_height=1.0)
     with pytest.raises(UsageError, match="`ground=flat`"):
         CloudOptions(ground="level")
+
+
+def test_each_sensor_finds_the_ground_by_its_own_height() -> None:
+    load = (3.0, 5.0, 3.6, 4.6, 0.0, 1.4)
+    low, high = (drive(Room([load]), sensor_m=height) for height in (0.4, 1.8))
+    finder = GroundFinder(len(low), "two.bag")
+    for topic, drives in (("/low", low), ("/top", high)):
+        for each in drives:
+            finder.add(replace(each, batch=replace(each.batch, topic=topic)))
+
+    ground, (note,) = finder.find(CloudOptions())
+
+    beside_and_on_it = np.array([[2.5, 3.4], [4.0, 4.0]])
+    np.testing.assert_allclose(ground.find_heights(beside_and_on_it), [0.0, np.nan], atol=0.03)
+    assert "0.39 m (two.bag /low)" in note
+    assert "1.79 m (two.bag /top)" in note

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from occmap.clouds import CloudOptions
 from occmap.fleet import Fleet
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
@@ -43,3 +44,13 @@ def test_it_holds_what_one_process_writes(
     assert written[0] == written[1]
     assert open_store(tmp_path / "fleet.zarr").blocks
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "fleet.zarr"]
+
+
+def test_it_lies_over_the_ground_that_is_given(address: str, tmp_path: Path) -> None:
+    logs, first = [SAMPLE_LOGS / "hall.mcap"], tmp_path / "first.npz"
+    build(logs, BuildOptions(jobs=1, selection=Selection(end_s=2.0)), [first])
+    options = BuildOptions(jobs=1, clouds=CloudOptions(ground=str(first)))
+    build(logs, options, [tmp_path / "alone.zarr"])
+    fleet = Fleet(address, tmp_path / "scratch")
+    fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
+    assert list_files(tmp_path / "alone.zarr") == list_files(tmp_path / "fleet.zarr")
