@@ -26,7 +26,7 @@ from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 from occmap.values import ZSTD_MAGIC as ZSTD_MAGIC
-from occmap.values import name_other
+from occmap.values import find_separator, name_other, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"
 
@@ -117,6 +117,8 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
     elif content.isascii():
         first_line = content.decode("ascii").splitlines()[0][:60]
         found = f"a text file of no known log format: it starts with {first_line!r}"
+        names = split_header(first_line, find_separator(first_line))
+        fix = "if it holds poses alone, give it with `poses`" * {"x", "y"}.issubset(names)
     elif content is not raw:
         found = "a file that gzip compressed"
         fix = f"decompress it first: gunzip {shlex.quote(str(probe.path))}"

@@ -49,9 +49,10 @@ def split_names(text: str) -> list[str]:
 
 
 def is_header(names: Collection[str], stated: Collection[str] = ()) -> bool:
-    """Whether names of columns are those of a log, to which comments may add some."""
-    known = sum(map(is_known, {*names, *stated}))
-    return known >= 3 and not {"stamp", "stamp_ns", "r0"}.isdisjoint(names)
+    """Whether names of columns are those of scans, to which comments may add some."""
+    known = list(filter(is_known, {*names, *stated}))
+    of_scans = any(name.startswith(("r", "angle")) for name in known)
+    return of_scans and len(known) >= 3 and not {"stamp", "stamp_ns", "r0"}.isdisjoint(names)
 
 
 def split_comment(text: str) -> tuple[str, str]:

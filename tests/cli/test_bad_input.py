@@ -51,6 +51,7 @@ def test_a_frame_that_the_log_lacks_is_told_with_those_it_has() -> None:
     [
         ("empty.mcap", b"", "the file is empty"),
         ("notes.txt", "Dear diary,\nI", "a text file of no known log format: it starts with 'Dear"),
+        ("poses.csv", "time,x,y,theta\n1,2,3,0\n", "if it holds poses alone, give it with --poses"),
         ("blank.txt", "\n\n", "a text file of no known log format"),
         ("bytes.bin", b"\xff\xfe\x00\x01 and more", "it starts with the bytes ff fe 00 01"),
         ("cut.gz", b"\x1f\x8b\x08\x00", "a gzip file with nothing in it that can be read"),

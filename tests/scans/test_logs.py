@@ -60,7 +60,7 @@ def test_what_occmap_wrote_into_a_folder_is_no_recording(day: Path) -> None:
 def test_a_recording_that_failed_is_named(day: Path) -> None:
     """Nothing was written to one, and what is in the other of the name of those found is none."""
     (day / "d.mcap").touch()
-    (day / "e.csv").write_text("hello\n")
+    (day / "e.csv").write_text("stamp,x,y,yaw\n1,2,3,0\n")
     names, notes = find(day, others=(day / "out.mcap",))
     assert names == ["c.csv", "a.csv", "b.csv"]
     assert notes[0].endswith("; 1 other file passed over")
