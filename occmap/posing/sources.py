@@ -15,11 +15,11 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import MountError, PoseError
-from occmap.posing import RECORDING, PosingOptions, Stamps, frames
+from occmap.posing import PosingOptions, Stamps, frames
 from occmap.posing.chain import Chain, make_chain
 from occmap.posing.frames import Edge, FrameTree, Source, find_moving, find_strangers, last_part
 from occmap.posing.tracks import Track, TrackBuilder, differ
-from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
+from occmap.posing.trajectory import read_trajectory
 from occmap.report import count, join_names
 from occmap.types import Moments, PoseBatch, PoseSample
 
@@ -79,7 +79,6 @@ def gather(
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
     # Of a recording one pose, such as where a robot was said to start, is no trajectory.
     of_other = [edge for edge in _rank(others) if len(edge.track) > 1]
-    of_other = [edge for edge in of_other if topic or not _is_intention(edge.topic)]
     lent = [edge for edge in others if edge.source is Source.TF and (topic or not of_other)]
     lent = [edge for edge in lent if edge.topic.startswith(f"{recording}:{topic}")]
     edges = _add_lent([edge for edge in every if edge not in others], lent)
@@ -98,12 +97,15 @@ def gather(
     if options.poses and not lent:
         named = of_other if recording else poses
         trajectory = _find_trajectory(options, named, of_file, moments)
-    if trajectory and recording:
+    if trajectory and options.files:
         frame = options.map_frame or trajectory.parent
         body = trajectory.child if trajectory.child in tree else ""  # it may have another name
         trajectory = replace(trajectory, parent=frame, child=body)
-    notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
-    notes += [*_list_beside(edges, strangers, topics), *_list_contradictions(edges, tree)]
+    placed = {edge.child for edge in edges if edge.source is Source.TF}
+    replaced = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
+    notes = [f"the given transform {name} replaces the log's" for name in replaced]
+    notes += [*unusable, *changes, *of_file, *_list_beside(edges, strangers, topics)]
+    notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
 
 
@@ -175,17 +177,6 @@ def _is_intention(topic: str) -> bool:
     return not INTENTIONS.isdisjoint(words)
 
 
-def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTree) -> Iterator[str]:
-    """Say which of the user's transforms replace one of the log, or close a loop."""
-    known = {edge.child for edge in edges if edge.source is Source.TF}
-    for edge in given:
-        name = f"the given transform {edge.parent} -> {edge.child}"
-        if edge.child in known:
-            yield f"{name} replaces the log's"
-        if edge.child in tree.list_ancestors(edge.parent):
-            yield f"{name} closes a loop: {edge.child} is above {edge.parent} already"
-
-
 def _find_trajectory(
     options: PosingOptions, poses: Sequence[Edge], notes: list[str], moments: Moments | None
 ) -> Edge:
@@ -198,35 +189,28 @@ def _find_trajectory(
         notes.extend(unusable)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
-        frame = options.map_frame or TRAJECTORY_FRAME
-        return replace(edges[0], parent=frame, topic=name)
+        return replace(edges[0], topic=name)
     wanted = f"{recording}:{topic}" if recording else name
     for edge in poses:
         if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
     if recording is None and last_part(name) in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
-    if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no topic's name
-        fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
-        raise PoseError("no such file", where=name, fix=fix)
     held = f"holds no {'such ' if topic else ''}topic of poses"
-    found = held if recording else "neither a file nor a topic with poses"
-    topics = f"topics with poses: {join_names(sorted({edge.topic for edge in poses}))}"
-    raise PoseError(found, where=name, fix=topics if poses else "the log has no topic with poses")
+    found = held if recording else "no such file, and no such topic of poses"
+    topics = f"topics of poses: {join_names(sorted({edge.topic for edge in poses}))}"
+    raise PoseError(found, where=name, fix=topics if poses else "")
 
 
 def _list_beside(
     edges: Iterable[Edge], strangers: Iterable[Edge], topics: Iterable[str]
 ) -> Iterator[str]:
     """Say which transforms are left out as another robot's, and which are of other recordings."""
-    used, left_out = (
-        sorted({edge.topic for edge in some if edge.source is Source.TF})
-        for some in (edges, strangers)
-    )
-    if left_out:
-        why = f"{join_names(topics)} goes by {join_names(used)}, which contradict them"
+    if left_out := sorted({edge.topic for edge in strangers}):
+        why = f"they contradict those whose namespace is nearest to {join_names(topics)}"
         yield f"transforms on {join_names(left_out)} are left out: {why}"
-    if beside := [topic for topic in used if ":" in topic]:
+    tf = {edge.topic for edge in edges if edge.source is Source.TF}
+    if beside := sorted(topic for topic in tf if ":" in topic):
         yield f"transforms are taken from {join_names(beside)}, too"
 
 
@@ -237,7 +221,7 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
         stated[edge.parent, edge.child].append(edge)
     doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
     parents: dict[str, list[str]] = defaultdict(list)
-    for used in (edge for edge in tree.edges if edge.source is not Source.GIVEN):
+    for used in tree.edges:
         parents[used.child].append(used.parent)
         same = stated[used.parent, used.child] if used.source is Source.TF else []
         if _disagree(same):
@@ -425,8 +409,8 @@ class Search:
 
     def _miss_poses(self, found: str) -> PoseError:
         """Say that the scans have no poses, and why a topic that holds some is of no use."""
-        bare = [it.topic for it in self.sources.pose_topics if not it.track.stamp_ns.any()]
-        if bare:
+        stated = (it for it in self.sources.pose_topics if not _is_intention(it.topic))
+        if bare := [edge.topic for edge in stated if not edge.track.stamp_ns.any()]:
             found = (
                 f"the poses on {join_names(bare)} have no times, as all of their stamps are zero"
             )

@@ -179,18 +179,18 @@ def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
             yield replace(each, topic=topic)
 
 
-PART = re.compile(r"(.*?)_?(?:\d{4}(?:-\d\d){5})?_\d+\.bag")
-"""A part of a bag that was split while it was recorded: PREFIX_DATE_NUMBER.bag"""
+PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+\.bag$")
+"""How the names of the parts of a bag that was split end: PREFIX_DATE_NUMBER.bag"""
 
 
 def find_first_part(log: Log) -> Path | None:
     """Find the first part of a split ROS 1 bag, if the log is a later one without /tf_static."""
-    part = PART.fullmatch(log.path.name)
-    if not part or any(last_part(each.topic) == "tf_static" and each.count for each in log.streams):
+    held = {last_part(each.topic) for each in log.streams if each.count}
+    prefix, is_part = PART.subn("", log.path.name)
+    if not is_part or "tf_static" in held:
         return None
-    firsts = (path for path in log.path.parent.glob("*_0.bag") if path.name < log.path.name)
-    named = (path for path in firsts if (it := PART.fullmatch(path.name)) and it[1] == part[1])
-    return max(named, default=None)
+    firsts = (each for each in log.path.parent.glob("*_0.bag") if each.name < log.path.name)
+    return max((each for each in firsts if PART.sub("", each.name) == prefix), default=None)
 
 
 def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:

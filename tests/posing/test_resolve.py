@@ -253,9 +253,7 @@ def test_a_scan_goes_by_the_transforms_of_the_nearest_namespace(name: str) -> No
     poser = Poser(gather(samples, PosingOptions(), topics=[topic]), PosingOptions())
     assert place(poser) == expected
     assert len(poser.notes) == len(left_out)
-    assert all(
-        f"transforms on {each} are left out: {topic} goes by" in poser.notes[0] for each in left_out
-    )
+    assert all(f"transforms on {each} are left out: " in poser.notes[0] for each in left_out)
 
 
 def test_scans_of_two_robots_are_not_mixed() -> None:
@@ -275,8 +273,9 @@ def test_the_base_is_found_under_other_names(base: str) -> None:
 
 def test_a_given_transform_that_closes_a_loop_is_told() -> None:
     looped = build(*TF, static_transforms=(bolted("laser", "odom", turned(0)),))
-    told = "the given transform laser -> odom closes a loop: odom is above laser already"
-    assert told in looped.notes
+    assert looped.notes == [
+        f"the transforms laser -> odom -> base_link -> laser form a loop: {SHORTEST}"
+    ]
 
 
 def test_a_long_chain_of_frames_costs_no_time() -> None:
@@ -347,7 +346,7 @@ def test_a_trajectory_that_does_not_exist_lists_those_that_do() -> None:
     with pytest.raises(PoseError) as caught:
         build(*drive("odom", "base_link", "/wheels"), *drive("map", "", "/pose"), poses="/slam")
     assert str(caught.value) == (
-        "/slam: neither a file nor a topic with poses; topics with poses: /pose, /wheels"
+        "/slam: no such file, and no such topic of poses; topics of poses: /pose, /wheels"
     )
 
 
