@@ -198,8 +198,9 @@ def _find_trajectory(
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
     held = f"holds no {'such ' if topic else ''}topic of poses"
     found = held if recording else "no such file, and no such topic of poses"
-    topics = f"topics of poses: {join_names(sorted({edge.topic for edge in poses}))}"
-    raise PoseError(found, where=name, fix=topics if poses else "")
+    there = f"topics of poses: {join_names(sorted({edge.topic for edge in poses}))}"
+    fix = there if poses else "`poses` takes a trajectory file, or a topic of a log"
+    raise PoseError(found, where=name, fix=fix)
 
 
 def _list_beside(
