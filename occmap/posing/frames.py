@@ -203,7 +203,7 @@ def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
     for edge, space in tf:
         if not edge.track.static:
             moved[space][edge.parent, edge.child] = edge.track
-    homes = {_find_home(find_space(topic), moved): topic for topic in topics if moved}
+    homes = {_find_home(find_space(topic), moved): topic for topic in topics if len(moved) > 1}
     own = {name for home in homes for name in moved[home]}
     others = set()
     for home, space in product(homes, moved):

@@ -238,6 +238,17 @@ SPACES = {
         [4, 2.2, 0],
         [],
     ),
+    "beside one with the same mount": (
+        [
+            *ROBOTS[10:],
+            *(at(t, "base_link", "hull", AHEAD, "/robot2/tf") for t in range(9)),
+            *(at(t + 0.5, "base_link", "hull", AHEAD, "/arm/tf") for t in range(9)),
+            bolted("hull", "gripper", AHEAD)._replace(topic="/arm/tf_static"),
+        ],
+        "/robot2/scan",
+        [4, 2.2, 0],
+        [],
+    ),
     "beside one of other frames": (
         [*ROBOTS[10:], *drive("odom", "hull", "/robot1/tf")],
         "/robot2/scan",
