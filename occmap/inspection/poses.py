@@ -52,7 +52,7 @@ def suggest_stamps(
         return chosen
     other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
     others = replace(posing.poser.options, stamps=other)
-    poser = read_poser(log, others)
+    poser = read_poser(log, others, [topic.stream.topic])
     poser.find_chains(topic.frames)
     if is_posed:
         drive = Drive(log, poser, replace(options, posing=others))
@@ -159,7 +159,7 @@ def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
 
 def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     """Sum up how the scans of a topic get their poses."""
-    stated = topic.stated and posing.poser.sources.trajectory is None
+    stated = topic.stated and posing.poser.options.poses is None
     chain = None if stated else posing.poser.chains.get(next(iter(topic.frames)))
     faults = [posing.faults[frame] for frame in topic.frames if frame in posing.faults]
     return PoseFindings(

@@ -4,7 +4,6 @@ Here is what a user may choose about poses, why a scan is left out, and what spo
 """
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,12 +20,6 @@ MAX_OFFSET_S = 4e9
 
 MAX_PLACE_M = 1e8
 """The farthest place (m), twice around the Earth: a bound refuses nan and inf, too."""
-
-MAX_MOUNT_M = 1e6
-"""The farthest mount (m): nothing on a robot is further away, and a bound refuses nan and inf."""
-
-RECORDING = re.compile(r"(.+\.(?:bag|mcap|db3))(?::(.+))?", re.IGNORECASE)
-"""Another recording that has the poses, and maybe their topic in it, as in slam.bag:/path"""
 
 
 class Deskew(StrEnum):
@@ -165,26 +158,26 @@ class PosingOptions:
             found = f"`{name}` is empty"
             require(getattr(self, name) != "", found, "give a name, or leave it out")
         check_bounds(self)
-        if self.transform:
-            is_near = all(abs(value) <= MAX_PLACE_M for value in self.transform)
-            require(is_near, f"no log lies at {self.transform[:3]}", "give metres and radians")
         is_turn = all(abs(angle) <= 180 for angle in self.level or ())
         require(is_turn, f"no floor is tilted by {self.level}", "give degrees within -180 and 180")
-        if self.sensor_pose is not None:
-            _check_pose(self.sensor_pose, "the sensor's pose")
-        for sample in self.static_transforms:
-            _check_pose(sample.pose, f"the transform {sample.parent} -> {sample.child}")
+        poses = {
+            "the place of the logs' map": self.transform,
+            "the sensor's pose": self.sensor_pose,
+        }
+        for each in self.static_transforms:
+            poses[f"the transform {each.parent} -> {each.child}"] = each.pose
+        for name, pose in poses.items():
+            if pose is not None:
+                is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
+                require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")
 
     @property
     def recording(self) -> tuple[Path, str] | None:
         """The other recording that `poses` names, and the topic in it; "" where it names none."""
         poses = self.poses or ""
-        named = RECORDING.fullmatch(poses)
-        if named and Path(named[1]).is_file():
-            return Path(named[1]), named[2] or ""
-        folder, _, topic = poses.rpartition(":")
-        bags = ((Path(path), name) for path, name in ((poses, ""), (folder, topic)) if path)
-        return next((bag for bag in bags if _is_bag(bag[0])), None)
+        path, _, topic = poses.rpartition(":")
+        named = ((Path(path), name) for path, name in ((poses, ""), (path, topic)) if path)
+        return next((each for each in named if _is_recording(each[0])), None)
 
     @property
     def files(self) -> list[Path]:
@@ -195,12 +188,8 @@ class PosingOptions:
         return [path] if path.is_file() else []
 
 
-def _is_bag(path: Path) -> bool:
-    """Whether a path is a folder with a recording of ROS 2."""
+def _is_recording(path: Path) -> bool:
+    """Whether a path is a file named like a recording, or a folder with one of ROS 2."""
+    if path.is_file():
+        return path.suffix.lower() in {".bag", ".mcap", ".db3"}
     return any(any(path.glob(name)) for name in ("metadata.yaml", "*.db3*", "*.mcap*"))
-
-
-def _check_pose(pose: Pose, name: str) -> None:
-    """Refuse numbers that nothing can be mounted at."""
-    is_place = all(abs(value) <= MAX_MOUNT_M for value in pose) and any(pose[3:])
-    require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")

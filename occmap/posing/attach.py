@@ -157,7 +157,7 @@ class Poser:
         """
         if not len(batch.stamp_ns):
             return
-        if batch.pose is not None and self.sources.trajectory is None:
+        if batch.pose is not None and self.options.poses is None:
             yield from self._keep(batch, self._read_stated(batch.pose), None, None)
             return
         if batch.frame not in self.chains:

@@ -8,9 +8,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
-from itertools import chain
-from typing import Self
+from itertools import chain, product
+from os.path import commonprefix
+from typing import Self, TypeAlias
 
+from occmap.errors import PoseError
 from occmap.posing.tracks import Track
 
 FIXED_NAMES = ("map", "odom")
@@ -175,6 +177,54 @@ class FrameTree:
 def last_part(frame: str) -> str:
     """Strip the namespace: the last part of `robot1/odom` is `odom`."""
     return frame.rsplit("/", 1)[-1]
+
+
+Space: TypeAlias = tuple[str, ...]
+"""A namespace of topics: that of `/site/robot1/tf` is site, robot1; that of `/tf` is empty"""
+
+
+def find_space(topic: str) -> Space:
+    """Find the namespace that a topic is in, whatever recording it is of."""
+    return tuple(topic.rpartition(":")[2].strip("/").split("/")[:-1])
+
+
+def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
+    """Find the transforms that belong to other robots than scans on some topics do.
+
+    Scans go by the namespace of transforms that their topic shares most with. Of another one that
+    moves one of the same frames otherwise nothing counts. The root is there for all: of it only the
+    transforms that the scans' own namespace has, too, do not count.
+
+    Raises
+    ------
+    PoseError
+        The scans belong to several robots.
+    """
+    tf = [(edge, find_space(edge.topic)) for edge in edges if edge.source is Source.TF]
+    moved: dict[Space, dict[tuple[str, str], Track]] = defaultdict(dict)
+    for edge, space in tf:
+        if not edge.track.static:
+            moved[space][edge.parent, edge.child] = edge.track
+    homes = {_find_home(find_space(topic), moved): topic for topic in topics if len(moved) > 1}
+    own = {name for home in homes for name in moved[home]}
+    others = set()
+    for home, space in product(homes, moved):
+        both = moved[home].keys() & moved[space].keys()
+        if all(moved[home][name].repeats(moved[space][name]) for name in both):
+            continue
+        if space in homes:
+            found = f"{homes[home]} and {homes[space]} go by transforms that contradict each other"
+            fix = f"map one robot at a time, as with `topics={homes[home]}`, and merge their `.npz`"
+            raise PoseError(found, fix=fix)
+        others.add(space)
+    foreign = ((edge, space) for edge, space in tf if space in others)
+    return [edge for edge, space in foreign if space or (edge.parent, edge.child) in own]
+
+
+def _find_home(space: Space, spaces: Iterable[Space]) -> Space:
+    """Find which namespace shares most with another one, and of equal ones the outermost."""
+    shared = {each: len(commonprefix([each, space])) for each in spaces}  # noqa: RUF071  of names
+    return max(shared, key=lambda each: (shared[each], -len(each)))
 
 
 def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:

@@ -15,11 +15,11 @@ from typing import TypeAlias
 import numpy as np
 
 from occmap.errors import MountError, PoseError
-from occmap.posing import RECORDING, PosingOptions, Stamps, frames
+from occmap.posing import PosingOptions, Stamps, frames
 from occmap.posing.chain import Chain, make_chain
-from occmap.posing.frames import Edge, FrameTree, Source, find_moving, last_part
+from occmap.posing.frames import Edge, FrameTree, Source, find_moving, find_strangers, last_part
 from occmap.posing.tracks import Track, TrackBuilder, differ
-from occmap.posing.trajectory import TRAJECTORY_FRAME, read_trajectory
+from occmap.posing.trajectory import read_trajectory
 from occmap.report import count, join_names
 from occmap.types import Moments, PoseBatch, PoseSample
 
@@ -30,7 +30,7 @@ INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
 """How many of the static transforms that changed are named: their names are long."""
-USE_TF = "leave out `poses`: transforms are used without it"
+USE_TF = "leave out `poses`: without it a scan goes by the transforms of its namespace"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,20 +57,33 @@ def gather(
     samples: Iterable[PoseSample | PoseBatch],
     options: PosingOptions,
     moments: Moments | None = None,
+    topics: Sequence[str] = (),
 ) -> Sources:
     """Read every sample once and sort them by what they say.
+
+    Parameters
+    ----------
+    topics
+        Of the scans that are to be posed.
 
     Raises
     ------
     PoseError
-        The trajectory that the user chose is neither a file nor a topic with poses.
+        The trajectory that the user chose is neither a file nor a topic with poses, or the scans
+        are those of several robots.
     LogError
         The trajectory file cannot be read.
     """
     every, unusable, changes = _build_edges(samples, options.stamps)
-    recording, _ = options.recording or (None, "")
+    recording, topic = options.recording or (None, "")
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
-    edges = [edge for edge in every if edge not in others]
+    # Of a recording one pose, such as where a robot was said to start, is no trajectory.
+    of_other = [edge for edge in _rank(others) if len(edge.track) > 1]
+    lent = [edge for edge in others if edge.source is Source.TF and (topic or not of_other)]
+    lent = [edge for edge in lent if edge.topic.startswith(f"{recording}:{topic}")]
+    edges = _add_lent([edge for edge in every if edge not in others], lent)
+    strangers = find_strangers(edges, topics)
+    edges = [edge for edge in edges if edge not in strangers]
     given = [
         Edge(each.parent.strip("/"), each.child.strip("/"), Track.fixed(each.pose), Source.GIVEN)
         for each in options.static_transforms
@@ -81,15 +94,17 @@ def gather(
     poses = _rank(edges)
     of_file: list[str] = []
     trajectory = None
-    if options.poses:
-        # Of a recording one pose, such as where a robot was said to start, is no trajectory.
-        named = [edge for edge in _rank(others) if len(edge.track) > 1] if recording else poses
+    if options.poses and not lent:
+        named = of_other if recording else poses
         trajectory = _find_trajectory(options, named, of_file, moments)
-    if trajectory and recording:
+    if trajectory and options.files:
         frame = options.map_frame or trajectory.parent
         body = trajectory.child if trajectory.child in tree else ""  # it may have another name
         trajectory = replace(trajectory, parent=frame, child=body)
-    notes = [*_list_overruled(given, edges, tree), *unusable, *changes, *of_file]
+    placed = {edge.child for edge in edges if edge.source is Source.TF}
+    replaced = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
+    notes = [f"the given transform {name} replaces the log's" for name in replaced]
+    notes += [*unusable, *changes, *of_file, *_list_beside(edges, strangers, topics)]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
 
@@ -121,7 +136,7 @@ def _build_edges(
         if track is not None and parent != child:
             # Of a transform that was sent more than once the last pose counts.
             track = track.hold_last() if static else track
-            is_tf = child and (static or last_part(topic) in TF_TOPICS)
+            is_tf = child and (static or last_part(topic.rpartition(":")[2]) in TF_TOPICS)
             source = Source.TF if is_tf else Source.ODOMETRY
             edges.append(Edge(parent.strip("/"), child.strip("/"), track, source, topic))
     changes = [
@@ -129,6 +144,19 @@ def _build_edges(
         for topic, names in changed.items()
     ]
     return edges, unusable, changes
+
+
+def _add_lent(edges: Sequence[Edge], lent: Iterable[Edge]) -> list[Edge]:
+    """Add transforms of another recording; those of the log count before its first and after it."""
+    moving = {(it.topic, it.parent, it.child): it for it in edges if not it.track.static}
+    known = {
+        each: moving.get((each.topic.rpartition(":")[2], each.parent, each.child)) for each in lent
+    }
+    added = (
+        replace(each, track=each.track.prolong(edge.track)) if edge else each
+        for each, edge in known.items()
+    )
+    return [*(edge for edge in edges if edge not in known.values()), *added]
 
 
 def _rank(edges: Iterable[Edge]) -> list[Edge]:
@@ -149,17 +177,6 @@ def _is_intention(topic: str) -> bool:
     return not INTENTIONS.isdisjoint(words)
 
 
-def _list_overruled(given: Sequence[Edge], edges: Sequence[Edge], tree: FrameTree) -> Iterator[str]:
-    """Say which of the user's transforms replace one of the log, or close a loop."""
-    known = {edge.child for edge in edges if edge.source is Source.TF}
-    for edge in given:
-        name = f"the given transform {edge.parent} -> {edge.child}"
-        if edge.child in known:
-            yield f"{name} replaces the log's"
-        if edge.child in tree.list_ancestors(edge.parent):
-            yield f"{name} closes a loop: {edge.child} is above {edge.parent} already"
-
-
 def _find_trajectory(
     options: PosingOptions, poses: Sequence[Edge], notes: list[str], moments: Moments | None
 ) -> Edge:
@@ -172,21 +189,30 @@ def _find_trajectory(
         notes.extend(unusable)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
-        frame = options.map_frame or TRAJECTORY_FRAME
-        return replace(edges[0], parent=frame, topic=name)
+        return replace(edges[0], topic=name)
     wanted = f"{recording}:{topic}" if recording else name
     for edge in poses:
         if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
-    if name.strip("/") in TF_TOPICS - {""}:
+    if recording is None and last_part(name) in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
-    if recording is None and (Path(name).suffix or RECORDING.fullmatch(name)):  # no topic's name
-        fix = "check the path: `poses` takes a trajectory file, or a topic of the log"
-        raise PoseError("no such file", where=name, fix=fix)
     held = f"holds no {'such ' if topic else ''}topic of poses"
-    found = held if recording else "neither a file nor a topic with poses"
-    topics = f"topics with poses: {join_names(sorted({edge.topic for edge in poses}))}"
-    raise PoseError(found, where=name, fix=topics if poses else "the log has no topic with poses")
+    found = held if recording else "no such file, and no such topic of poses"
+    there = f"topics of poses: {join_names(sorted({edge.topic for edge in poses}))}"
+    fix = there if poses else "`poses` takes a trajectory file, or a topic of a log"
+    raise PoseError(found, where=name, fix=fix)
+
+
+def _list_beside(
+    edges: Iterable[Edge], strangers: Iterable[Edge], topics: Iterable[str]
+) -> Iterator[str]:
+    """Say which transforms are left out as another robot's, and which are of other recordings."""
+    if left_out := sorted({edge.topic for edge in strangers}):
+        why = f"they contradict those whose namespace is nearest to {join_names(topics)}"
+        yield f"transforms on {join_names(left_out)} are left out: {why}"
+    tf = {edge.topic for edge in edges if edge.source is Source.TF}
+    if beside := sorted(topic for topic in tf if ":" in topic):
+        yield f"transforms are taken from {join_names(beside)}, too"
 
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
@@ -196,7 +222,7 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
         stated[edge.parent, edge.child].append(edge)
     doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
     parents: dict[str, list[str]] = defaultdict(list)
-    for used in (edge for edge in tree.edges if edge.source is not Source.GIVEN):
+    for used in tree.edges:
         parents[used.child].append(used.parent)
         same = stated[used.parent, used.child] if used.source is Source.TF else []
         if _disagree(same):
@@ -278,8 +304,7 @@ class Search:
     def go_by_tree(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""
         if not self.tree.frames:
-            sought = "looked for tf, odometry and topics of poses in the log"
-            raise PoseError(f"the scans have no poses: {sought}", fix=GIVE_POSES)
+            raise self._miss_poses("looked for tf, odometry and topics of poses in the log")
         anchor = self._find_base() if self.options.sensor_pose else self.frame
         if anchor not in self.tree:
             raise self._miss_mount()
@@ -380,5 +405,15 @@ class Search:
             found = f"the laser's frame {self.frame!r} hangs on {root!r}, which is not connected to"
             fix = f"join them: `static_transforms={bodies[0]},{root},0,0,0,0,0,0`"
             return PoseError(f"{found} what moves: {join_names(bodies)}", fix=fix)
-        found = f"the scans have no poses: tf only says where {self.frame!r} sits on {root!r}, and"
-        return PoseError(f"{found} the log has no odometry and no topic of poses", fix=GIVE_POSES)
+        found = f"tf only says where {self.frame!r} sits on {root!r}, and no odometry and no topic"
+        return self._miss_poses(f"{found} of poses says where that went")
+
+    def _miss_poses(self, found: str) -> PoseError:
+        """Say that the scans have no poses, and why a topic that holds some is of no use."""
+        stated = (it for it in self.sources.pose_topics if not _is_intention(it.topic))
+        if bare := [edge.topic for edge in stated if not edge.track.stamp_ns.any()]:
+            found = (
+                f"the poses on {join_names(bare)} have no times, as all of their stamps are zero"
+            )
+        fix = "`stamps=record` takes the recorder's times" if bare else GIVE_POSES
+        return PoseError(f"the scans have no poses: {found}", fix=fix)

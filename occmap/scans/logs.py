@@ -2,6 +2,7 @@
 
 import glob
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -18,7 +19,7 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
-from occmap.posing.sources import TF_TOPICS, gather
+from occmap.posing.sources import gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, count, join_names
 from occmap.sensor.models import CountingModel, RadialModel
@@ -139,34 +140,57 @@ def refuse_part(path: Path) -> None:
         raise PoseError(found, where=path, fix=f"give the folder: {path.parent}")
 
 
-def read_poser(log: Log, options: PosingOptions) -> Poser:
-    """Read every pose source of a log; raises as `gather`."""
+def read_poser(log: Log, options: PosingOptions, topics: Sequence[str]) -> Poser:
+    """Read every pose source of a log, for scans on some topics; raises as `gather`."""
     moments = log.moments if isinstance(log, readers.Counting) else None
-    return Poser(gather(gather_poses(log, options), options, moments), options)
+    try:
+        return Poser(gather(gather_poses(log, options), options, moments, topics), options)
+    except PoseError as error:
+        raise error.placed(log.path) from None
 
 
 def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseBatch]:
-    """Read every pose source of a log, and the topics of poses of another one that `poses` names.
+    """Read every pose source of a log, and of other ones, whose topics begin with their path.
 
-    The topics of the other one begin with its path; its transforms are passed over. What is damaged
-    in it is noted of the log.
+    These are the recording that `poses` names, whose damage is noted of the log, and what never
+    changes in the first part of a split ROS 1 bag: the other parts lack it.
     """
     yield from readers.read_poses(log)
+    if first := find_first_part(log):
+        with suppress(LogError):
+            yield from (each for each in read_beside(open_log(first)) if each.static)
     if posing.recording is None:
         return
     path, _ = posing.recording
     other = open_log(path)
+    yield from read_beside(other)
+    damage = (note.placed(path) for note in other.notes if note.damage)
+    if isinstance(log.notes, MutableSequence):  # a plugin's may be a tuple
+        log.notes.extend(note for note in damage if note not in log.notes)
+
+
+def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
+    """Read every pose source of another log, with its path before each topic."""
     for each in readers.read_poses(other):
-        topic = f"{path}:{each.topic}"
-        if last_part(each.topic) in TF_TOPICS:
-            continue
+        topic = f"{other.path}:{each.topic}"
         if isinstance(each, PoseSample):
             yield each._replace(topic=topic)
         else:
             yield replace(each, topic=topic)
-    damage = (note.placed(path) for note in other.notes if note.damage)
-    if isinstance(log.notes, MutableSequence):  # a plugin's may be a tuple
-        log.notes.extend(note for note in damage if note not in log.notes)
+
+
+PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+\.bag$")
+"""How the names of the parts of a bag that was split end: PREFIX_DATE_NUMBER.bag"""
+
+
+def find_first_part(log: Log) -> Path | None:
+    """Find the first part of a split ROS 1 bag, if the log is a later one without /tf_static."""
+    held = {last_part(each.topic) for each in log.streams if each.count}
+    prefix, is_part = PART.subn("", log.path.name)
+    if not is_part or "tf_static" in held:
+        return None
+    firsts = (each for each in log.path.parent.glob("*_0.bag") if each.name < log.path.name)
+    return max((each for each in firsts if PART.sub("", each.name) == prefix), default=None)
 
 
 def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:

@@ -179,7 +179,7 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
     PoseError, LogError
         The trajectory that the user chose cannot be used, or the log is only part of a recording.
     """
-    poser = read_poser(log, options.posing)
+    poser = read_poser(log, options.posing, [scan.topic for scan in first])
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
     if faults and poser.fixed is None:

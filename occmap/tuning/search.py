@@ -62,7 +62,7 @@ class KeptLog:
     @property
     def stated(self) -> bool:
         """Whether all poses stand beside the scans, so that their times do not matter."""
-        chosen = self.poser.sources.trajectory is not None
+        chosen = self.poser.options.poses is not None
         return not chosen and all(batch.pose is not None for batch in self.batches)
 
     def pose(self, options: PosingOptions) -> list[PosedScans]:

@@ -18,5 +18,5 @@ def test_a_mount_that_is_no_pose_is_refused(pose: Pose) -> None:
 
 @pytest.mark.parametrize("pose", [Pose.planar(math.nan, 0, 0), Pose.planar(0, 2e8, 0)])
 def test_a_frame_that_lies_nowhere_is_refused(pose: Pose) -> None:
-    with pytest.raises(UsageError, match=r"no log lies at .*; give metres and radians"):
+    with pytest.raises(UsageError, match=r"the logs' map cannot be .*; give metres and radians"):
         PosingOptions(transform=pose)

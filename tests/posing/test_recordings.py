@@ -92,21 +92,85 @@ def test_the_frames_of_the_other_recording_do_not_mix_with_those_of_the_log(log:
         build_map(log)
 
 
+@pytest.mark.parametrize(
+    ("poses", "topics"),
+    [
+        ("other.bag", "other.bag:/tf, other.bag:/tf_static"),
+        ("other.bag:/tf", "other.bag:/tf, other.bag:/tf_static"),
+        ("other.bag:/tf_static", "other.bag:/tf_static"),
+    ],
+)
+@pytest.mark.parametrize("lacking", ["none", "/tf", "/tf_static"])
+def test_a_log_takes_the_transforms_of_a_recording_without_poses(
+    poses: str, topics: str, lacking: str, log: Path, whole: str
+) -> None:
+    """What both hold is no conflict, and a goal is no topic of poses."""
+    messages = drive(ROS1)
+    goal = Written(
+        "/goal", SECOND, ros.posed(ROS1, KINDS["PoseStamped"], SECOND, ("odom", "", 9.0))
+    )
+    write_bag1(Path("other.bag"), [*(it for it in messages if "tf" in it.topic), goal])
+    log.unlink()
+    write_bag1(log, [each for each in messages if each.topic != lacking])
+    if lacking == "/tf" and "static" in poses:
+        with pytest.raises(PoseError, match="have no poses"):
+            build_map(log, poses=poses)
+        return
+    made = build_map(log, poses=poses)
+    assert name_evidence(made) == whole
+    assert f"log.bag: transforms are taken from {topics}, too" in made.report.notes
+
+
+def test_transforms_of_a_recording_count_while_it_lasts(log: Path, whole: str) -> None:
+    messages = [each for each in drive(ROS1) if each.topic == "/tf"]
+    wrong = [
+        Written("/tf", at, ros.transforms(ROS1, at, [("odom", "base", 9.0)])) for at in STAMPS[2:4]
+    ]
+    others = [each for each in drive(ROS1) if each.topic != "/tf"]
+    log.unlink()
+    write_bag1(log, [*others, *messages[:2], *wrong, *messages[4:]])
+    assert name_evidence(build_map(log)) != whole
+    write_bag1(Path("other.bag"), messages[2:4])
+    made = build_map(log, poses="other.bag")
+    assert name_evidence(made) == whole
+    assert not any("set back" in note for note in made.report.notes)
+
+
+@pytest.mark.parametrize("names", ["day_{}.bag", "day_2026-01-02-03-04-0{}_{}.bag"])
+def test_a_later_part_of_a_split_bag_takes_what_never_changes_from_the_first(
+    names: str, whole: str
+) -> None:
+    messages = drive(ROS1)
+    parts = [Path("day", names.format(n, n)) for n in range(2)]
+    parts[0].parent.mkdir()
+    for part, some in zip(parts, (messages[:7], messages[7:]), strict=True):
+        write_bag1(part, some)
+    write_bag1(Path("day/other_0.bag"), messages[1:])  # another recording, and a broken one
+    Path("day/day_1999-01-01-00-00-00_0.bag").write_bytes(b"no bag")
+    made = build_map(*parts)
+    assert name_evidence(made) == whole
+    assert f"{parts[1]}: transforms are taken from {parts[0]}:/tf_static, too" in made.report.notes
+    assert name_evidence(build_map(*parts, poses=parts[0])) == whole
+    parts[0].write_bytes(b"no bag")
+    with pytest.raises(PoseError, match="no transform to the laser's frame"):
+        build_map(parts[1])
+
+
 def test_one_pose_of_the_other_recording_is_no_trajectory(log: Path) -> None:
     start = Written("/initialpose", STAMPS[0], make("PoseStamped", STAMPS[0], 0.0))
     for poses in ("slam.mcap", "slam.mcap:/initialpose"):
         write_mcap(Path("slam.mcap"), [start])
-        with pytest.raises(PoseError, match="the log has no topic with poses"):
+        with pytest.raises(PoseError, match=r"holds no (such )?topic of poses; `poses` takes"):
             build_map(log, poses=poses)
 
 
 @pytest.mark.parametrize(
     ("poses", "found"),
     [
-        ("slam.mcap:/other", "topics with poses: slam.mcap:/odom"),
-        ("log.bag", "log.bag: holds no topic of poses; the log has no topic with poses"),
-        ("none.bag", "none.bag: no such file"),
-        ("none.bag:/odom", "none.bag:/odom: no such file"),
+        ("slam.mcap:/other", "topics of poses: slam.mcap:/odom"),
+        ("slam.mcap:/tf", "slam.mcap:/tf: holds no such topic of poses"),
+        ("none.bag", "none.bag: no such file, and no such topic"),
+        ("none.bag:/odom", "none.bag:/odom: no such file, and no such topic"),
         ("broken.bag", "broken.bag: "),
     ],
 )
