@@ -79,8 +79,8 @@ def gather(
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
     # Of a recording one pose, such as where a robot was said to start, is no trajectory.
     of_other = [edge for edge in _rank(others) if len(edge.track) > 1]
-    lent = [edge for edge in others if edge.source is Source.TF and (topic or not of_other)]
-    lent = [edge for edge in lent if edge.topic.startswith(f"{recording}:{topic}")]
+    tf = (edge for edge in others if edge.source is Source.TF and (topic or not of_other))
+    lent = [edge for edge in tf if edge.topic.startswith(f"{recording}:{topic}")]
     edges = _add_lent([edge for edge in every if edge not in others], lent)
     strangers = find_strangers(edges, topics)
     edges = [edge for edge in edges if edge not in strangers]
@@ -102,8 +102,8 @@ def gather(
         body = trajectory.child if trajectory.child in tree else ""  # it may have another name
         trajectory = replace(trajectory, parent=frame, child=body)
     placed = {edge.child for edge in edges if edge.source is Source.TF}
-    replaced = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
-    notes = [f"the given transform {name} replaces the log's" for name in replaced]
+    overruled = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
+    notes = [f"the given transform {name} replaces the log's" for name in overruled]
     notes += [*unusable, *changes, *of_file, *_list_beside(edges, strangers, topics)]
     notes += _list_contradictions(edges, tree)
     return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
@@ -146,17 +146,10 @@ def _build_edges(
     return edges, unusable, changes
 
 
-def _add_lent(edges: Sequence[Edge], lent: Iterable[Edge]) -> list[Edge]:
-    """Add transforms of another recording; those of the log count before its first and after it."""
-    moving = {(it.topic, it.parent, it.child): it for it in edges if not it.track.static}
-    known = {
-        each: moving.get((each.topic.rpartition(":")[2], each.parent, each.child)) for each in lent
-    }
-    added = (
-        replace(each, track=each.track.prolong(edge.track)) if edge else each
-        for each, edge in known.items()
-    )
-    return [*(edge for edge in edges if edge not in known.values()), *added]
+def _add_lent(edges: Iterable[Edge], lent: Sequence[Edge]) -> list[Edge]:
+    """Add transforms of another recording, in place of those between the same frames."""
+    replaced = {(edge.parent, edge.child) for edge in lent}
+    return [*lent, *(edge for edge in edges if (edge.parent, edge.child) not in replaced)]
 
 
 def _rank(edges: Iterable[Edge]) -> list[Edge]:

@@ -143,16 +143,6 @@ class Track:
         last = self.stamp_ns[-1:], self.position[-1:], self.quaternion[-1:]
         return type(self)(*last, static=True)
 
-    def prolong(self, other: Self) -> Self:
-        """Add the samples of another track from before the first of this one and after its last."""
-        first, end = np.searchsorted(other.stamp_ns, self.stamp_ns[[0, -1]] + [0, 1])
-        return type(self)(
-            np.concatenate([other.stamp_ns[:first], self.stamp_ns, other.stamp_ns[end:]]),
-            np.concatenate([other.position[:first], self.position, other.position[end:]]),
-            np.concatenate([other.quaternion[:first], self.quaternion, other.quaternion[end:]]),
-            set_back_s=max(self.set_back_s, other.set_back_s),
-        )
-
     def repeats(self, other: Self) -> bool:
         """Whether two tracks are one that was sent twice: of either some samples may be lost."""
         _, here, there = np.intersect1d(self.stamp_ns, other.stamp_ns, return_indices=True)
