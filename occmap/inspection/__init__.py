@@ -17,7 +17,7 @@ from occmap.errors import LogError, MapError, OccmapError, UsageError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
-from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
+from occmap.inspection.findings import Better, Inspection, LogFindings, MapFindings, ScanFindings
 from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
@@ -111,8 +111,8 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
     if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
         return ""
     times = topic.times
-    if times.suggested_stamps is not stamps:
-        return f"; try `stamps={times.suggested_stamps.value}`"
+    if topic.better:
+        return f"; try {topic.better.option}"
     for source in log.coverage:
         apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
         if stamps is Stamps.HEADER and source.moves and apart:
@@ -132,11 +132,8 @@ def recommend(
     command, remarks
         The words of the line, none where the logs need several; and what there is to say of it.
     """
-    stamps = options.posing.stamps
-    mapped = [  # with poses, or with a hint that the other of the two times gives some
-        log
-        for log in logs
-        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
+    mapped = [  # with poses, or with an option that gives some
+        log for log in logs if any(it.poses.posed or it.better for it in log.scans)
     ]
     lines = [compose_command([log], options) for log in mapped]
     if len({(*line[:2], *line[3:-2]) for line in lines}) > 1:
@@ -156,11 +153,13 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     """
     paths = [log.path for log in logs]
     concerns = [concern for log in logs for concern in log.concerns]
-    advised = list_advised(logs, options)
+    advised = list_advised(logs)
     for concern in concerns:
         for name, value in (concern.remedy or {}).items():
             if advised.setdefault(name, value) != value:
                 return ()
+    if advised.keys() & {"poses", "map_frame"}:  # which have no use for a part without jumps
+        advised = {name: advised[name] for name in advised if name not in {"start_s", "end_s"}}
     command = compose_build(paths, options, advised)
     hopeless = [concern for concern in concerns if concern.remedy is None]
     if all(ASK_TUNE in concern.text for concern in hopeless):
@@ -168,58 +167,63 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     return ()
 
 
-def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
-    """List the options that the findings suggest, where the user has not decided."""
+def list_advised(logs: Sequence[LogFindings]) -> dict[str, str]:
+    """List the options that the findings suggest."""
     topics = [topic for log in logs for topic in log.scans]
     advised = {}
     for topic in topics:
         if topic.poses.assumed:
             advised["sensor_pose"] = topic.poses.assumed
-        if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
-            advised["stamps"] = topic.times.suggested_stamps
+    for better in [topic.better for topic in topics if topic.better][:1]:  # each was tried alone
+        advised[better.name] = better.value
     advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
     if advice == {"clear"}:
         advised["no_return"] = "clear"
     return advised
 
 
-def list_concerns(
-    log: LogFindings, spoilers: Sequence[tuple[str, Concern]], stamps: Stamps
-) -> list[Concern]:
+def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> list[Concern]:
     """List what will spoil a map, or surprise its maker.
 
     Parameters
     ----------
     spoilers
         What the poses show, with the topics of the scans.
-    stamps
-        Those that the scans were posed by.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
     found = []
     for topic in log.scans:
         mine = [concern for name, concern in spoilers if name == topic.topic]
-        mine += list_doubts(topic, has_poses, stamps)
-        if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
+        mine += list_doubts(topic, has_poses)
+        if topic.better and topic.poses.posed:
+            mine.append(Concern(tell_better(topic, topic.better)))
+        elif topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
             share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
             text = f"{share} lie in occupied cells: the poses do not fit the scans; "
             if topic.poses.stated:  # at their own times
                 text += "try another trajectory by `poses=FILE`"
             else:
-                deskew = ", `deskew=on`" * bool(topic.times.time_increment_s)
-                text += f"{ASK_TUNE}{deskew}, or another trajectory"
+                text += f"{ASK_TUNE}, or another trajectory"
             is_mended = any(concern.remedy for concern in mine)
             mine.append(Concern(text, {} if is_mended else None))
         found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
     return found
 
 
-def list_doubts(topic: ScanFindings, has_poses: bool, stamps: Stamps) -> Iterator[Concern]:
+def tell_better(topic: ScanFindings, better: Better) -> str:
+    """Say how much better the scans of a topic fit each other with an option."""
+    if topic.agreement is None or (better.agreement or 0) <= topic.agreement:
+        return f"more scans have a pose with {better.option}"
+    share = f"{topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
+    return f"{share}, and {better.agreement:.0%} with {better.option}"
+
+
+def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
     oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
     yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
     yield from list_pose_doubts(topic, has_poses)
-    yield from list_clock_faults(topic, stamps)
+    yield from list_clock_faults(topic)
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
@@ -250,7 +254,7 @@ def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         yield Concern(f"{found}, and the scans change all the same: {why}")
 
 
-def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
+def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
     """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
     times = topic.times
     if topic.poses.stated:
@@ -262,9 +266,7 @@ def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
         yield Concern(f"stamps jump back {count(times.jumps_back, 'time')}")
     if abs(times.drift_s) > poses.DRIFT_S:
         found = f"stamps drift by {times.drift_s:.3g} s against the record times"
-        if times.suggested_stamps is not stamps:  # as `list_advised` says, too
-            found += f"; the scans fit better with `stamps={times.suggested_stamps.value}`"
-        elif topic.poses.posed:
+        if topic.poses.posed and not topic.better:
             found += "; the scans fit no better with the other of the two times"
         yield Concern(found)
 
@@ -338,9 +340,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         longest=survey.extent.longest,
         problem=problem,
     )
-    return replace(
-        findings, concerns=tuple(list_concerns(findings, spoilers, options.posing.stamps))
-    )
+    return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
@@ -367,14 +367,10 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     ranked = [] if is_of_clouds else topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    times = topic.stamps.sum_up(options.posing.stamps, moving_ns)
-    suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
     posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
     agreement = estimate_agreement(topic.sample.parts, options)
     stacked = stack_sample(topic.sample.parts, options.returns)
-    is_other = suggested is not options.posing.stamps or bool(mount and mount.better)
-    is_explained = posed.stated or posed.problem or is_other
-    return ScanFindings(
+    found = ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
         frames=tuple(topic.frames),
@@ -384,10 +380,16 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
-        times=replace(times, suggested_stamps=suggested),
+        times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=posed,
         mount=mount,
         agreement=agreement,
-        hint="" if is_explained else hint_at_tune(agreement, [str(log.path)], options),
         frozen_s=find_frozen(stacked),
     )
+    better = poses.find_better(log, posing, topic, found, options)
+    is_explained = posed.stated or posed.problem or better or (mount and mount.better)
+    if better and better.name == "stamps":
+        times = replace(found.times, suggested_stamps=Stamps(better.value))
+        found = replace(found, times=times)
+    hint = "" if is_explained else hint_at_tune(agreement, [str(log.path)], options)
+    return replace(found, better=better, hint=hint)
