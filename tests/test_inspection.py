@@ -307,6 +307,28 @@ def test_a_clock_that_jumps_midway_is_told_with_what_fits_better(
     assert ["no better with the other" in text for text in told.warnings] == [True] * bool(late_s)
 
 
+def test_poses_that_come_seldom_need_a_larger_gap(tmp_path: Path) -> None:
+    """Poses come every second, and all scans but the first six lie between two."""
+    path = write_bag(
+        tmp_path / "rare.bag",
+        Drive(),
+        [(0.0, 0.0)],
+        scan_stamp=lambda stamp: stamp - SECOND // 4 * (stamp <= 105 * SECOND),
+    )
+    options = BuildOptions(posing=PosingOptions(max_pose_gap_s=0.5, time_offset_s=0.25))
+    found = look(path, options)
+    assert topic(found).poses.posed == 6
+    assert "more scans have a pose with `max_pose_gap_s=2`" in found.warnings[-1]
+    assert found.command[3:5] == ("--max-pose-gap", "2")
+    (note,) = (note for note in build([path], options).report.notes if "most scans" in note)
+    assert "33 in a pose gap longer than" in note
+    assert "a larger `max_pose_gap_s`" in note
+    late = replace(options, selection=Selection(start_s=6.0))
+    assert "try `max_pose_gap_s=2`" in look(path, late).problems[0]
+    with pytest.raises(OccmapError, match="a larger `max_pose_gap_s`"):
+        build([path], late)
+
+
 def test_other_times_are_not_tried_for_scans_that_no_time_helps(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "none.bag", Drive(spoil=lambda it: it[:0]), [(0.0, 0.0)])
     found = look(path)

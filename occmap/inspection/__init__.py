@@ -107,12 +107,12 @@ def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]
 
 
 def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
-    """Suggest an option for scans and poses whose times do not overlap."""
+    """Suggest an option for scans that have no pose at their times."""
+    if topic.better:
+        return f"; try {topic.better.option}"
     if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
         return ""
     times = topic.times
-    if topic.better:
-        return f"; try {topic.better.option}"
     for source in log.coverage:
         apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
         if stamps is Stamps.HEADER and source.moves and apart:

@@ -84,6 +84,8 @@ def list_others(
     way = posing.poser.chains.get(next(iter(topic.frames)))
     if topic.stated or way is None or not found.kept:
         return
+    if way.interval_s > (options.max_pose_gap_s or math.inf):
+        yield "max_pose_gap_s", f"{2 * way.interval_s:.3g}"
     is_poor = topic.posed == 0 or (found.agreement or 1.0) < DOUBTFUL_AGREEMENT
     is_timed = abs(times.drift_s) <= DRIFT_S and not times.jumps_back
     if is_poor or not is_timed or topic.posed < WELL_POSED * found.kept:
