@@ -86,6 +86,7 @@ def write_bag(
     frames: Sequence[str] = ("laser",),
     others: Mapping[str, float] = MappingProxyType({}),
     truth: str = "",
+    more: Sequence[Written] = (),
 ) -> Path:
     """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan.
 
@@ -112,7 +113,7 @@ def write_bag(
         frame = frames[index % len(frames)]
         seen = _scan(scan_stamp(stamp), frame, drive.ranges(index), drive.increment)
         log.append(Written(topic, stamp, seen))
-    return write_bag1(path, log)
+    return write_bag1(path, [*log, *more])
 
 
 def _scan(stamp_ns: int, frame: str, ranges: Float32, increment: float) -> Any:

@@ -29,7 +29,8 @@ from tests.csv_logs import write_scans
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, write_bag, write_csv
 from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
-from tests.readers.ros import SECOND
+from tests.readers.clouds import cloud
+from tests.readers.ros import ROS1, SECOND, Written
 from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, copy_mcap
 from tests.samples import write_csv as write_row
 
@@ -250,11 +251,11 @@ def test_a_line_says_which_logs_it_leaves_out(tmp_path: Path) -> None:
 def test_a_wrong_mount_is_suspected(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "room.bag", Drive(math.pi), mount=[(0.0, 0.0)])
     found, made = look(path), build([path], BuildOptions())
-    misfit, disagreement = found.warnings
+    (misfit,) = found.warnings
     assert misfit.endswith("the scans would fit each other better with `sensor_pose=(0,0,3.14159)`")
     assert misfit in made.report.notes
-    assert "the poses do not fit the scans" in disagreement
     assert found.command[3:-2] == ("--sensor-pose", "0,0,3.14159")
+    assert not any("tune" in note for note in made.report.notes)
     right = BuildOptions(posing=PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi)))
     assert not any("fit" in note for note in build([path], right).report.notes)
 
@@ -305,6 +306,18 @@ def test_a_clock_that_jumps_midway_is_told_with_what_fits_better(
     told = look(path, by_record)
     assert (topic(told).agreement or 0) > (topic(found).agreement or 0) + 0.05 or not late_s
     assert ["no better with the other" in text for text in told.warnings] == [True] * bool(late_s)
+
+
+def test_clouds_beside_scans_are_said_to_be_left_out(tmp_path: Path) -> None:
+    points = Written("/points", 100 * SECOND, cloud(ROS1, [(1.0, 2.0, 3.0)]))
+    path = write_bag(tmp_path / "both.bag", Drive(), [(0.0, 0.0)], more=[points])
+    for options, told in (
+        (BuildOptions(), True),
+        (BuildOptions(selection=Selection(("/scan",))), False),
+    ):
+        for notes in (look(path, options).logs[0].notes, build([path], options).report.notes):
+            told_of = [each for each in notes if "clouds are left out" in each]
+            assert ["`topics=/points`" in each for each in told_of] == [True] * told
 
 
 def test_poses_that_come_seldom_need_a_larger_gap(tmp_path: Path) -> None:
@@ -627,6 +640,40 @@ def test_where_the_poses_fit_no_mount_the_line_looks_for_the_reason(tmp_path: Pa
     (warning,) = found.warnings
     assert "the poses do not fit the scans; try `occmap tune`" in warning
     assert found.command == ("occmap", "tune", str(path), "--resolution", "0.1")
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(0.5, 0.0), (0.0, 0.2), (0.0, 0.0)])
+def test_two_lasers_that_contradict_each_other_are_told(
+    shift: float, turn: float, tmp_path: Path
+) -> None:
+    """The rear one, of every fourth scan, is in a frame that lies elsewhere, or is turned."""
+    drive, counter = Drive(), iter(range(SCANS))
+
+    def spoil(ranges: Float64) -> Float64:
+        if (index := next(counter)) % 4 < 3:
+            return ranges
+        x, y, yaw = drive.pose(index)
+        return measure_room(x + shift, y + shift, yaw + turn + drive.bearings)
+
+    two = replace(drive, spoil=spoil)
+    topics, frames = ("/front", "/front", *TOPICS), ("front", "front", *FRAMES)
+    path = write_bag(tmp_path / "two.bag", two, [(0.0, 0.0)], topics=topics, frames=frames)
+    found = look(path, BuildOptions(resolution=0.2))
+    told = [text for text in found.warnings if "of the hits of a sample of all topics" in text]
+    assert len(told) == bool(shift or turn)
+    assert [("`occmap merge` with `fit`" in text, "`topics=/rear`" in text) for text in told] == [
+        (bool(shift), bool(turn)) for _ in told
+    ]
+    assert (found.command[1] == "tune") == (found.command[-1] == "/rear") == bool(turn)
+
+
+def test_of_two_lasers_one_that_looks_at_the_ceiling_is_left_out(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "two.bag", Drive(), [(0.0, 0.0)], topics=TOPICS, frames=FRAMES)
+    up = bolted("base_link", "rear", Pose.from_xyzrpy((0.0, 0.0, 0.2), (math.pi / 2, 0.0, 0.0)))
+    found = look(path, BuildOptions(posing=PosingOptions(static_transforms=(up,))))
+    (warning,) = found.warnings
+    assert "looks at the floor or the ceiling, not at walls; `topics=/front`" in warning
+    assert found.command[-4:-2] == ("--scan-topic", "/front")
 
 
 def swap_stamps(stamp: int) -> int:

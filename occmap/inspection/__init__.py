@@ -13,6 +13,8 @@ from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
+import numpy as np
+
 from occmap.errors import LogError, MapError, OccmapError, UsageError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
@@ -161,10 +163,10 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     if advised.keys() & {"poses", "map_frame"}:  # which have no use for a part without jumps
         advised = {name: advised[name] for name in advised if name not in {"start_s", "end_s"}}
     command = compose_build(paths, options, advised)
-    hopeless = [concern for concern in concerns if concern.remedy is None]
-    if all(ASK_TUNE in concern.text for concern in hopeless):
-        return ("occmap", "tune", *command[2:-2]) if hopeless else command
-    return ()
+    asking = [each for each in concerns if ASK_TUNE in each.text and each.remedy != {}]
+    if any(each.remedy is None for each in concerns if each not in asking):
+        return ()
+    return ("occmap", "tune", *command[2:-2]) if asking else command
 
 
 def list_advised(logs: Sequence[LogFindings]) -> dict[str, str]:
@@ -182,32 +184,84 @@ def list_advised(logs: Sequence[LogFindings]) -> dict[str, str]:
     return advised
 
 
-def list_concerns(log: LogFindings, spoilers: Sequence[tuple[str, Concern]]) -> list[Concern]:
+def list_concerns(
+    log: LogFindings,
+    spoilers: Sequence[tuple[str, Concern]],
+    surveys: Sequence[TopicSurvey],
+    options: BuildOptions,
+) -> list[Concern]:
     """List what will spoil a map, or surprise its maker.
 
     Parameters
     ----------
     spoilers
         What the poses show, with the topics of the scans.
+    surveys
+        Of its topics, with samples of their scans.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
     found = []
     for topic in log.scans:
+        others = [other for other in log.scans if other is not topic]
         mine = [concern for name, concern in spoilers if name == topic.topic]
         mine += list_doubts(topic, has_poses)
         if topic.better and topic.poses.posed:
             mine.append(Concern(tell_better(topic, topic.better)))
-        elif topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
-            share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
-            text = f"{share} lie in occupied cells: the poses do not fit the scans; "
-            if topic.poses.stated:  # at their own times
-                text += "try another trajectory by `poses=FILE`"
-            else:
-                text += f"{ASK_TUNE}, or another trajectory"
-            is_mended = any(concern.remedy for concern in mine)
-            mine.append(Concern(text, {} if is_mended else None))
-        found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
-    return found
+        elif all(concern.remedy == {} for concern in mine):  # else the reason is known
+            mine += doubt_poses(topic, others)
+        elif len(others) == 1 and others[0].poses.posed:
+            mine = [leave_out(concern, others[0].topic) for concern in mine]
+        found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
+    if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
+        found += list_apart(log.scans, surveys, options)
+    return [Concern(f"{log.path}: {text}", remedy) for text, remedy in found]
+
+
+def leave_out(concern: Concern, other: str) -> Concern:
+    """Map the one other topic, where nothing mends this one."""
+    if concern.remedy is not None:
+        return concern
+    return Concern(f"{concern.text}; `topics={other}` leaves it out", {"topics": other})
+
+
+def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator[Concern]:
+    """Say if hardly any hits of a topic agree; tune mends one topic at a time."""
+    if topic.agreement is None or topic.agreement >= LEAST_AGREEMENT:
+        return
+    share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
+    mend, remedy = f"{ASK_TUNE}, or another trajectory", None
+    if topic.poses.stated:  # at their own times
+        mend = "try another trajectory by `poses=FILE`"
+    elif others and all((other.agreement or 0.0) >= LEAST_AGREEMENT for other in others):
+        remedy = {"topics": topic.topic}
+    yield Concern(f"{share} lie in occupied cells: the poses do not fit the scans; {mend}", remedy)
+
+
+def list_apart(
+    topics: Sequence[ScanFindings], surveys: Sequence[TopicSurvey], options: BuildOptions
+) -> Iterator[Concern]:
+    """Say if the scans of several topics contradict each other, and whose mount may be why."""
+    parts = [part for survey in surveys for part in survey.sample.parts]
+    together = estimate_agreement(parts, options) if len(topics) > 1 else None
+    if together is None:
+        return
+    alone = {topic.topic: topic.agreement or 0.0 for topic in topics}
+    expected = np.average(
+        [alone[part.batch.topic] for part in parts], weights=[it.batch.ranges.size for it in parts]
+    )
+    if together >= expected - poses.BETTER:
+        return
+    worst, *_ = sorted(alone, key=alone.__getitem__)
+    share, least = alone.pop(worst), min(alone.values())
+    found = f"{together:.0%} of the hits of a sample of all topics lie in occupied cells"
+    if share < least - poses.BETTER:
+        found += f", {share:.0%} of those of {worst}, and {least:.0%} or more of each other topic"
+        mend = f"are its mount and its clock right? {ASK_TUNE} with `topics={worst}`"
+        yield Concern(f"{found}: {mend}", {"topics": worst})
+        return
+    found += f", and {share:.0%} or more of those of each alone: do their frames fit each other?"
+    mend = "build each alone by `topics`, and `occmap merge` with `fit` finds how they lie"
+    yield Concern(f"{found} {mend}; lasers at different heights contradict each other, too")
 
 
 def tell_better(topic: ScanFindings, better: Better) -> str:
@@ -340,7 +394,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         longest=survey.extent.longest,
         problem=problem,
     )
-    return replace(findings, concerns=tuple(list_concerns(findings, spoilers)))
+    return replace(findings, concerns=tuple(list_concerns(findings, spoilers, seen, options)))
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:

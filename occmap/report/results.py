@@ -301,8 +301,8 @@ def list_notes(
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
-    yield from list_disagreement(facts, options.min_passes, tally.looked_up)
-    yield from list_misfits(paths, options, facts.agreement, tally)
+    misfits = list(list_misfits(paths, options, facts.agreement, tally))
+    yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
 
 def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
@@ -337,7 +337,7 @@ def list_disagreement(
     Times matter only where poses were `looked_up` by them.
     """
     if facts.agreement and facts.agreement < LEAST_AGREEMENT:
-        timed = "`occmap tune`, another `time_offset_s`, `deskew=on` or " if looked_up else ""
+        timed = "`stamps=record`, `occmap tune`, `deskew=on` or " if looked_up else ""
         less = ", or `min_passes` takes away what they hit" if min_passes else ""
         yield (
             f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "

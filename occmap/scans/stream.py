@@ -11,7 +11,7 @@ import numpy as np
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Echo, Log, ReaderOptions, read_recorded
+from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
 from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
@@ -301,6 +301,13 @@ class Drive:
         doubts = (*ranges, *self.poser.suspect_places())
         return [f"{topic}: {doubt}" for topic, doubt in doubts if doubt]
 
+    def list_left(self) -> Iterator[str]:
+        """Say which clouds are left out where there are scans, and the user chose nothing."""
+        clouds = [it.topic for it in self.log.streams if it.role is Role.CLOUD and it.count]
+        left = [topic for topic in clouds if topic not in self.topics]
+        if left and not self.options.selection.topics:
+            yield f"clouds are left out, as there are scans: `topics={left[0]}` maps clouds alone"
+
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
         concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
@@ -309,6 +316,7 @@ class Drive:
         idle = list_idle(self.log, self.topics, self.options.reading)
         return [
             *idle,
+            *self.list_left(),
             *self.poser.notes,
             *self._odd,
             *self.suspect_units(),
