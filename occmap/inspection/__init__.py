@@ -29,7 +29,7 @@ from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
-from occmap.scans.stream import Drive, find_oddity, suspect_millimetres
+from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
 
@@ -121,7 +121,7 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
             offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
             option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
             return f"; {option} would put the first scan at the first pose"
-    return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
+    return "; compare stamps and sources, and try `time_offset_s=S`"
 
 
 def recommend(
@@ -209,19 +209,17 @@ def list_concerns(
             mine.append(Concern(tell_better(topic, topic.better)))
         elif all(concern.remedy == {} for concern in mine):  # else the reason is known
             mine += doubt_poses(topic, others)
-        elif len(others) == 1 and others[0].poses.posed:
-            mine = [leave_out(concern, others[0].topic) for concern in mine]
+        elif len(others) == 1 and others[0].poses.posed:  # which is mapped where nothing helps
+            only = {"topics": others[0].topic}
+            left = f"; `topics={others[0].topic}` leaves it out"
+            mine = [
+                Concern(text + left, only) if remedy is None else Concern(text, remedy)
+                for text, remedy in mine
+            ]
         found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
         found += list_apart(log.scans, surveys, options)
     return [Concern(f"{log.path}: {text}", remedy) for text, remedy in found]
-
-
-def leave_out(concern: Concern, other: str) -> Concern:
-    """Map the one other topic, where nothing mends this one."""
-    if concern.remedy is not None:
-        return concern
-    return Concern(f"{concern.text}; `topics={other}` leaves it out", {"topics": other})
 
 
 def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator[Concern]:
@@ -273,17 +271,13 @@ def tell_better(topic: ScanFindings, better: Better) -> str:
 
 
 def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
-    """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
-    oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
-    yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
+    """Say what is strange about the mount of a topic, its poses, stamps and ranges."""
     yield from list_pose_doubts(topic, has_poses)
     yield from list_clock_faults(topic)
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
-    if doubt := suspect_millimetres(topic.ranges.smallest):
-        yield Concern(doubt, None)
     if topic.ranges.body is not None:
         yield poses.warn_of_body(topic.ranges.body)
     if not topic.ranges.measured and not topic.is_of_clouds:
@@ -363,7 +357,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
     scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    spoilers += ((topic, Concern(text, None)) for topic, text in poser.suspect_places() if text)
+    spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"

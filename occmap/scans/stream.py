@@ -209,7 +209,7 @@ class Drive:
         self.is_settled = False
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._first_ns = 0
-        self._odd: dict[str, None] = {}
+        self._odd: dict[tuple[str, str], None] = {}
         self._nearest_m: defaultdict[str, float] = defaultdict(lambda: math.inf)
         """The nearest range of each topic that is a measurement"""
 
@@ -277,7 +277,7 @@ class Drive:
             nearest = float(np.min(ranges, initial=self._nearest_m[batch.topic], where=measured))
             self._nearest_m[batch.topic] = nearest
             if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
-                self._odd[f"{batch.topic}: {oddity}"] = None
+                self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
                 yield drop_own_points(posed, self.options.returns) if batch.clouds else posed
             tally.advance(len(batch.stamp_ns))
@@ -295,11 +295,11 @@ class Drive:
             return ""
         return "scans of one beam have no inside, and polygon frees no cell: choose another update"
 
-    def suspect_units(self) -> list[str]:
-        """Say where ranges can hardly be metres, and where places cannot be."""
+    def list_doubts(self) -> list[tuple[str, str]]:
+        """Say of which topics angles are odd, and where ranges or places can hardly be metres."""
         ranges = ((topic, suspect_millimetres(it)) for topic, it in self._nearest_m.items())
-        doubts = (*ranges, *self.poser.suspect_places())
-        return [f"{topic}: {doubt}" for topic, doubt in doubts if doubt]
+        doubts = (*self._odd, *ranges, *self.poser.suspect_places())
+        return [(topic, doubt) for topic, doubt in doubts if doubt]
 
     def list_left(self) -> Iterator[str]:
         """Say which clouds are left out where there are scans, and the user chose nothing."""
@@ -318,8 +318,7 @@ class Drive:
             *idle,
             *self.list_left(),
             *self.poser.notes,
-            *self._odd,
-            *self.suspect_units(),
+            *map(": ".join, self.list_doubts()),
             *told,
             *self.limits.list_notes(),
         ]

@@ -213,19 +213,11 @@ class Tally:
             yield item
 
 
-SEE_TIMES = "`occmap check` shows the times of scans and poses"
-ADVICE: Mapping[str, str] = {
-    DropReason.GAP: "a larger `max_pose_gap_s` interpolates across the gaps",
-    DropReason.BEFORE: SEE_TIMES,
-    DropReason.AFTER: SEE_TIMES,
-}
-"""What to do about scans that are not used for a reason"""
-
-
 def advise_on_dropped(dropped: Mapping[str, int]) -> str:
     """Say what to do about scans that are not used, by the reason of most of them."""
-    commonest = max(dropped, key=dropped.__getitem__, default="")
-    return ADVICE.get(commonest, "see `occmap check`")
+    if max(dropped, key=dropped.__getitem__, default="") == DropReason.GAP:
+        return "a larger `max_pose_gap_s` interpolates across the gaps"
+    return "`occmap check` shows the times of scans and poses"
 
 
 def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
