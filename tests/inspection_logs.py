@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ HALF_WIDTH, HALF_HEIGHT = 5.0, 3.0
 SCANS = 40
 
 
-def measure_room(x: float, y: float, heading: Float64) -> Float64:
+def measure_room(x: float | Float64, y: float | Float64, heading: Float64) -> Float64:
     """Ranges (B,) from (x, y) to the walls of the room, which is 10 m by 6 m around the origin."""
     cosine, sine = np.cos(heading), np.sin(heading)
     with np.errstate(divide="ignore"):
@@ -31,16 +32,25 @@ class Drive:
     """A robot that turns while it crosses the room, with a laser turned on it by `mount`."""
 
     mount: float = 0.0
+    drift: float = 0.0
+    """How much farther each scan is than odometry says (m)"""
+    increment: float = 0.0
+    """From one beam to the next (s)"""
     spoil: Callable[[Float64], Float64] = lambda ranges: ranges
     bearings: Float64 = field(default_factory=lambda: np.linspace(0, 2 * np.pi, BEAMS + 1)[:-1])
 
-    def pose(self, index: int) -> tuple[float, float, float]:
+    def pose(self, index: float) -> tuple[float, float, float]:
         """x, y, yaw of the robot."""
         return -3 + 0.1 * index, 0.05 * index - 1, 0.11 * index
 
+    def odometry(self, index: int) -> tuple[float, float, float]:
+        """x, y, yaw as the wheels say."""
+        x, y, yaw = self.pose(index)
+        return x - self.drift * index, y, yaw
+
     def ranges(self, index: int) -> Float32:
         """(B,) what the laser reads."""
-        x, y, yaw = self.pose(index)
+        x, y, yaw = np.array([self.pose(index + self.increment * i) for i in range(BEAMS)]).T
         measured = measure_room(x, y, yaw + self.mount + self.bearings)
         return self.spoil(measured).astype(np.float32)
 
@@ -75,11 +85,14 @@ def write_bag(
     correct: Callable[[int], tuple[float, float, float]] | None = None,
     frames: Sequence[str] = ("laser",),
     others: Mapping[str, float] = MappingProxyType({}),
+    truth: str = "",
+    more: Sequence[Written] = (),
 ) -> Path:
     """Write the drive as a ROS 1 bag: odometry on /tf, perhaps the mount (roll, yaw), /scan.
 
     The scans are on the topics in turn, and in the frames, which all sit at the mount; a correction
     says where `odom` is in `map` at each scan. Other frames, with their yaw, are on the robot, too.
+    The topic of the truth, if any, says where the robot is in `world`.
     """
     mounts = [(frame, *turn) for turn in mount for frame in frames]
     mounts += [(frame, 0.0, yaw) for frame, yaw in others.items()]
@@ -89,30 +102,34 @@ def write_bag(
     ]
     for index in range(SCANS):
         stamp = (100 + index) * SECOND
-        moved = _transform(stamp, "odom", "base_link", drive.pose(index))
+        moved = _transform(stamp, "odom", "base_link", drive.odometry(index))
         log.append(Written("/tf", stamp, moved))
+        if truth:
+            known = _transform(stamp, "world", "base_link", drive.pose(index))
+            log.append(Written(truth, stamp, known if truth == "/tf" else known.transforms[0]))
         if correct is not None:
             log.append(Written("/tf", stamp, _transform(stamp, "map", "odom", correct(index))))
         topic = topics[index % len(topics)]
         frame = frames[index % len(frames)]
-        log.append(Written(topic, stamp, _scan(scan_stamp(stamp), frame, drive.ranges(index))))
-    return write_bag1(path, log)
+        seen = _scan(scan_stamp(stamp), frame, drive.ranges(index), drive.increment)
+        log.append(Written(topic, stamp, seen))
+    return write_bag1(path, [*log, *more])
 
 
-def _scan(stamp_ns: int, frame: str, ranges: Float32) -> object:
+def _scan(stamp_ns: int, frame: str, ranges: Float32, increment: float) -> Any:
     return replace(
         scan(ROS1, stamp_ns, frame, ranges),
         angle_min=0.0,
         angle_max=2 * math.pi * (BEAMS - 1) / BEAMS,
         angle_increment=2 * math.pi / BEAMS,
-        time_increment=0.0,
+        time_increment=increment,
         range_min=0.2,
     )
 
 
 def _transform(
     stamp_ns: int, parent: str, child: str, at: tuple[float, float, float], roll: float = 0.0
-) -> object:
+) -> Any:
     x, y, yaw = at
     message = transforms(ROS1, stamp_ns, [(parent, child, x)])
     placed = message.transforms[0].transform

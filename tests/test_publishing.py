@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from tests.inspection_logs import Drive, write_bag
 from tests.samples import ROOT, SAMPLE_LOGS
 
 HIDDEN = ROOT / ".github"
@@ -98,6 +99,16 @@ def test_the_action_maps_a_log_and_compares_it(tmp_path: Path) -> None:
     same = act(tmp_path, **given, folder="same", options="--resolution 0.1")
     assert same.returncode == 0
     assert json.loads((tmp_path / "same" / "diff.json").read_text())["changed"] == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+def test_the_action_maps_a_log_that_needs_options(tmp_path: Path) -> None:
+    log = str(write_bag(tmp_path / "room.bag", Drive()))
+    failed = act(tmp_path, log=log)
+    assert failed.returncode == 1
+    assert "--sensor-pose" in failed.stderr
+    done = act(tmp_path, log=log, log_options="--sensor-pose 0,0,0", options="--model simple")
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs bash")

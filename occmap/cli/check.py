@@ -53,7 +53,7 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
         from occmap.page import write_inspection  # noqa: PLC0415  late: few want it
 
         write_inspection(values["output"], inspection)
-    if console.quiet:
+    if console.quiet or console.as_json:
         for problem in inspection.problems:
             console.tell(f"error: {problem}")
     failure = None if inspection.buildable else click.exceptions.Exit(1)

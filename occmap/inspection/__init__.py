@@ -13,11 +13,13 @@ from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
+import numpy as np
+
 from occmap.errors import LogError, MapError, OccmapError, UsageError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
-from occmap.inspection.findings import Inspection, LogFindings, MapFindings, ScanFindings
+from occmap.inspection.findings import Better, Inspection, LogFindings, MapFindings, ScanFindings
 from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
@@ -27,7 +29,7 @@ from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
-from occmap.scans.stream import Drive, find_oddity
+from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
 
@@ -107,19 +109,19 @@ def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]
 
 
 def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
-    """Suggest an option for scans and poses whose times do not overlap."""
+    """Suggest an option for scans that have no pose at their times."""
+    if topic.better:
+        return f"; try {topic.better.option}"
     if topic.poses.dropped.keys().isdisjoint({DropReason.BEFORE, DropReason.AFTER}):
         return ""
     times = topic.times
-    if times.suggested_stamps is not stamps:
-        return f"; try `stamps={times.suggested_stamps.value}`"
     for source in log.coverage:
         apart = source.end_ns < times.start_ns or times.end_ns < source.start_ns
         if stamps is Stamps.HEADER and source.moves and apart:
             offset_ms = -((times.start_ns - source.start_ns) // 10**6)  # up: not before the pose
             option = f"`time_offset_s={offset_ms / 1e3:.12g}`"
             return f"; {option} would put the first scan at the first pose"
-    return "; compare stamps and sources: `time_offset_s=S` or `stamps=record`"
+    return "; compare stamps and sources, and try `time_offset_s=S`"
 
 
 def recommend(
@@ -132,11 +134,8 @@ def recommend(
     command, remarks
         The words of the line, none where the logs need several; and what there is to say of it.
     """
-    stamps = options.posing.stamps
-    mapped = [  # with poses, or with a hint that the other of the two times gives some
-        log
-        for log in logs
-        if any(it.poses.posed or it.times.suggested_stamps != stamps for it in log.scans)
+    mapped = [  # with poses, or with an option that gives some
+        log for log in logs if any(it.poses.posed or it.better for it in log.scans)
     ]
     lines = [compose_command([log], options) for log in mapped]
     if len({(*line[:2], *line[3:-2]) for line in lines}) > 1:
@@ -156,27 +155,29 @@ def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple
     """
     paths = [log.path for log in logs]
     concerns = [concern for log in logs for concern in log.concerns]
-    advised = list_advised(logs, options)
+    advised = list_advised(logs)
     for concern in concerns:
         for name, value in (concern.remedy or {}).items():
             if advised.setdefault(name, value) != value:
                 return ()
+    if advised.keys() & {"poses", "map_frame"}:  # which have no use for a part without jumps
+        advised = {name: advised[name] for name in advised if name not in {"start_s", "end_s"}}
     command = compose_build(paths, options, advised)
-    hopeless = [concern for concern in concerns if concern.remedy is None]
-    if all(ASK_TUNE in concern.text for concern in hopeless):
-        return ("occmap", "tune", *command[2:-2]) if hopeless else command
-    return ()
+    asking = [each for each in concerns if ASK_TUNE in each.text and each.remedy != {}]
+    if any(each.remedy is None for each in concerns if each not in asking):
+        return ()
+    return ("occmap", "tune", *command[2:-2]) if asking else command
 
 
-def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str, str]:
-    """List the options that the findings suggest, where the user has not decided."""
+def list_advised(logs: Sequence[LogFindings]) -> dict[str, str]:
+    """List the options that the findings suggest."""
     topics = [topic for log in logs for topic in log.scans]
     advised = {}
     for topic in topics:
         if topic.poses.assumed:
             advised["sensor_pose"] = topic.poses.assumed
-        if not topic.poses.stated and topic.times.suggested_stamps != options.posing.stamps:
-            advised["stamps"] = topic.times.suggested_stamps
+    for better in [topic.better for topic in topics if topic.better][:1]:  # each was tried alone
+        advised[better.name] = better.value
     advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
     if advice == {"clear"}:
         advised["no_return"] = "clear"
@@ -184,7 +185,10 @@ def list_advised(logs: Sequence[LogFindings], options: BuildOptions) -> dict[str
 
 
 def list_concerns(
-    log: LogFindings, spoilers: Sequence[tuple[str, Concern]], stamps: Stamps
+    log: LogFindings,
+    spoilers: Sequence[tuple[str, Concern]],
+    surveys: Sequence[TopicSurvey],
+    options: BuildOptions,
 ) -> list[Concern]:
     """List what will spoil a map, or surprise its maker.
 
@@ -192,34 +196,84 @@ def list_concerns(
     ----------
     spoilers
         What the poses show, with the topics of the scans.
-    stamps
-        Those that the scans were posed by.
+    surveys
+        Of its topics, with samples of their scans.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
     found = []
     for topic in log.scans:
+        others = [other for other in log.scans if other is not topic]
         mine = [concern for name, concern in spoilers if name == topic.topic]
-        mine += list_doubts(topic, has_poses, stamps)
-        if topic.agreement is not None and topic.agreement < LEAST_AGREEMENT:
-            share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
-            text = f"{share} lie in occupied cells: the poses do not fit the scans; "
-            if topic.poses.stated:  # at their own times
-                text += "try another trajectory by `poses=FILE`"
-            else:
-                deskew = ", `deskew=on`" * bool(topic.times.time_increment_s)
-                text += f"{ASK_TUNE}{deskew}, or another trajectory"
-            is_mended = any(concern.remedy for concern in mine)
-            mine.append(Concern(text, {} if is_mended else None))
-        found += [Concern(f"{log.path}: {topic.topic}: {text}", cure) for text, cure in mine]
-    return found
+        mine += list_doubts(topic, has_poses)
+        if topic.better and topic.poses.posed:
+            mine.append(Concern(tell_better(topic, topic.better)))
+        elif all(concern.remedy == {} for concern in mine):  # else the reason is known
+            mine += doubt_poses(topic, others)
+        elif len(others) == 1 and others[0].poses.posed:  # which is mapped where nothing helps
+            only = {"topics": others[0].topic}
+            left = f"; `topics={others[0].topic}` leaves it out"
+            mine = [
+                Concern(text + left, only) if remedy is None else Concern(text, remedy)
+                for text, remedy in mine
+            ]
+        found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
+    if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
+        found += list_apart(log.scans, surveys, options)
+    return [Concern(f"{log.path}: {text}", remedy) for text, remedy in found]
 
 
-def list_doubts(topic: ScanFindings, has_poses: bool, stamps: Stamps) -> Iterator[Concern]:
-    """Say what is strange about the beams of a topic, its mount, poses, stamps and ranges."""
-    oddities = (find_oddity(shape.angle_increment, shape.beams) for shape in topic.shapes)
-    yield from (Concern(oddity, None) for oddity in dict.fromkeys(oddities) if oddity)
+def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator[Concern]:
+    """Say if hardly any hits of a topic agree; tune mends one topic at a time."""
+    if topic.agreement is None or topic.agreement >= LEAST_AGREEMENT:
+        return
+    share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
+    mend, remedy = f"{ASK_TUNE}, or another trajectory", None
+    if topic.poses.stated:  # at their own times
+        mend = "try another trajectory by `poses=FILE`"
+    elif others and all((other.agreement or 0.0) >= LEAST_AGREEMENT for other in others):
+        remedy = {"topics": topic.topic}
+    yield Concern(f"{share} lie in occupied cells: the poses do not fit the scans; {mend}", remedy)
+
+
+def list_apart(
+    topics: Sequence[ScanFindings], surveys: Sequence[TopicSurvey], options: BuildOptions
+) -> Iterator[Concern]:
+    """Say if the scans of several topics contradict each other, and whose mount may be why."""
+    parts = [part for survey in surveys for part in survey.sample.parts]
+    together = estimate_agreement(parts, options) if len(topics) > 1 else None
+    if together is None:
+        return
+    alone = {topic.topic: topic.agreement or 0.0 for topic in topics}
+    expected = np.average(
+        [alone[part.batch.topic] for part in parts], weights=[it.batch.ranges.size for it in parts]
+    )
+    if together >= expected - poses.BETTER:
+        return
+    worst, *_ = sorted(alone, key=alone.__getitem__)
+    share, least = alone.pop(worst), min(alone.values())
+    found = f"{together:.0%} of the hits of a sample of all topics lie in occupied cells"
+    if share < least - poses.BETTER:
+        found += f", {share:.0%} of those of {worst}, and {least:.0%} or more of each other topic"
+        mend = f"are its mount and its clock right? {ASK_TUNE} with `topics={worst}`"
+        yield Concern(f"{found}: {mend}", {"topics": worst})
+        return
+    found += f", and {share:.0%} or more of those of each alone: do their frames fit each other?"
+    mend = "build each alone by `topics`, and `occmap merge` with `fit` finds how they lie"
+    yield Concern(f"{found} {mend}; lasers at different heights contradict each other, too")
+
+
+def tell_better(topic: ScanFindings, better: Better) -> str:
+    """Say how much better the scans of a topic fit each other with an option."""
+    if topic.agreement is None or (better.agreement or 0) <= topic.agreement:
+        return f"more scans have a pose with {better.option}"
+    share = f"{topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
+    return f"{share}, and {better.agreement:.0%} with {better.option}"
+
+
+def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
+    """Say what is strange about the mount of a topic, its poses, stamps and ranges."""
     yield from list_pose_doubts(topic, has_poses)
-    yield from list_clock_faults(topic, stamps)
+    yield from list_clock_faults(topic)
     for item in topic.ranges.repeated:
         if not item.is_no_return:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
@@ -248,7 +302,7 @@ def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         yield Concern(f"{found}, and the scans change all the same: {why}")
 
 
-def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
+def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
     """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
     times = topic.times
     if topic.poses.stated:
@@ -260,9 +314,7 @@ def list_clock_faults(topic: ScanFindings, stamps: Stamps) -> Iterator[Concern]:
         yield Concern(f"stamps jump back {count(times.jumps_back, 'time')}")
     if abs(times.drift_s) > poses.DRIFT_S:
         found = f"stamps drift by {times.drift_s:.3g} s against the record times"
-        if times.suggested_stamps is not stamps:  # as `list_advised` says, too
-            found += f"; the scans fit better with `stamps={times.suggested_stamps.value}`"
-        elif topic.poses.posed:
+        if topic.poses.posed and not topic.better:
             found += "; the scans fit no better with the other of the two times"
         yield Concern(found)
 
@@ -305,7 +357,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
     scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.suspect_units())
+    spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
@@ -336,9 +388,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         longest=survey.extent.longest,
         problem=problem,
     )
-    return replace(
-        findings, concerns=tuple(list_concerns(findings, spoilers, options.posing.stamps))
-    )
+    return replace(findings, concerns=tuple(list_concerns(findings, spoilers, seen, options)))
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
@@ -365,14 +415,10 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     ranked = [] if is_of_clouds else topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    times = topic.stamps.sum_up(options.posing.stamps, moving_ns)
-    suggested = poses.suggest_stamps(log, posing, topic, times.drift_s, options)
     posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
     agreement = estimate_agreement(topic.sample.parts, options)
     stacked = stack_sample(topic.sample.parts, options.returns)
-    is_other = suggested is not options.posing.stamps or bool(mount and mount.better)
-    is_explained = posed.stated or posed.problem or is_other
-    return ScanFindings(
+    found = ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
         frames=tuple(topic.frames),
@@ -382,10 +428,16 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
-        times=replace(times, suggested_stamps=suggested),
+        times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=posed,
         mount=mount,
         agreement=agreement,
-        hint="" if is_explained else hint_at_tune(agreement, [str(log.path)], options),
         frozen_s=find_frozen(stacked),
     )
+    better = poses.find_better(log, posing, topic, found, options)
+    is_explained = posed.stated or posed.problem or better or (mount and mount.better)
+    if better and better.name == "stamps":
+        times = replace(found.times, suggested_stamps=Stamps(better.value))
+        found = replace(found, times=times)
+    hint = "" if is_explained else hint_at_tune(agreement, [str(log.path)], options)
+    return replace(found, better=better, hint=hint)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from occmap import report
 from occmap.cells import Box
@@ -160,6 +161,20 @@ class PoseFindings:
     """The assumed mount is a place holder: the scans do not tell it"""
 
 
+class Better(NamedTuple):
+    """An option by which scans fit each other clearly better."""
+
+    name: str
+    value: str
+    agreement: float | None
+    """Share of the hits of a sample that agree with it; None where it makes no map"""
+
+    @property
+    def option(self) -> str:
+        """The option with its value, as texts name it."""
+        return f"`{self.name}={self.value}`"
+
+
 @dataclass(frozen=True)
 class ScanFindings:
     """All about one topic of scans."""
@@ -195,6 +210,7 @@ class ScanFindings:
     """What to try where these are few, and nothing else that was found may be why"""
     frozen_s: tuple[float, float] | None = field(default=None, metadata=HIDDEN)
     """When poses stood still though scans changed (s, as stamps are); None: never"""
+    better: Better | None = field(default=None, metadata=HIDDEN)
 
     @property
     def wanted(self) -> int:

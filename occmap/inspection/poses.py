@@ -8,29 +8,33 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from occmap.cells import Box, Ground
-from occmap.choices import format_mount
+from occmap.choices import format_mount, list_values, take
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions
 from occmap.grid import CellBox, Lattice
-from occmap.inspection.findings import Coverage, MountFindings, PoseFindings
+from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
-from occmap.options import BuildOptions
-from occmap.posing import Concern, Stamps
+from occmap.options import OPTIONS, BuildOptions
+from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
-from occmap.posing.chain import Status, Transforms
+from occmap.posing.chain import Chain, Status, Transforms
+from occmap.posing.frames import find_moving
 from occmap.posing.sources import Sources
 from occmap.readers import HoldingFixes, Log
 from occmap.report import count
+from occmap.report.results import DOUBTFUL_AGREEMENT
 from occmap.scans import mounts
 from occmap.scans.logs import count_scans, read_poser
 from occmap.scans.mounts import Posing, estimate_agreement, sample_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
+from occmap.sensor.bands import BAND
 from occmap.types import Float64, Pose, PosedScans
 
 WELL_POSED = 0.9
@@ -38,32 +42,95 @@ WELL_POSED = 0.9
 DRIFT_S = 0.1
 """Where stamps drift by more against the record times, the other of the two is tried, too (s)."""
 BETTER = 0.05
-"""So many more of the hits agree by times that fit the scans clearly better."""
+"""So many more of the hits agree by an option that suits the scans clearly better."""
+MOST_TRIED = 6
+"""So many options are tried for a topic: each takes a map of the sample"""
 
 
-def suggest_stamps(
-    log: Log, posing: Posing, topic: TopicSurvey, drift_s: float, options: BuildOptions
-) -> Stamps:
-    """Find out by which of the two times of a message more scans have a pose, or fit better."""
-    chosen, wanted = posing.poser.options.stamps, topic.read - topic.left_out.total()
-    is_posed = topic.posed >= WELL_POSED * wanted
-    is_sound = is_posed and (abs(drift_s) <= DRIFT_S or not topic.sample.parts)
-    if topic.stated or not posing.poser.chains or is_sound:
-        return chosen
-    other = Stamps.HEADER if chosen is Stamps.RECORD else Stamps.RECORD
-    others = replace(posing.poser.options, stamps=other)
-    poser = read_poser(log, others, [topic.stream.topic])
+def find_better(
+    log: Log, posing: Posing, topic: TopicSurvey, found: ScanFindings, options: BuildOptions
+) -> Better | None:
+    """Find the option by which the scans of a topic fit each other best, if clearly better.
+
+    Each is tried alone, on the sample of scans. Scans without a pose count as ones that fit none.
+
+    Parameters
+    ----------
+    found
+        What is known of the topic so far.
+    """
+    options = replace(options, posing=posing.poser.options)
+    usual = 1.0 if found.agreement is None else found.agreement
+    posed = topic.posed / max(found.kept, 1)
+    most, better = usual * posed + BETTER, None
+    for name, value in islice(list_others(posing, topic, found), MOST_TRIED):
+        changed = take(BuildOptions, list_values(options) | {name: OPTIONS[name].read(value)})
+        poser, parts = pose_sample(log, posing, topic, changed)
+        agreement = estimate_agreement(parts, changed)
+        share = posed if topic.stated else share_posed(poser, topic)
+        if (fit := share * (usual if agreement is None else agreement)) > most:
+            most, better = fit, Better(name, value, agreement)
+    return better
+
+
+def list_others(
+    posing: Posing, topic: TopicSurvey, found: ScanFindings
+) -> Iterator[tuple[str, str]]:
+    """List options, with their values, that may suit the scans of a topic better."""
+    options, ranges, times = posing.poser.options, found.ranges, found.times
+    for item in ranges.repeated:
+        if not item.is_no_return and item.value > (1 - BAND) * ranges.largest:
+            yield "range_max", str(np.float32(item.value)).removesuffix(".0")
+    way = posing.poser.chains.get(next(iter(topic.frames)))
+    if topic.stated or way is None or not found.kept:
+        return
+    if way.interval_s > (options.max_pose_gap_s or math.inf):
+        yield "max_pose_gap_s", f"{2 * way.interval_s:.3g}"
+    is_poor = topic.posed == 0 or (found.agreement or 1.0) < DOUBTFUL_AGREEMENT
+    is_timed = abs(times.drift_s) <= DRIFT_S and not times.jumps_back
+    if is_poor or not is_timed or topic.posed < WELL_POSED * found.kept:
+        yield from (("stamps", each.value) for each in Stamps if each is not options.stamps)
+    if times.time_increment_s and options.deskew is not Deskew.ON:
+        yield "deskew", Deskew.ON.value
+    if is_poor:
+        yield from list_other_poses(posing.poser.sources, way)
+
+
+def list_other_poses(sources: Sources, way: Chain) -> Iterator[tuple[str, str]]:
+    """List options that pose scans by what a log holds beside the way that was chosen."""
+    used = {step.topic for step in way.steps}
+    for edge in sources.pose_topics:
+        if edge.track.moves and edge.topic not in used:
+            yield "poses", edge.topic
+    for body in [] if sources.trajectory else find_moving(way.steps)[-1:]:
+        for frame in sources.tree.list_ancestors(body.child)[1:]:
+            if frame != way.frames[0]:
+                yield "map_frame", frame
+
+
+def pose_sample(
+    log: Log, posing: Posing, topic: TopicSurvey, options: BuildOptions
+) -> tuple[Poser, list[PosedScans]]:
+    """Pose the sample of a topic by other options; for other times, the log is read once more."""
+    if options.posing.stamps is not posing.poser.options.stamps:
+        drive = Drive(log, read_poser(log, options.posing, [topic.stream.topic]), options)
+        parts = sample_scans(drive)
+        return drive.poser, [part for part in parts if part.batch.topic == topic.stream.topic]
+    sources = posing.poser.sources
+    named = (edge for edge in sources.pose_topics if edge.topic == options.posing.poses)
+    sources = replace(sources, trajectory=next(named, sources.trajectory))
+    poser = Poser(sources, options.posing)
+    return poser, [it for part in topic.sample.parts for it in poser.attach(part.batch)]
+
+
+def share_posed(poser: Poser, topic: TopicSurvey) -> float:
+    """Find the share of the scans of a topic that have a pose."""
     poser.find_chains(topic.frames)
-    if is_posed:
-        drive = Drive(log, poser, replace(options, posing=others))
-        parts = [it for it in sample_scans(drive) if it.batch.topic == topic.stream.topic]
-        fits = [estimate_agreement(some, options) or 0.0 for some in (parts, topic.sample.parts)]
-        return other if fits[0] > fits[1] + BETTER else chosen
-    stamps = other.choose(topic.stamps.header_ns, topic.stamps.record_ns)
+    if (chain := poser.chains.get(next(iter(topic.frames)))) is None:
+        return 0.0
+    stamps = poser.options.stamps.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
-    chain = poser.chains.get(next(iter(topic.frames)))
-    found = 0 if chain is None else np.count_nonzero(chain.at(stamp_ns).status == Status.POSED)
-    return other if found > topic.posed / WELL_POSED else chosen
+    return float(np.mean(chain.at(stamp_ns).status == Status.POSED))
 
 
 def list_coverage(sources: Sources) -> list[Coverage]:

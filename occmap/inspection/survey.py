@@ -511,7 +511,8 @@ class Survey(Selector):
         self.topics[topic].see(some, reason)
 
     def list_notes(self) -> Iterator[str]:
-        """Say where there are so many topics that only some are sampled."""
+        """Say which clouds are left out, and where only some of very many topics are sampled."""
+        yield from self.drive.list_left()
         if len(self.topics) > SAMPLED_TOPICS:
             yield (
                 f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "

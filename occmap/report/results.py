@@ -15,7 +15,7 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import OPTIONS, BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
-from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally
+from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
 from occmap.types import Int64, Update
@@ -264,6 +264,8 @@ def tell_beams(report: Report) -> Iterator[Row]:
         yield "beams", f"{sum(report.beams):,}: {write_counts(report.beams.by_name)}"
 
 
+MOST_DROPPED = 0.5
+"""Where more of the scans that were asked for are not used, hardly anybody wants the map"""
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
 LEAST_GROUND = 0.05
@@ -289,6 +291,9 @@ def list_notes(
     end_s = options.selection.end_s
     if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
         yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
+    if tally.scans.dropped_share > MOST_DROPPED:
+        lost = {why: tally.dropped[why] for why in tally.dropped if why not in NOT_ASKED_FOR}
+        yield f"most scans are left out: {write_counts(lost)}; {advise_on_dropped(lost)}"
     if apart := name_frames(tally):
         yield (
             f"{apart}; where these do not lie on each other, choose one with `map_frame`, or "
@@ -300,8 +305,8 @@ def list_notes(
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
     yield from list_odd_points(tally.points)
-    yield from list_disagreement(facts, options.min_passes, tally.looked_up)
-    yield from list_misfits(paths, options, facts.agreement, tally)
+    misfits = list(list_misfits(paths, options, facts.agreement, tally))
+    yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
 
 def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
@@ -336,7 +341,7 @@ def list_disagreement(
     Times matter only where poses were `looked_up` by them.
     """
     if facts.agreement and facts.agreement < LEAST_AGREEMENT:
-        timed = "`occmap tune`, another `time_offset_s`, `deskew=on` or " if looked_up else ""
+        timed = "`stamps=record`, `occmap tune`, `deskew=on` or " if looked_up else ""
         less = ", or `min_passes` takes away what they hit" if min_passes else ""
         yield (
             f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "

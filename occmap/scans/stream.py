@@ -11,7 +11,7 @@ import numpy as np
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Echo, Log, ReaderOptions, read_recorded
+from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
 from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
@@ -216,7 +216,7 @@ class Drive:
         self.is_settled = False
         """Whether all scans were read, so that limits and leaps hold from the first scan on"""
         self._first_ns = 0
-        self._odd: dict[str, None] = {}
+        self._odd: dict[tuple[str, str], None] = {}
         self._middle_m: defaultdict[str, float] = defaultdict(lambda: math.inf)
         """The median range of each topic, of the batch where it is lowest"""
 
@@ -282,7 +282,7 @@ class Drive:
             beams = batch.ranges.shape[1]
             self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
             if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
-                self._odd[f"{batch.topic}: {oddity}"] = None
+                self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
                 yield drop_own_points(posed, self.options.returns) if batch.clouds else posed
             tally.advance(len(batch.stamp_ns))
@@ -300,10 +300,18 @@ class Drive:
             return ""
         return "scans of one beam have no inside, and polygon frees no cell: choose another update"
 
-    def suspect_units(self) -> Iterator[tuple[str, str]]:
-        """Say, by topic, where ranges can hardly be metres, and where places cannot be."""
+    def list_doubts(self) -> list[tuple[str, str]]:
+        """Say of which topics angles are odd, and where ranges or places can hardly be metres."""
         ranges = ((topic, suspect_millimetres(it)) for topic, it in self._middle_m.items())
-        return (each for each in (*ranges, *self.poser.suspect_places()) if each[1])
+        doubts = (*self._odd, *ranges, *self.poser.suspect_places())
+        return [(topic, doubt) for topic, doubt in doubts if doubt]
+
+    def list_left(self) -> Iterator[str]:
+        """Say which clouds are left out where there are scans, and the user chose nothing."""
+        clouds = [it.topic for it in self.log.streams if it.role is Role.CLOUD and it.count]
+        left = [topic for topic in clouds if topic not in self.topics]
+        if left and not self.options.selection.topics:
+            yield f"clouds are left out, as there are scans: `topics={left[0]}` maps clouds alone"
 
     def list_notes(self) -> list[str]:
         """Say what there is to say of poses, scans and ranges, once all scans were read."""
@@ -313,9 +321,9 @@ class Drive:
         idle = list_idle(self.log, self.topics, self.options.reading)
         return [
             *idle,
+            *self.list_left(),
             *self.poser.notes,
-            *self._odd,
-            *(f"{topic}: {doubt}" for topic, doubt in self.suspect_units()),
+            *map(": ".join, self.list_doubts()),
             *told,
             *self.limits.list_notes(),
         ]

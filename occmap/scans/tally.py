@@ -213,6 +213,13 @@ class Tally:
             yield item
 
 
+def advise_on_dropped(dropped: Mapping[str, int]) -> str:
+    """Say what to do about scans that are not used, by the reason of most of them."""
+    if max(dropped, key=dropped.__getitem__, default="") == DropReason.GAP:
+        return "a larger `max_pose_gap_s` interpolates across the gaps"
+    return "`occmap check` shows the times of scans and poses"
+
+
 def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     """Refuse to make a map of nothing.
 
@@ -226,7 +233,7 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     where = ", ".join(map(str, logs))
     if tally.scans_read:
         found = write_unused(tally.scans_read, tally.dropped)
-        raise PoseError(found, where=where, fix="`occmap check` shows the times of scans and poses")
+        raise PoseError(found, where=where, fix=advise_on_dropped(tally.dropped))
     fix = "`occmap check` shows what is damaged"
     raise LogError("holds no scan that can be read", where=where, fix=fix)
 

@@ -83,7 +83,7 @@ def trace(drive: Drive, add_rays: AddRays, tally: Tally) -> bool:
     except MapError as error:
         # Without scans that leap away the map may be small enough.
         if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
-            doubts = "; ".join(f"{topic}: {doubt}" for topic, doubt in drive.suspect_units())
+            doubts = "; ".join(map(": ".join, drive.list_doubts()))
             raise MapError(error.found, where=error.where, fix=doubts or error.fix) from None
         return False
     return drive.settle()

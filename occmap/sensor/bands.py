@@ -29,6 +29,8 @@ MIN_VALUES = 16
 SICK_CODES = (81.82, 81.92)
 """Between these the SICK LMS writes its error codes, from 8183 to 8191 cm, which `COARSE` rounds
 down: one is enough"""
+STRAY = 0.001
+"""A smaller share of ranges above what a scan states is noise, of which nobody need be told"""
 COARSE = np.uint32(0xFFFFFF00)
 """The bits of a float32 by which ranges are counted, so that near 80 m they are 2 mm apart"""
 
@@ -182,6 +184,8 @@ class RangeLimits:
             count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
             if band is not None:
                 count, where = band.count, f"read {band.values}"
+            elif count < STRAY * tally.total:
+                count = 0
             if count:
                 found = f"{count:,} of {tally.total:,} ranges ({count / tally.total:.1%}) {where}"
                 yield f"{topic} states {limit}; {found}, taken as no return: `range_max` overrides"

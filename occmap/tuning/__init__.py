@@ -184,8 +184,8 @@ def list_other_cures(paths: Sequence[Path], options: BuildOptions) -> Iterator[s
     The scans may fit the other of their two times better, poses may jump, or a laser be turned.
     """
     for log in inspect(paths, options).logs:
-        cures = {topic.times.suggested_stamps for topic in log.scans} - {options.posing.stamps}
-        advice = [f"`stamps={stamps.value}`" for stamps in cures]
+        better = (topic.better for topic in log.scans if topic.better)
+        advice = [each.option for each in better if each.name != "deskew"]  # which is tried here
         for concern in log.concerns:
             advice += [f"`{name}={value}`" for name, value in (concern.remedy or {}).items()]
         if advice:

@@ -47,6 +47,7 @@ def test_what_is_no_log_is_a_problem_which_a_quiet_check_prints_too() -> None:
     told = occmap("check -q notes.txt")
     assert (told.code, told.out) == (1, "")
     assert told.err.startswith(f"error: {problem}")
+    assert occmap("check --json notes.txt").err == told.err
     assert occmap("check", "-q", SAMPLE_LOGS / "drive.csv") == (0, "", "")
 
 

@@ -263,6 +263,11 @@ FIRST, SECOND = ([*range(start, start + 8), *[50.0] * 6] for start in (1, 9))
 """Of which none shows a band by itself: it has too few readings and too few ranges"""
 
 
+def test_a_few_ranges_just_above_the_limit_are_noise_of_which_nobody_is_told() -> None:
+    assert tell(scan([1.0] * 1000 + [5.01], range_max=5.0)) == []
+    assert len(tell(scan([1.0] * 999 + [5.01], range_max=5.0))) == 1
+
+
 @pytest.mark.parametrize(
     ("scans", "stated", "found"),
     [

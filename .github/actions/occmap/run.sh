@@ -15,10 +15,11 @@ list_limits() {
 }
 mapfile -t check_limits < <(list_limits "${CHECK_FAIL_IF:-}")
 mapfile -t build_limits < <(list_limits "${FAIL_IF:-}")
+read -r -a log_options <<< "${LOG_OPTIONS:-}"
 read -r -a options <<< "${OPTIONS:-}"
 
-occmap check "$LOG" "${check_limits[@]}" --json > "$FOLDER/check.json"
-occmap build "$LOG" "${options[@]}" "${build_limits[@]}" --strict --json \
+occmap check "$LOG" "${log_options[@]}" "${check_limits[@]}" --json > "$FOLDER/check.json"
+occmap build "$LOG" "${log_options[@]}" "${options[@]}" "${build_limits[@]}" --strict --json \
   -o "$FOLDER/map.pgm" -o "$FOLDER/map.png" -o "$FOLDER/map.npz" > "$FOLDER/build.json"
 if [ -n "${REFERENCE:-}" ]; then
   occmap diff "$REFERENCE" "$FOLDER/map.pgm" -o "$FOLDER/diff.png" --fail-above "$FAIL_ABOVE" \
