@@ -1,7 +1,8 @@
 """Inspection: what is in logs and what will go wrong with them, before they are mapped.
 
-It reads the poses once and the scans once, as a build does; only where the mount of the laser is
-missing are the scans read twice, for the mount is then guessed from them.
+It reads the poses once and the scans once, as a build does. They are read again where the mount of
+the laser is missing, to guess it from the scans, and where the other of their two times may be
+right. Other options are tried on a sample of the scans.
 
 `poses` and `survey` measure, and `findings` holds what they find and puts it into words. Here it
 is judged: problems, warnings, and the command that makes the best of the logs.
@@ -212,10 +213,7 @@ def list_concerns(
         elif len(others) == 1 and others[0].poses.posed:  # which is mapped where nothing helps
             only = {"topics": others[0].topic}
             left = f"; `topics={others[0].topic}` leaves it out"
-            mine = [
-                Concern(text + left, only) if remedy is None else Concern(text, remedy)
-                for text, remedy in mine
-            ]
+            mine = [it if it.remedy is not None else Concern(it.text + left, only) for it in mine]
         found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
         found += list_apart(log.scans, surveys, options)
@@ -264,7 +262,7 @@ def list_apart(
 
 def tell_better(topic: ScanFindings, better: Better) -> str:
     """Say how much better the scans of a topic fit each other with an option."""
-    if topic.agreement is None or (better.agreement or 0) <= topic.agreement:
+    if topic.agreement is None or (better.agreement or 0) <= topic.agreement + poses.BETTER:
         return f"more scans have a pose with {better.option}"
     share = f"{topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
     return f"{share}, and {better.agreement:.0%} with {better.option}"
