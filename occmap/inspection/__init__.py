@@ -353,7 +353,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
-    scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
+    whole = [] if problem else seen  # a part that was read says nothing of a damaged log
+    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
@@ -379,7 +380,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     findings = LogFindings(
         str(log.path),
         streams=tuple(log.streams),
-        scans=() if problem else scans,  # a part that was read says nothing of a damaged log
+        scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
         box=box,

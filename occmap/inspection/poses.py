@@ -97,7 +97,7 @@ def list_others(
 
 def list_other_poses(sources: Sources, way: Chain) -> Iterator[tuple[str, str]]:
     """List options that pose scans by what a log holds beside the way that was chosen."""
-    used = {step.topic for step in way.steps}
+    used = {"", *(step.topic for step in way.steps)}
     for edge in sources.pose_topics:
         if edge.track.moves and edge.topic not in used:
             yield "poses", edge.topic
