@@ -1,7 +1,8 @@
 """Inspection: what is in logs and what will go wrong with them, before they are mapped.
 
-It reads the poses once and the scans once, as a build does; only where the mount of the laser is
-missing are the scans read twice, for the mount is then guessed from them.
+It reads the poses once and the scans once, as a build does. They are read again where the mount of
+the laser is missing, to guess it from the scans, and where the other of their two times may be
+right. Other options are tried on a sample of the scans.
 
 `poses` and `survey` measure, and `findings` holds what they find and puts it into words. Here it
 is judged: problems, warnings, and the command that makes the best of the logs.
@@ -212,10 +213,7 @@ def list_concerns(
         elif len(others) == 1 and others[0].poses.posed:  # which is mapped where nothing helps
             only = {"topics": others[0].topic}
             left = f"; `topics={others[0].topic}` leaves it out"
-            mine = [
-                Concern(text + left, only) if remedy is None else Concern(text, remedy)
-                for text, remedy in mine
-            ]
+            mine = [it if it.remedy is not None else Concern(it.text + left, only) for it in mine]
         found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
         found += list_apart(log.scans, surveys, options)
@@ -264,7 +262,7 @@ def list_apart(
 
 def tell_better(topic: ScanFindings, better: Better) -> str:
     """Say how much better the scans of a topic fit each other with an option."""
-    if topic.agreement is None or (better.agreement or 0) <= topic.agreement:
+    if topic.agreement is None or (better.agreement or 0) <= topic.agreement + poses.BETTER:
         return f"more scans have a pose with {better.option}"
     share = f"{topic.agreement:.0%} of the hits of a sample of scans lie in occupied cells"
     return f"{share}, and {better.agreement:.0%} with {better.option}"
@@ -355,7 +353,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
-    scans = tuple(sum_up(log, each, posing, options) for each in seen if each.shapes)
+    whole = [] if problem else seen  # a part that was read says nothing of a damaged log
+    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.shapes)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
@@ -381,7 +380,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     findings = LogFindings(
         str(log.path),
         streams=tuple(log.streams),
-        scans=() if problem else scans,  # a part that was read says nothing of a damaged log
+        scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
         box=box,

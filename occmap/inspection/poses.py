@@ -24,7 +24,6 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
 from occmap.posing.chain import Chain, Status, Transforms
-from occmap.posing.frames import find_moving
 from occmap.posing.sources import Sources
 from occmap.readers import HoldingFixes, Log
 from occmap.report import count
@@ -98,14 +97,15 @@ def list_others(
 
 def list_other_poses(sources: Sources, way: Chain) -> Iterator[tuple[str, str]]:
     """List options that pose scans by what a log holds beside the way that was chosen."""
-    used = {step.topic for step in way.steps}
+    used = {"", *(step.topic for step in way.steps)}
     for edge in sources.pose_topics:
         if edge.track.moves and edge.topic not in used:
             yield "poses", edge.topic
-    for body in [] if sources.trajectory else find_moving(way.steps)[-1:]:
-        for frame in sources.tree.list_ancestors(body.child)[1:]:
-            if frame != way.frames[0]:
-                yield "map_frame", frame
+    if sources.trajectory:
+        return
+    for body in (each for each in sources.tree.bodies if each in way.frames):
+        above = sources.tree.list_ancestors(body)[1:]
+        yield from (("map_frame", frame) for frame in above if frame != way.frames[0])
 
 
 def pose_sample(
