@@ -359,7 +359,7 @@ def tell_heights(seats: Sequence[Seat]) -> str:
         return f"the sensor is {heights_m[0]}"
     names = [join_names(f"{log} {topic}" for log, topic, _ in each.sensors) for each in seats]
     told = zip(heights_m, names, strict=True)
-    return "the sensors are " + " and ".join(f"{height} ({name})" for height, name in told)
+    return "the sensors are " + ", ".join(f"{height} ({name})" for height, name in told)
 
 
 def list_storeys(stood: Int64) -> Iterator[str]:

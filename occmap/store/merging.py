@@ -119,7 +119,7 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
 
 
 def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
-    """Add evidence; the cells are those of a build of all logs together.
+    """Add evidence; the cells are those of a build of all logs together, over one ground.
 
     Parameters
     ----------
