@@ -15,7 +15,7 @@ from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import SOME, Cloud, find_reach, list_clouds
-from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas
+from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas, Columns
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
@@ -39,14 +39,15 @@ POINT_KINDS = ("ground", "obstacle", "above", "below", "too far", "no return")
 class Sheet:
     """A canvas of one thread: it grows by the tiles that clouds reach and that have ground."""
 
-    def __init__(self, lattice: Lattice, blocks: Blocks, height: Int32, box: CellBox) -> None:
-        self.lattice, self.blocks, self.height = lattice, blocks, height
+    def __init__(self, lattice: Lattice, columns: Columns, box: CellBox) -> None:
+        self.lattice = lattice
         table, corner = np.full(box.shape, -2, np.int32), np.array(box[:2], np.int64)
         tiles = Blocks(table, corner, np.zeros((FIRST_TILES, 2), np.int64))
         of_tiles, of_cells = FIRST_TILES, FIRST_TILES * TILE * TILE
         base, ground = np.zeros(of_tiles, np.int32), np.zeros(of_cells, np.int16)
         state, counts = np.zeros(of_cells, np.uint8), np.zeros(2 * of_cells, np.int32)
-        self.canvas = Canvas(tiles, base, ground, state, counts, np.zeros(1, np.int64))
+        used = np.zeros(1, np.int64)
+        self.canvas = Canvas(columns, tiles, base, ground, state, counts, used)
         self.number = 0
         """The slice of time of what it holds"""
         self.counts = np.zeros(COUNTS, np.int64)
@@ -65,9 +66,9 @@ class Sheet:
         high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
         inside, heights = np.concatenate([low, high]), np.empty(TILE * TILE, np.int32)
         where = inside, self.lattice.resolution, heights
-        while not tracing.lay_ground(self.blocks, self.height, self.canvas, *where):
+        while not tracing.lay_ground(self.canvas, *where):
             names = "base", "ground", "state", "counts"
-            layers = {name: double(getattr(self.canvas, name)) for name in names}
+            layers: dict[str, Any] = {name: double(getattr(self.canvas, name)) for name in names}
             tiles = self.canvas.tiles._replace(places=double(self.canvas.tiles.places))
             self.canvas = self.canvas._replace(tiles=tiles, **layers)
 
@@ -164,7 +165,8 @@ class CloudEngine(Engine):
         metres = columns[:, ::-1] * (BLOCK * COLUMN_MM / 1000)
         self._box = lattice.enclose(metres).align(TILE)
         height = np.ascontiguousarray(ground.height_mm).reshape(-1)
-        self._make_sheet = partial(Sheet, lattice, blocks, height, self._box.shrink(TILE))
+        floor = Columns(blocks, height, np.ascontiguousarray(ground.measured).reshape(-1))
+        self._make_sheet = partial(Sheet, lattice, floor, self._box.shrink(TILE))
         self._band, self._max_cells = band, max_cells
         self._extent = Extent(lattice, ground, band)
 

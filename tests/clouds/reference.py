@@ -72,12 +72,15 @@ class SlowEngine:
 
     def __init__(self, ground: Ground, options: CloudOptions) -> None:
         self.ground: dict[Cell, int] = {}
-        for (row, col), block in zip(
-            ground.blocks.tolist(), ground.height_mm.tolist(), strict=True
-        ):
+        self.measured: set[Cell] = set()
+        layers = ground.blocks.tolist(), ground.height_mm.tolist(), ground.measured.tolist()
+        for (row, col), block, measured in zip(*layers, strict=True):
             for at, height in enumerate(block):
+                column = row * 64 + at // 64, col * 64 + at % 64
                 if height != NONE:
-                    self.ground[row * 64 + at // 64, col * 64 + at % 64] = height
+                    self.ground[column] = height
+                if measured[at]:
+                    self.measured.add(column)
         self.options = options
         self.cells: dict[Cell, int | None] = {}
         self.hits: defaultdict[Cell, int] = defaultdict(int)
@@ -90,27 +93,62 @@ class SlowEngine:
             self.cells[cell] = find_height(self.ground, x, y)
         return self.cells[cell]
 
+    def find_rim(
+        self, start: tuple[int, int], away: tuple[int, int], floor: int, share: float
+    ) -> tuple[int, int]:
+        """Where the floor ends before the place at which a ray goes through it; 0, 0: nowhere."""
+        pace = 0.5 * 768 / math.hypot(*away)  # half a column
+        ahead = min(max(int((1 - share) / pace) - 3, 0), 12)
+        for steps in range(-ahead, 21):
+            at = share - steps * pace
+            x, y = (math.floor(a + at * b) for a, b in zip(start, away, strict=True))
+            column = y // 768, x // 768
+            if at < pace or column not in self.ground:
+                return 0, 0
+            if column in self.measured:
+                is_rim = steps > 0 and abs(self.ground[column] - floor) <= 80
+                right, up = (math.floor(each * (at - pace)) for each in away)
+                return (right, up) if is_rim else (0, 0)
+        return 0, 0
+
+    def find_drop(
+        self, start: tuple[int, int], away: tuple[int, int], below: tuple[int, float], rise: float
+    ) -> list[Seen]:
+        """The hit where the floor ends before a point that lies below it, if there is one."""
+        right, up = self.find_rim(start, away, *below)
+        if (right, up) == (0, 0):
+            return []
+        cell, apart = ((start[1] + up) // 256, (start[0] + right) // 256), right**2 + up**2
+        return [Seen(cell, find_sector(*away), apart, rise / math.sqrt(apart))]
+
     def look(self, posed: PosedScans) -> tuple[list[Seen], list[Seen]]:
         """The points of a cloud that are obstacles, and those that are floor."""
         assert posed.batch.clouds
         points = posed.batch.clouds[0].points.astype(np.float64)
         points = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
         origin: Float64 = posed.position[0]
+        start = round(origin[0] * 5120), round(origin[1] * 5120)
         hits, floor = [], []
         for x, y, z in (points @ posed.rotation[0].T + origin).tolist():
             cell = round(y * 5120) // 256, round(x * 5120) // 256
             distance, ground = math.hypot(x - origin[0], y - origin[1]), self.find_ground(cell)
+            has_ground = ground is not None
+            ground = ground if has_ground else self.find_ground((start[1] // 256, start[0] // 256))
             if distance < 0.05 or ground is None:
                 continue
             above = (round(z * 1000) - ground) / 1000
-            right, up = (
-                round(to * 5120) - round(at * 5120) for to, at in zip((x, y), origin, strict=False)
-            )
+            right, up = round(x * 5120) - start[0], round(y * 5120) - start[1]
             apart, low = right**2 + up**2, self.options.min_height
             level = ground if abs(above) < low else round(z * 1000)
             slope = (level - origin[2] * 1000) / math.sqrt(apart)
             seen = Seen(cell, find_sector(right, up), apart, slope)
             margin = max(self.options.range_margin * distance - 0.096, 0)
+            if round(z * 1000) - ground <= -1500 * (low + margin):
+                rise = ground - origin[2] * 1000
+                below = ground, rise / (rise + above * 1000)
+                hits += self.find_drop(start, (right, up), below, rise)
+            if not has_ground:
+                continue
             if abs(above) < low:
                 floor.append(seen)
             elif low + margin <= above < self.options.max_height:

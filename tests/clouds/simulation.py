@@ -43,6 +43,8 @@ class Room:
     solids: list[Solid] = field(default_factory=list)
     slope: float = 0.0
     """How much the floor rises from x = 4 to x = 8, for each metre"""
+    pit: Solid | None = None
+    """A hole in the floor"""
 
     def floor(self, x: Float64) -> Float64:
         """How high the floor is."""
@@ -57,8 +59,13 @@ class Room:
             ramp = (self.slope * (origin[0] - 4) - origin[2]) / (
                 rays[:, 2] - self.slope * rays[:, 0]
             )
-            x = origin[0] + ramp * rays[:, 0]
-            met += [-origin[2] / rays[:, 2], np.where((x >= 4) & (x <= 8), ramp, np.inf)]
+            x, floor = origin[0] + ramp * rays[:, 0], -origin[2] / rays[:, 2]
+            if self.pit:
+                low, high = np.reshape(self.pit, (3, 2)).T
+                leaves = np.max([(low - origin) / rays, (high - origin) / rays], axis=0).min(axis=1)
+                x_y = (origin + floor[:, None] * rays)[:, :2]
+                floor = np.where(((x_y > low[:2]) & (x_y < high[:2])).all(axis=1), leaves, floor)
+            met += [floor, np.where((x >= 4) & (x <= 8), ramp, np.inf)]
             nearest = np.min([np.where(each > 0, each, np.inf) for each in met], axis=0)
         nearest[~np.isfinite(nearest)] = np.nan
         return np.asarray(origin + nearest[:, None] * rays)

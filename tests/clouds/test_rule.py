@@ -32,8 +32,12 @@ BOX = (5.0, 5.3, 1.5, 1.8, 0.0, 0.18)
 OPTICAL = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
 
 
-def test_the_kernel_equals_the_reference_in_every_cell() -> None:
-    posed = drive(Room([*TABLE, BOX], slope=0.06), clouds=6)
+PIT = (2.1, 4.2, 3.9, 5.1, -1.0, 0.0)
+
+
+@pytest.mark.parametrize("room", [Room([*TABLE, BOX], slope=0.06), Room([BOX], pit=PIT)])
+def test_the_kernel_equals_the_reference_in_every_cell(room: Room) -> None:
+    posed = drive(room, clouds=6)
     ground = find_ground(posed)
     slow = SlowEngine(ground, CloudOptions())
     for each in posed[::2]:
@@ -146,6 +150,26 @@ def test_however_the_sensor_sits_the_map_is_the_same(mounts: list[Float64]) -> N
 
 def shuffle(posed: PosedScans) -> PosedScans:
     return change_points(posed, np.random.default_rng(7).permutation(read_points(posed)))
+
+
+def test_the_rim_of_a_pit_is_an_edge_that_is_seen_from_above() -> None:
+    occupied, free = classify(drive(Room(pit=PIT)))
+
+    assert occupied[find_cells((2.3, 4.0), (3.75, 3.95))].any(axis=0).mean() > 0.9
+    assert free[find_cells((2.3, 4.0), (3.2, 3.7))].all()
+
+
+def test_a_floor_that_mirrors_has_no_holes() -> None:
+    posed = drive(Room([BOX]))
+    points = [read_points(each) for each in posed]
+    below = [turned * (1, 1, -1) - (0, 0, 1.2) for turned in (p[p[:, 2] > -0.5] for p in points)]
+    mirrored = [
+        change_points(each, np.concatenate([p, q]))
+        for each, p, q in zip(posed, points, below, strict=True)
+    ]
+
+    for map_, other in zip(classify(posed), classify(mirrored), strict=True):
+        assert (map_ != other).mean() < 0.002
 
 
 def test_neither_the_order_of_points_nor_that_of_clouds_counts() -> None:

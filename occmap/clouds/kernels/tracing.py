@@ -8,7 +8,7 @@ from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, find_column, 
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, Float64, Int16, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int16, Int32, Int64, UInt8
 
 STEP_MM = 80
 """The ground is bilinear between columns that differ by no more."""
@@ -20,6 +20,8 @@ SECTORS = 4 * SECTORS_OF_QUARTER
 GROUND, OBSTACLE, ABOVE, BELOW, TOO_FAR, NO_RETURN = range(6)
 """Places in the counts of points."""
 COUNTS = 6
+DEEP = 1.5
+"""What lies so many times the clearance below the floor shows a drop"""
 NEAR_M = 8.0
 """Poses that are off move what is seen from farther away by more than the clearance, and beams are
 farther apart there than things are thick: such a look weighs less"""
@@ -29,13 +31,27 @@ NOTHING = 1 << 62
 """Farther than anything is"""
 END_BITS, HALF_END = 32, 1 << 31
 """Bits of the column in which a bearing ends, which may be negative"""
+PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
+"""A ray into a drop is followed in such steps (columns), from three before its end, where it may
+have met the wall on the other side, but at most 12 beyond the floor, to 20 before that"""
 CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
+
+
+class Columns(NamedTuple):
+    """The ground that the second pass goes over."""
+
+    blocks: Blocks
+    height: Int32
+    """(C,) of each column (mm), or `NO_GROUND`"""
+    measured: Bool
+    """(C,) whether points showed it"""
 
 
 class Canvas(NamedTuple):
     """What the second pass writes to, tile by tile."""
 
+    columns: Columns
     tiles: Blocks
     """Where cells lie in flat arrays, tile by tile, as columns do in blocks; the number of a tile
     is -1 where it is without ground, and -2 where nobody looked"""
@@ -75,9 +91,7 @@ def ground_at(blocks: Blocks, height: Int32, x: float, y: float) -> int:
 
 
 @kernel
-def lay_ground(
-    blocks: Blocks, height: Int32, canvas: Canvas, box: Int64, resolution: float, heights: Int32
-) -> bool:
+def lay_ground(canvas: Canvas, box: Int64, resolution: float, heights: Int32) -> bool:
     """Give the tiles of a box that have ground a place; return whether there is one for all.
 
     Parameters
@@ -87,7 +101,7 @@ def lay_ground(
     heights
         (4096,) to work with.
     """
-    table, corner, places = canvas.tiles
+    (blocks, height, _), (table, corner, places) = canvas.columns, canvas.tiles
     for up in range(box[0], box[2] + 1):
         for right in range(box[1], box[3] + 1):
             if table[up, right] != -2:
@@ -272,6 +286,45 @@ def trace_cloud(
         state[at] = 0
 
 
+@step
+def find_rim(
+    columns: Columns, start: tuple[int, int, float], away: tuple[int, int], below: tuple[int, float]
+) -> tuple[int, int]:
+    """Follow a ray that ends below the floor back to where the floor ends that it went through.
+
+    Where floor was measured there, or behind it, that floor mirrors.
+
+    Parameters
+    ----------
+    start
+        Lattice units of the sensor, and in how many a column is wide.
+    away
+        Lattice units right and up to the end of the ray.
+    below
+        The height of the floor (mm), and at which share of its way the ray went through it.
+
+    Returns
+    -------
+    Lattice units right and up to the last floor; both 0 where there is no drop.
+    """
+    (x, y, width), (right, up), (floor, share) = start, away, below
+    pace = PACE * width / np.sqrt(float(right * right + up * up))
+    ahead = min(max(int((1 - share) / pace) - WALL, 0), AHEAD)
+    for k in range(-ahead, BACK + 1):
+        here = share - k * pace
+        along, across = np.floor(y + up * here), np.floor(x + right * here)
+        row, col = int(np.floor(along / width)), int(np.floor(across / width))
+        at = find_column(columns.blocks, row, col)
+        if here < pace or at < 0 or columns.height[at] == NO_GROUND:
+            break
+        if columns.measured[at]:
+            if k <= 0 or abs(columns.height[at] - floor) > STEP_MM:
+                break
+            here -= pace
+            return int(np.floor(right * here)), int(np.floor(up * here))
+    return 0, 0
+
+
 @kernel
 def find_ends(
     cloud: Cloud, band: Band, canvas: Canvas, scale: float, room: Room, counts: Int64
@@ -287,25 +340,40 @@ def find_ends(
     for i in range(2 * SECTORS):
         apart[i // SECTORS, i % SECTORS] = NOTHING
     many, floors = 0, 0
+    at, under = find_column(canvas.tiles, at_y >> CELL_SHIFT, at_x >> CELL_SHIFT), -HIGHEST
+    if at >= 0 and not state[at] & UNKNOWN:
+        under = canvas.base[at >> 2 * BLOCK_BITS] + ground[at]
+    start_at = at_x, at_y, COLUMN_MM * scale / 1000
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
         measure_points(some, size, origin, band, scale)
         for i in range(size):
             row, col = (at_y + up[i]) >> CELL_SHIFT, (at_x + right[i]) >> CELL_SHIFT
             at = find_column(canvas.tiles, row, col)
-            if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
+            if level[i] == FAR:
                 counts[NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR] += 1
                 continue
-            above = level[i] - canvas.base[at >> 2 * BLOCK_BITS] - ground[at]
+            has_ground = at >= 0 and not state[at] & UNKNOWN
+            floor = canvas.base[at >> 2 * BLOCK_BITS] + ground[at] if has_ground else under
+            above = level[i] - floor
             kind = GROUND if above < band.low else OBSTACLE
             kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
+            kind = kind if has_ground else TOO_FAR
             is_doubtful = kind == OBSTACLE and above < some.clear[i]
             counts[GROUND if is_doubtful else kind] += 1
+            away = int(right[i]), int(up[i])
+            rise = (level[i] if kind == OBSTACLE else floor) - origin[2] * 1000
+            if kind > ABOVE and above <= -DEEP * some.clear[i] and rise < 0:
+                below = floor, rise / (rise + above)
+                away = find_rim(canvas.columns, start_at, away, below)
+                row, col = (at_y + away[1]) >> CELL_SHIFT, (at_x + away[0]) >> CELL_SHIFT
+                at = find_column(canvas.tiles, row, col)
+                is_drop = (away[0] or away[1]) and at >= 0 and not state[at] & UNKNOWN
+                kind = OBSTACLE if is_drop else kind
             if kind > OBSTACLE or is_doubtful:
                 continue
             bearing = sector[i]
-            far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
-            rise = level[i] - (0 if kind else above) - origin[2] * 1000
+            far = away[0] * away[0] + away[1] * away[1]
             slope = rise / np.sqrt(far)
             key = far if kind else -far
             known = apart[kind, bearing]
