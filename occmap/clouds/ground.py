@@ -7,7 +7,6 @@ otherwise than they are said to.
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from itertools import product
 from threading import Lock
 from typing import NamedTuple, TypeAlias
@@ -432,39 +431,29 @@ def list_seats(
     if not paths:
         fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
         raise MapError("no cloud that is asked for has points and a pose", fix=fix)
-    measure = partial(measure_seat, columns, find_nothing(columns), given_m)
-    found = [measure((sensor,), path) for sensor, path in paths.items()]
-    alike: list[list[Seat]] = []
-    for seat in sorted(filter(None, found), key=lambda each: each.height):
-        if not alike or seat.height - alike[-1][-1].height > AS_HIGH_MM:
-            alike.append([])
-        alike[-1].append(seat)
-    if not alike:
+    alone = [measure_seat(columns, {each: path}, given_m) for each, path in paths.items()]
+    alike, highest = list[dict[Sensor, Int64]](), 0
+    for seat in sorted(filter(None, alone), key=lambda each: each.height):
+        if not alike or seat.height - highest > AS_HIGH_MM:
+            alike.append({})
+        alike[-1][seat.sensors[0]], highest = seat.path, seat.height
+    seats = [measure_seat(columns, some, given_m) for some in alike]
+    if not seats:
         raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-    seats = []
-    for some in alike:
-        sensors = tuple(sensor for each in some for sensor in each.sensors)
-        together = measure(sensors, thin_path(*(each.path for each in some)))
-        seats.append(together or some[0])
-    return seats
+    return list(filter(None, seats))
 
 
 def measure_seat(
-    columns: Columns,
-    scratch: Found,
-    given_m: float | None,
-    sensors: tuple[Sensor, ...],
-    path: Int64,
+    columns: Columns, paths: Mapping[Sensor, Int64], given_m: float | None
 ) -> Seat | None:
-    """Measure how high sensors are: the median depth of peaks beside the path; None: none lies.
+    """Measure how high sensors are: the median depth of peaks beside their path.
 
-    Parameters
-    ----------
-    scratch
-        To work with.
-    given_m
-        The height that the user gave.
+    Returns
+    -------
+    Seat or None
+        None where nothing lies below them, and no height is given.
     """
+    sensors, path, scratch = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
     for beside in BESIDE:
         depths = look_beside(columns, path, (beside, 0, 0), DEPTHS, scratch)
         if depths.sum() >= FEWEST_SEEDS:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, Slices, to_log_odds
+from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
 from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
@@ -19,7 +19,7 @@ from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
-from occmap.types import IDENTITY, Float64, Int64, Pose, Update
+from occmap.types import IDENTITY, Float64, Int32, Int64, Pose, Update
 
 Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
 """Takes hits and misses, or log-odds and observations; gives log-odds"""
@@ -351,13 +351,13 @@ UNEVEN_MM = 50
 """Columns whose ground differs by more were not traced alike."""
 
 
-def refuse_other(
-    ground: Ground, known: Ground, share: float, placed: Pose | None, otherwise: str
-) -> None:
+def refuse_other(rise: Int32, share: float, placed: Pose | None, otherwise: str) -> None:
     """Refuse ground that does not lie on that which is known.
 
     Parameters
     ----------
+    rise
+        (N,) how much higher it is where both were measured (mm).
     share
         So many of the columns that both measured may differ.
     placed
@@ -370,7 +370,6 @@ def refuse_other(
     MapError
         Saying how far apart they are, and what to do.
     """
-    rise = known.measure_rise(ground)
     if not len(rise):
         return
     middle, differs = int(np.median(rise)), np.abs(rise) > UNEVEN_MM

@@ -95,6 +95,8 @@ BEGIN_M = 100.0
 """SLAM that knows no gravity begins at the zero of its map"""
 UPRIGHT_CELL_M = 0.05
 """Side of the cells that tell if walls stand upright"""
+LEAST_OVERLAP = 0.25
+"""Grounds that share less of the smaller one saw that from afar, where poses put it elsewhere."""
 OTHER_SHARE = 0.75
 """Poses that are off by tenths of a degree put half of the ground elsewhere, up and down."""
 LEVEL_ROUNDS = 3
@@ -196,10 +198,12 @@ def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) 
         if not is_whole:
             raise
     else:
+        rise = known.measure_rise(own)
         logs = dict.fromkeys(log for log, _, _ in finder.count().paths)
         fix = "see in `occmap check` if poses, mount or `level` are wrong"
-        with name_log(join_names(logs)):
-            refuse_other(own, known, OTHER_SHARE, options.posing.transform, fix)
+        if len(rise) >= LEAST_OVERLAP * min(own.measured.sum(), known.measured.sum()):
+            with name_log(join_names(logs)):
+                refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
     found = (known, []) if is_whole else finder.find(options.clouds, known)
     return BuildGround(*found, options)
 

@@ -38,7 +38,7 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     placed = builds[-1]["options"]["posing"]["transform"] if builds else None
     fix = "build it over the ground of the other one: `ground=first.npz`"
     with name_log(evidence.where):
-        refuse_other(other, ground, UNEVEN_SHARE, placed and Pose(*placed), fix)
+        refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
     mine, its = spread(ground, blocks), spread(other, blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)

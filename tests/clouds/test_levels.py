@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from occmap.clouds.ground import GroundFinder
+from occmap.errors import MapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
@@ -23,6 +25,7 @@ from tests.clouds.simulation import (
     Room,
     change_points,
     drive,
+    find_ground,
     read_points,
     turn,
     write_leaning,
@@ -103,6 +106,16 @@ def test_what_the_user_says_goes_before_what_clouds_show(level: tuple[float, flo
     _, notes, options = level_ground(count(clouds), given, None)
     assert options is given
     assert len(notes) == 1
+
+
+def test_grounds_that_hardly_overlap_are_not_compared() -> None:
+    clouds = drive(Room())
+    for away, is_compared in ((0.0, True), (9.0, False)):
+        moved = [
+            replace(each, position=each.position + np.array([away, 0, 0.4])) for each in clouds
+        ]
+        with pytest.raises(MapError, match=r"0\.40 m lower") if is_compared else nullcontext():
+            level_ground(count(clouds), BuildOptions(), find_ground(moved))
 
 
 def test_a_build_says_how_it_was_levelled_and_a_session_takes_it_over(tmp_path: Path) -> None:
