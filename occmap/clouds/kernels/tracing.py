@@ -34,6 +34,8 @@ END_BITS, HALF_END = 32, 1 << 31
 PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
 """A ray into a drop is followed in such steps (columns), from three before its end, where it may
 have met the wall on the other side, but at most 12 beyond the floor, to 20 before that"""
+RIM = 4 / 3
+"""So many steps before the end of the floor is its rim: poses that are off blur it"""
 CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
@@ -315,12 +317,12 @@ def find_rim(
         along, across = np.floor(y + up * here), np.floor(x + right * here)
         row, col = int(np.floor(along / width)), int(np.floor(across / width))
         at = find_column(columns.blocks, row, col)
-        if here < pace or at < 0 or columns.height[at] == NO_GROUND:
+        if here < 2 * pace or at < 0 or columns.height[at] == NO_GROUND:
             break
         if columns.measured[at]:
             if k <= 0 or abs(columns.height[at] - floor) > STEP_MM:
                 break
-            here -= pace
+            here -= RIM * pace
             return int(np.floor(right * here)), int(np.floor(up * here))
     return 0, 0
 
