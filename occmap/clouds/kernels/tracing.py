@@ -336,12 +336,15 @@ def mark_drops(
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
     start = at_x, at_y, COLUMN_MM * scale / 1000
     for i in range(size):
+        level = some.level[i]
+        if level == FAR or level >= origin[2] * 1000:
+            continue
         row, col = (at_y + some.up[i]) >> CELL_SHIFT, (at_x + some.right[i]) >> CELL_SHIFT
-        at, floor, level = find_column(canvas.tiles, row, col), under, some.level[i]
+        at, floor = find_column(canvas.tiles, row, col), under
         if at >= 0 and not state[at] & UNKNOWN:
             floor = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
-        rise, above = floor - origin[2] * 1000, level - floor
-        if level == FAR or above > -DEEP * some.clear[i] or rise >= 0:
+        rise = floor - origin[2] * 1000
+        if level - floor > -DEEP * some.clear[i] or rise >= 0:
             continue
         share = rise / (level - origin[2] * 1000)
         away = int(some.right[i]), int(some.up[i])
