@@ -103,11 +103,11 @@ class SlowEngine:
             at = share - steps * pace
             x, y = (math.floor(a + at * b) for a, b in zip(start, away, strict=True))
             column = y // 768, x // 768
-            if at < pace or column not in self.ground:
+            if at < 2 * pace or column not in self.ground:
                 return 0, 0
             if column in self.measured:
                 is_rim = steps > 0 and abs(self.ground[column] - floor) <= 80
-                right, up = (math.floor(each * (at - pace)) for each in away)
+                right, up = (math.floor(each * (at - 4 / 3 * pace)) for each in away)
                 return (right, up) if is_rim else (0, 0)
         return 0, 0
 

@@ -173,7 +173,7 @@ def test_a_floor_that_mirrors_has_no_holes() -> None:
 
 
 def test_neither_the_order_of_points_nor_that_of_clouds_counts() -> None:
-    posed = drive(Room([BOX], slope=0.05), clouds=8)
+    posed = drive(Room([BOX], slope=0.05, pit=PIT), clouds=8)
     mixed = [shuffle(each) for each in posed[::-1]]
 
     ground, other = find_ground(posed), find_ground(mixed)

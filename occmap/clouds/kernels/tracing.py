@@ -34,6 +34,8 @@ END_BITS, HALF_END = 32, 1 << 31
 PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
 """A ray into a drop is followed in such steps (columns), from three before its end, where it may
 have met the wall on the other side, but at most 12 beyond the floor, to 20 before that"""
+RIM = 4 / 3
+"""So many steps before the end of the floor is its rim: poses that are off blur it"""
 CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
@@ -315,14 +317,59 @@ def find_rim(
         along, across = np.floor(y + up * here), np.floor(x + right * here)
         row, col = int(np.floor(along / width)), int(np.floor(across / width))
         at = find_column(columns.blocks, row, col)
-        if here < pace or at < 0 or columns.height[at] == NO_GROUND:
+        if here < 2 * pace or at < 0 or columns.height[at] == NO_GROUND:
             break
         if columns.measured[at]:
             if k <= 0 or abs(columns.height[at] - floor) > STEP_MM:
                 break
-            here -= pace
+            here -= RIM * pace
             return int(np.floor(right * here)), int(np.floor(up * here))
     return 0, 0
+
+
+@kernel
+def mark_drops(
+    size: int, under: int, origin: Float64, canvas: Canvas, scale: float, room: Room, many: int
+) -> int:
+    """Mark the last floor before points that lie deep below it; return how many are touched."""
+    some, state = room.some, canvas.state
+    at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
+    start = at_x, at_y, COLUMN_MM * scale / 1000
+    for i in range(size):
+        level = some.level[i]
+        if level == FAR or level >= origin[2] * 1000:
+            continue
+        row, col = (at_y + some.up[i]) >> CELL_SHIFT, (at_x + some.right[i]) >> CELL_SHIFT
+        at, floor = find_column(canvas.tiles, row, col), under
+        if at >= 0 and not state[at] & UNKNOWN:
+            floor = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+        rise = floor - origin[2] * 1000
+        if level - floor > -DEEP * some.clear[i] or rise >= 0:
+            continue
+        share = rise / (level - origin[2] * 1000)
+        away = int(some.right[i]), int(some.up[i])
+        right, up = find_rim(canvas.columns, start, away, (floor, share))
+        row, col = (at_y + up) >> CELL_SHIFT, (at_x + right) >> CELL_SHIFT
+        at = find_column(canvas.tiles, row, col)
+        if (right == 0 and up == 0) or at < 0 or state[at] & UNKNOWN:
+            continue
+        room.touched[many] = at
+        many += state[at] == 0
+        state[at] = HIT
+        far = right * right + up * up
+        end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
+        note_end(room, OBSTACLE, some.sector[i], far, rise / np.sqrt(float(far)), end)
+    return many
+
+
+@step
+def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: int) -> None:
+    """Keep what a bearing ends at: the nearest hit, or the farthest floor."""
+    key, known = far if kind else -far, room.apart[kind, bearing]
+    if kind and key <= known:
+        room.steep[bearing] = slope if key < known else max(slope, room.steep[bearing])
+    if key < known or (key == known and end < room.ends[kind, bearing]):
+        room.apart[kind, bearing], room.ends[kind, bearing] = key, end
 
 
 @kernel
@@ -333,63 +380,47 @@ def find_ends(
 
     Returns how many cells are touched, and how many points are floor.
     """
-    some, apart, ends, steep = room.some, room.apart, room.ends, room.steep
-    right, up, sector, level = some.right, some.up, some.sector, some.level
+    some, right, up, level = room.some, room.some.right, room.some.up, room.some.level
     origin, state, ground = cloud.origin, canvas.state, canvas.ground
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
     for i in range(2 * SECTORS):
-        apart[i // SECTORS, i % SECTORS] = NOTHING
+        room.apart[i // SECTORS, i % SECTORS] = NOTHING
     many, floors = 0, 0
     at, under = find_column(canvas.tiles, at_y >> CELL_SHIFT, at_x >> CELL_SHIFT), -HIGHEST
     if at >= 0 and not state[at] & UNKNOWN:
         under = canvas.base[at >> 2 * BLOCK_BITS] + ground[at]
-    start_at = at_x, at_y, COLUMN_MM * scale / 1000
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
         measure_points(some, size, origin, band, scale)
+        lost = counts[BELOW] + counts[TOO_FAR]
         for i in range(size):
             row, col = (at_y + up[i]) >> CELL_SHIFT, (at_x + right[i]) >> CELL_SHIFT
             at = find_column(canvas.tiles, row, col)
-            if level[i] == FAR:
+            if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
                 counts[NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR] += 1
                 continue
-            has_ground = at >= 0 and not state[at] & UNKNOWN
-            floor = canvas.base[at >> 2 * BLOCK_BITS] + ground[at] if has_ground else under
-            above = level[i] - floor
+            above = level[i] - canvas.base[at >> 2 * BLOCK_BITS] - ground[at]
             kind = GROUND if above < band.low else OBSTACLE
             kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
-            kind = kind if has_ground else TOO_FAR
             is_doubtful = kind == OBSTACLE and above < some.clear[i]
             counts[GROUND if is_doubtful else kind] += 1
-            away = int(right[i]), int(up[i])
-            rise = (level[i] if kind == OBSTACLE else floor) - origin[2] * 1000
-            if kind > ABOVE and above <= -DEEP * some.clear[i] and rise < 0:
-                below = floor, rise / (rise + above)
-                away = find_rim(canvas.columns, start_at, away, below)
-                row, col = (at_y + away[1]) >> CELL_SHIFT, (at_x + away[0]) >> CELL_SHIFT
-                at = find_column(canvas.tiles, row, col)
-                is_drop = (away[0] or away[1]) and at >= 0 and not state[at] & UNKNOWN
-                kind = OBSTACLE if is_drop else kind
             if kind > OBSTACLE or is_doubtful:
                 continue
-            bearing = sector[i]
-            far = away[0] * away[0] + away[1] * away[1]
+            far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
+            rise = level[i] - (0 if kind else above) - origin[2] * 1000
             slope = rise / np.sqrt(far)
-            key = far if kind else -far
-            known = apart[kind, bearing]
             if kind:
                 room.touched[many] = at
                 many += state[at] == 0
                 state[at] = HIT
-                if key <= known:
-                    steep[bearing] = slope if key < known else max(slope, steep[bearing])
             else:
                 room.floor[floors], room.floor_apart[floors] = at, far
-                room.floor_bearing[floors], room.floor_steep[floors] = bearing, slope
+                room.floor_bearing[floors], room.floor_steep[floors] = some.sector[i], slope
                 floors += 1
             end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
-            if key < known or (key == known and end < ends[kind, bearing]):
-                apart[kind, bearing], ends[kind, bearing] = key, end
+            note_end(room, kind, some.sector[i], far, slope, end)
+        if counts[BELOW] + counts[TOO_FAR] > lost:
+            many = mark_drops(size, under, origin, canvas, scale, room, many)
     return many, floors
 
 
