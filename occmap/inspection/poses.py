@@ -60,7 +60,7 @@ def find_better(
     """
     options = replace(options, posing=posing.poser.options)
     usual = 1.0 if found.agreement is None else found.agreement
-    posed = topic.posed / max(found.kept, 1)
+    posed = topic.posed / max(found.kept, 1) if topic.stated else share_posed(posing.poser, topic)
     most, better = usual * posed + BETTER, None
     for name, value in islice(list_others(posing, topic, found), MOST_TRIED):
         changed = take(BuildOptions, list_values(options) | {name: OPTIONS[name].read(value)})
@@ -113,9 +113,10 @@ def pose_sample(
 ) -> tuple[Poser, list[PosedScans]]:
     """Pose the sample of a topic by other options; for other times, the log is read once more."""
     if options.posing.stamps is not posing.poser.options.stamps:
-        drive = Drive(log, read_poser(log, options.posing, [topic.stream.topic]), options)
-        parts = sample_scans(drive)
-        return drive.poser, [part for part in parts if part.batch.topic == topic.stream.topic]
+        one = (topic.stream.topic,)
+        options = replace(options, selection=replace(options.selection, topics=one))
+        drive = Drive(log, read_poser(log, options.posing, one), options)
+        return drive.poser, sample_scans(drive)
     sources = posing.poser.sources
     named = (edge for edge in sources.pose_topics if edge.topic == options.posing.poses)
     sources = replace(sources, trajectory=next(named, sources.trajectory))

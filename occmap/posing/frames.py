@@ -218,7 +218,13 @@ def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
             raise PoseError(found, fix=fix)
         others.add(space)
     foreign = ((edge, space) for edge, space in tf if space in others)
-    return [edge for edge, space in foreign if space or (edge.parent, edge.child) in own]
+    placed = {edge.child for edge, space in tf if space not in others}  # else a mount is lost
+    return [
+        edge
+        for edge, space in foreign
+        if (edge.parent, edge.child) in own
+        or (space and (not edge.track.static or edge.child in placed))
+    ]
 
 
 def _find_home(space: Space, spaces: Iterable[Space]) -> Space:
