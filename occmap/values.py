@@ -153,10 +153,10 @@ def find_separator(row: str) -> str | None:
     return separator if separator in row else None
 
 
-def split_header(text: str, separator: str | None) -> list[str]:
+def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
     """Split a header row into the names of its columns, as occmap has them where it knows them.
 
-    The time is `stamp`, or `stamp_ns` where it is called nanoseconds.
+    Also say whether the time, which is `stamp`, is in nanoseconds.
     """
     cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
     names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
@@ -164,7 +164,9 @@ def split_header(text: str, separator: str | None) -> list[str]:
         found = next((other for other in others if other in names), "")
         if found and name.removesuffix("_ns") not in names:
             names[names.index(found)] = name
-    return [name.removeprefix("field.") for name in names]
+    if is_ns := "stamp" not in names and "stamp_ns" in names:
+        names = ["stamp" if name == "stamp_ns" else name for name in names]
+    return [name.removeprefix("field.") for name in names], is_ns
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -90,28 +90,24 @@ class Poser:
         """
         left = sorted(set(frames) - self.chains.keys())
         # A single laser is mended by other options than one among several.
-        failures = self._try_frames(left, alone=len(left) == 1 and not self.chains)
-        if self.fixed is None:
-            return failures
-        # By now the chain of another frame may have shown which frame the map is in.
-        failures = self._try_frames(failures, alone=False)
-        self.chains.update(dict.fromkeys(failures))
-        self._note(*map(str, failures.values()))
-        return failures
-
-    def _try_frames(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
-        failures = {}
-        for frame in frames:
+        alone = len(left) == 1 and not self.chains
+        failures: dict[str, PoseError] = {}
+        # Twice, as the chain of a later frame may show which frame the map is in.
+        for frame in (frame for frame in left * 2 if frame not in self.chains):
             search = Search(self.sources, self.options, frame.strip("/"), alone)
             try:
                 self.fixed, way = search.resolve(self.fixed)
             except PoseError as error:
                 failures[frame] = error
                 continue
+            failures.pop(frame, None)
             self.chains[frame] = way
             self._note(*search.notes)
             if not way.interval_s and self.sources.tree.moves and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
+        if self.fixed is not None:
+            self.chains.update(dict.fromkeys(failures))
+            self._note(*map(str, failures.values()))
         return failures
 
     def start_over(self) -> None:
@@ -288,7 +284,8 @@ class Poser:
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""
         for (topic, _), course in self._list_posed():
-            yield topic, suspect_places(course.build())
+            if doubt := suspect_places(course.build()):
+                yield topic, doubt
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:
         """Say which topics hold the scans of another one, such as those that were filtered."""
