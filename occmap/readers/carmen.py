@@ -24,7 +24,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -332,19 +332,11 @@ class CarmenLog(TextLog):
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
 
 
-def make_poses(odometry: Scan | ScanRun) -> PoseSample | PoseBatch:
+def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
     """Make poses of what is read as scans without ranges."""
-    make: Any = PoseBatch if isinstance(odometry, ScanRun) else PoseSample
-    poses: PoseSample | PoseBatch = make(
-        stamp_ns=odometry.stamp_ns,
-        record_ns=odometry.record_ns,
-        pose=odometry.pose,
-        parent="odom",
-        child=odometry.first.frame,
-        static=False,
-        topic=odometry.first.topic,
-    )
-    return poses
+    times = np.atleast_1d(odometry.stamp_ns), np.atleast_1d(odometry.record_ns)
+    poses, first = np.atleast_2d(np.array(odometry.pose)), odometry.first
+    return PoseBatch(*times, poses, "odom", first.frame, static=False, topic=first.topic)
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:
