@@ -103,7 +103,8 @@ class Poser:
             failures.pop(frame, None)
             self.chains[frame] = way
             self._note(*search.notes)
-            if not way.interval_s and self.sources.tree.moves and frame != self.fixed:
+            others_move = any(edge.track.moves for edge in self.sources.tree.edges)
+            if not way.interval_s and others_move and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         if self.fixed is not None:
             self.chains.update(dict.fromkeys(failures))

@@ -129,17 +129,9 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
-    return Scan(
-        stamp_ns=0,
-        frame=kind.frame,
-        angle_min=angle_min,
-        angle_increment=increment,
-        ranges=np.zeros(0, np.float32),
-        range_min=0.0,
-        range_max=range_max,
-        pose=IDENTITY if kind.behind else None,
-        topic=keyword,
-    )
+    limits, ranges = (0.0, range_max), np.zeros(0, np.float32)
+    pose = IDENTITY if kind.behind else None
+    return Scan(0, kind.frame, angle_min, increment, ranges, *limits, pose=pose, topic=keyword)
 
 
 def parse_front_offset(words: Sequence[bytes]) -> PoseSample | None:

@@ -239,17 +239,10 @@ class CsvLog(TextLog):
         for name, at in self._columns.items():
             if self._kinds[at] == decimals.SAME:
                 stated[name] = read_value(name, unquote(cells[at]))
-        scan = Scan(
-            stamp_ns=int(stated.get("stamp", 0)),
-            frame=stated["frame"],
-            angle_min=stated["angle_min"],
-            angle_increment=stated["angle_increment"],
-            ranges=np.zeros(0, np.float32),
-            range_min=stated["range_min"],
-            range_max=stated["range_max"],
-            pose=IDENTITY if "x" in self._stated else None,
-            topic=TOPIC,
-        )
+        shape = {name: stated[name] for name in ("frame", "angle_min", "angle_increment", *LIMITS)}
+        stamp_ns, ranges = int(stated.get("stamp", 0)), np.zeros(0, np.float32)
+        pose = IDENTITY if "x" in self._stated else None
+        scan = Scan(stamp_ns, ranges=ranges, pose=pose, topic=TOPIC, **shape)
         return Pattern(b",", self._kinds, self._places, self._columns, stated, scan)
 
 

@@ -154,7 +154,9 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
     """
     first = clouds[0]
     moments = 1 if first.offset_ns is None else CLOUD_MOMENTS
-    span = np.array([find_span(cloud) for cloud in clouds])
+    at_once = np.zeros(1, np.int64)
+    offsets = [at_once if cloud.offset_ns is None else cloud.offset_ns for cloud in clouds]
+    span = np.array([(each.min(), each.max()) for each in offsets])
     stamp_ns, record_ns = np.array([(cloud.stamp_ns, cloud.record_ns) for cloud in clouds]).T
     times = stamps.choose(stamp_ns, record_ns) + span[:, 0]
     step = (span[:, 1] - span[:, 0]) / 1e9 / max(moments - 1, 1)
@@ -162,13 +164,6 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
     pose = None if first.pose is None else np.array([cloud.pose for cloud in clouds])
     shape = first.frame, 0.0, math.tau / moments, 0.0, math.inf
     return ScanBatch(*shape, times, ranges, step, pose, first.topic, clouds=tuple(clouds))
-
-
-def find_span(cloud: Cloud) -> tuple[int, int]:
-    """When its first and its last point were measured, after its stamp (ns)."""
-    if cloud.offset_ns is None:
-        return 0, 0
-    return int(cloud.offset_ns.min()), int(cloud.offset_ns.max())
 
 
 def find_oddity(batch: ScanBatch, options: BuildOptions) -> str:
