@@ -98,11 +98,9 @@ def suspect_degrees(yaw: ArrayLike) -> str:
     if not len(steps) or np.median(np.abs(known)) <= BEYOND_A_TURN:
         return ""
     wraps = (steps > WRAP_DEG) & (steps <= 360)
-    if wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE:
-        return (
-            "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
-        )
-    return ""
+    jumps = wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE
+    doubt = "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
+    return doubt if jumps else ""
 
 
 def as_text(value: Any) -> str:

@@ -14,15 +14,7 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.posing import Concern, Deskew, PosingOptions, chain
 from occmap.posing.chain import Chain, Status, Transforms
-from occmap.posing.course import (
-    STANDS,
-    Course,
-    Stance,
-    list_tilts,
-    stands,
-    suspect_places,
-    warn_of_jumps,
-)
+from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, suspect_places
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
@@ -275,12 +267,9 @@ class Poser:
             if not course.is_of_clouds:
                 for tilt in list_tilts(Stance.measure(track), max_range):
                     yield topic, tilt
-            if not jumped:  # of several sensors on one robot, one tells it
-                first = first_ns + self._offset_ns
-                jumps = course.find_jumps(track)
-                # Where poses are mixed, they jump for no other reason.
-                if jumped := course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first):
-                    yield topic, jumped
+            # Of several sensors on one robot, one tells it.
+            if not jumped and (jumped := course.warn_of_jumps(track, first_ns + self._offset_ns)):
+                yield topic, jumped
 
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""

@@ -22,13 +22,11 @@ from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun, 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
     """Say why nobody can use a scan; None where it can be used."""
-    if isinstance(scan, Cloud):
-        return None if len(scan.points) else LeftOut.NO_BEAMS
-    if not len(scan.ranges):
+    beams = len(scan.points if isinstance(scan, Cloud) else scan.ranges)
+    if not beams:
         return LeftOut.NO_BEAMS
-    if not math.isfinite(scan.angle_min + scan.angle_increment * len(scan.ranges)):
-        return LeftOut.BAD_ANGLES
-    return None
+    last = 0.0 if isinstance(scan, Cloud) else scan.angle_min + scan.angle_increment * beams
+    return None if math.isfinite(last) else LeftOut.BAD_ANGLES
 
 
 class Selector:
