@@ -98,11 +98,9 @@ def suspect_degrees(yaw: ArrayLike) -> str:
     if not len(steps) or np.median(np.abs(known)) <= BEYOND_A_TURN:
         return ""
     wraps = (steps > WRAP_DEG) & (steps <= 360)
-    if wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE:
-        return (
-            "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
-        )
-    return ""
+    jumps = wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE
+    doubt = "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
+    return doubt if jumps else ""
 
 
 def as_text(value: Any) -> str:
@@ -153,10 +151,10 @@ def find_separator(row: str) -> str | None:
     return separator if separator in row else None
 
 
-def split_header(text: str, separator: str | None) -> list[str]:
+def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
     """Split a header row into the names of its columns, as occmap has them where it knows them.
 
-    The time is `stamp`, or `stamp_ns` where it is called nanoseconds.
+    Also say whether the time, which is `stamp`, is in nanoseconds.
     """
     cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
     names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
@@ -164,7 +162,9 @@ def split_header(text: str, separator: str | None) -> list[str]:
         found = next((other for other in others if other in names), "")
         if found and name.removesuffix("_ns") not in names:
             names[names.index(found)] = name
-    return [name.removeprefix("field.") for name in names]
+    if is_ns := "stamp" not in names and "stamp_ns" in names:
+        names = ["stamp" if name == "stamp_ns" else name for name in names]
+    return [name.removeprefix("field.") for name in names], is_ns
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

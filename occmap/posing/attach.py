@@ -14,15 +14,7 @@ import numpy as np
 from occmap.errors import PoseError
 from occmap.posing import Concern, Deskew, PosingOptions, chain
 from occmap.posing.chain import Chain, Status, Transforms
-from occmap.posing.course import (
-    STANDS,
-    Course,
-    Stance,
-    list_tilts,
-    stands,
-    suspect_places,
-    warn_of_jumps,
-)
+from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, suspect_places
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
@@ -90,28 +82,25 @@ class Poser:
         """
         left = sorted(set(frames) - self.chains.keys())
         # A single laser is mended by other options than one among several.
-        failures = self._try_frames(left, alone=len(left) == 1 and not self.chains)
-        if self.fixed is None:
-            return failures
-        # By now the chain of another frame may have shown which frame the map is in.
-        failures = self._try_frames(failures, alone=False)
-        self.chains.update(dict.fromkeys(failures))
-        self._note(*map(str, failures.values()))
-        return failures
-
-    def _try_frames(self, frames: Iterable[str], alone: bool) -> dict[str, PoseError]:
-        failures = {}
-        for frame in frames:
+        alone = len(left) == 1 and not self.chains
+        failures: dict[str, PoseError] = {}
+        # Twice, as the chain of a later frame may show which frame the map is in.
+        for frame in (frame for frame in left * 2 if frame not in self.chains):
             search = Search(self.sources, self.options, frame.strip("/"), alone)
             try:
                 self.fixed, way = search.resolve(self.fixed)
             except PoseError as error:
                 failures[frame] = error
                 continue
+            failures.pop(frame, None)
             self.chains[frame] = way
             self._note(*search.notes)
-            if not way.interval_s and self.sources.tree.moves and frame != self.fixed:
+            others_move = any(edge.track.moves for edge in self.sources.tree.edges)
+            if not way.interval_s and others_move and frame != self.fixed:
                 self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
+        if self.fixed is not None:
+            self.chains.update(dict.fromkeys(failures))
+            self._note(*map(str, failures.values()))
         return failures
 
     def start_over(self) -> None:
@@ -278,17 +267,15 @@ class Poser:
             if not course.is_of_clouds:
                 for tilt in list_tilts(Stance.measure(track), max_range):
                     yield topic, tilt
-            if not jumped:  # of several sensors on one robot, one tells it
-                first = first_ns + self._offset_ns
-                jumps = course.find_jumps(track)
-                # Where poses are mixed, they jump for no other reason.
-                if jumped := course.warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first):
-                    yield topic, jumped
+            # Of several sensors on one robot, one tells it.
+            if not jumped and (jumped := course.warn_of_jumps(track, first_ns + self._offset_ns)):
+                yield topic, jumped
 
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""
         for (topic, _), course in self._list_posed():
-            yield topic, suspect_places(course.build())
+            if doubt := suspect_places(course.build()):
+                yield topic, doubt
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:
         """Say which topics hold the scans of another one, such as those that were filtered."""

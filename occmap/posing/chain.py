@@ -31,19 +31,9 @@ DENSE_S = 0.1
 """Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
 
 
-class Status(IntEnum):
-    """Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`.
-
-    Where the legs of a chain differ, the highest number counts.
-    """
-
-    POSED = 0
-    BEFORE = 1
-    AFTER = 2
-    GAP = 3
-    UNUSABLE = 4
-    LEAP = 5
-    NO_TRANSFORM = 6
+Status = IntEnum("Status", "POSED BEFORE AFTER GAP UNUSABLE LEAP NO_TRANSFORM", start=0)
+"""Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`. Where
+the legs of a chain differ, the highest number counts."""
 
 
 class Transforms(NamedTuple):

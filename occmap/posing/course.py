@@ -259,7 +259,7 @@ class Course:
         assert track is not None
         return track
 
-    def warn_of_mixed(self) -> Concern | None:
+    def _warn_of_mixed(self) -> Concern | None:
         """Say if a track holds poses of two times, or of two nodes, among each other."""
         legs = self.chain.legs if self.chain else ()
         for step in (leg.step for leg in legs if isinstance(leg, Moving)):
@@ -274,10 +274,14 @@ class Course:
                 return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
         return None
 
-    def find_jumps(self, track: Track) -> list[Jump]:
-        """Find when it jumped; poses beside scans show that only when all of them are known."""
+    def warn_of_jumps(self, track: Track, first_ns: int) -> Concern | None:
+        """Say if it jumped: where poses are mixed, for that reason, and else as the function does.
+
+        Poses beside scans show that only when all of them are known.
+        """
         stated = [Edge("", "", track, Source.ODOMETRY)]
-        return find_jumps(self.chain or make_chain(stated, None))
+        jumps = find_jumps(self.chain or make_chain(stated, None))
+        return self._warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first_ns)
 
 
 def stands(track: Track) -> bool:

@@ -75,11 +75,6 @@ class FrameTree:
         return frame in self._up or frame in self._down
 
     @cached_property
-    def moves(self) -> bool:
-        """Whether any of its edges moves."""
-        return any(edge.track.moves for edge in self.edges)
-
-    @cached_property
     def bodies(self) -> list[str]:
         """The frames that drive: they move, and above them only `odom` does.
 

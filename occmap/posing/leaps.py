@@ -15,14 +15,11 @@ all scans are kept.
 """
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Self
 
 import numpy as np
 
 from occmap.posing.tracks import Track
-from occmap.types import Bool, Float64, Int64
+from occmap.types import Bool, Float64
 
 SLACK_M = 1.0
 """A shorter step is not a leap, however short the time: stamps are rounded, odometry corrected."""
@@ -37,63 +34,52 @@ LONG_ROW_STEPS = 3
 """A row with at least this many steps shows where the robot is."""
 
 
-@dataclass(frozen=True, eq=False)
 class Rows:
-    """The scans of a laser, cut where there is a pause or a leap."""
+    """The scans of a laser, cut where there is a pause or a leap.
 
-    track: Track
-    """Where the laser was at its scans"""
-    max_speed: float
-    """Faster steps (m/s) are leaps"""
-    first: Int64
-    last: Int64
-    """(R,) which scan each row begins and ends with"""
-    opens: Bool
-    closes: Bool
-    """(R,) whether it is the first row of its part, and the last one"""
+    Parameters
+    ----------
+    track
+        Where the laser was at its scans.
+    max_speed
+        Faster steps (m/s) are leaps.
+    """
 
-    @classmethod
-    def cut(cls, track: Track, max_speed: float) -> Self:
-        """Cut the scans of a laser into rows."""
-        speed = FASTEST if max_speed == math.inf else max_speed
+    def __init__(self, track: Track, max_speed: float) -> None:
+        self._track = track
+        self._max_speed = FASTEST if max_speed == math.inf else max_speed
         pauses = track.interval_s > SPARSE_S
-        cuts = np.flatnonzero(pauses | is_too_far(track.step_m, track.interval_s, speed))
-        first, last = np.append(0, cuts + 1), np.append(cuts, len(track) - 1)
-        opens, closes = np.append(True, pauses[cuts]), np.append(pauses[cuts], True)
-        return cls(track, speed, first, last, opens, closes)
-
-    @cached_property
-    def is_long(self) -> Bool:
-        """(R,) whether each shows where the robot is."""
-        return self.last - self.first >= LONG_ROW_STEPS
-
-    @cached_property
-    def begin_ns(self) -> Int64:
-        """(R,) when each begins."""
-        return self.track.stamp_ns[self.first]
+        cuts = np.flatnonzero(pauses | is_too_far(track.step_m, track.interval_s, self._max_speed))
+        self.first, self.last = np.append(0, cuts + 1), np.append(cuts, len(track) - 1)
+        """(R,) which scan each row begins and ends with"""
+        self.opens, self.closes = np.append(True, pauses[cuts]), np.append(pauses[cuts], True)
+        """(R,) whether it is the first row of its part, and the last one"""
+        self.is_long: Bool = self.last - self.first >= LONG_ROW_STEPS
+        """(R,) whether each shows where the robot is"""
+        self._begin_ns = track.stamp_ns[self.first]
 
     def find_continuation(self, row: int) -> int | None:
         """Find the row that goes on where a row ended; None where there is none."""
-        place, end = self.track.position, self.last[row]
-        end_ns = int(self.track.stamp_ns[end])
-        soon = np.searchsorted(self.begin_ns, end_ns + int(SPARSE_S * 1e9), side="right")
+        place, end = self._track.position, self.last[row]
+        end_ns = int(self._track.stamp_ns[end])
+        soon = np.searchsorted(self._begin_ns, end_ns + int(SPARSE_S * 1e9), side="right")
         # No row of the next part begins so soon.
         others = np.arange(row + 1, soon)[:MOST_ROWS]
         metres = np.linalg.norm(place[self.first[others]] - place[end], axis=1)
-        seconds = (self.begin_ns[others] - end_ns) / 1e9
+        seconds = (self._begin_ns[others] - end_ns) / 1e9
         shows = self.is_long[others] | (self.is_long[row] & self.closes[others])
-        found = others[shows & ~is_too_far(metres, seconds, self.max_speed)]
+        found = others[shows & ~is_too_far(metres, seconds, self._max_speed)]
         return int(found[0]) if len(found) else None
 
 
 def has_leap(track: Track, max_speed: float) -> bool:
     """Whether any row of a laser's scans ends with a leap."""
-    return not Rows.cut(track, max_speed).closes.all()
+    return not Rows(track, max_speed).closes.all()
 
 
 def find_outliers(track: Track, max_speed: float) -> Bool:
     """(N,) which scans of a laser are outliers, by where it was at each (N)."""
-    rows = Rows.cut(track, max_speed)
+    rows = Rows(track, max_speed)
     outliers = np.zeros(len(track), np.bool_)
     is_long, is_single = rows.is_long, rows.first == rows.last
     row = 0

@@ -222,19 +222,15 @@ def _find_format(text: str) -> Callable[[str], Row]:
             return EUROC
         raise ValueError("no header says what the columns are")
     separator = values.find_separator(text)
-    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", it)) for it in values.split_header(text, separator)]
+    columns, is_ns = values.split_header(text, separator)
+    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
-    stamp, parse = (
-        ("stamp", values.parse_seconds)
-        if "stamp" in names
-        else ("stamp_ns", values.parse_nanoseconds)
-    )
-    names = ["stamp" if name == stamp else name for name in names]
     missing = {"stamp", "x", "y", *angles}.difference(names)
     if missing:
         raise ValueError(f"the header has no column {', '.join(sorted(missing))}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
+    parse = values.parse_nanoseconds if is_ns else values.parse_seconds
     return partial(_parse_pose, names, separator, parse)
 
 

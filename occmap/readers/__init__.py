@@ -117,7 +117,7 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
     elif content.isascii():
         first_line = content.decode("ascii").splitlines()[0][:60]
         found = f"a text file of no known log format: it starts with {first_line!r}"
-        names = split_header(first_line, find_separator(first_line))
+        names, _ = split_header(first_line, find_separator(first_line))
         fix = "if it holds poses alone, give it with `poses`" * {"x", "y"}.issubset(names)
     elif content is not raw:
         found = "a file that gzip compressed"

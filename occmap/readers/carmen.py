@@ -24,7 +24,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -129,17 +129,9 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
         if not math.isfinite(angle_min + increment):
             raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
-    return Scan(
-        stamp_ns=0,
-        frame=kind.frame,
-        angle_min=angle_min,
-        angle_increment=increment,
-        ranges=np.zeros(0, np.float32),
-        range_min=0.0,
-        range_max=range_max,
-        pose=IDENTITY if kind.behind else None,
-        topic=keyword,
-    )
+    limits, ranges = (0.0, range_max), np.zeros(0, np.float32)
+    pose = IDENTITY if kind.behind else None
+    return Scan(0, kind.frame, angle_min, increment, ranges, *limits, pose=pose, topic=keyword)
 
 
 def parse_front_offset(words: Sequence[bytes]) -> PoseSample | None:
@@ -332,19 +324,11 @@ class CarmenLog(TextLog):
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
 
 
-def make_poses(odometry: Scan | ScanRun) -> PoseSample | PoseBatch:
+def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
     """Make poses of what is read as scans without ranges."""
-    make: Any = PoseBatch if isinstance(odometry, ScanRun) else PoseSample
-    poses: PoseSample | PoseBatch = make(
-        stamp_ns=odometry.stamp_ns,
-        record_ns=odometry.record_ns,
-        pose=odometry.pose,
-        parent="odom",
-        child=odometry.first.frame,
-        static=False,
-        topic=odometry.first.topic,
-    )
-    return poses
+    times = np.atleast_1d(odometry.stamp_ns), np.atleast_1d(odometry.record_ns)
+    poses, first = np.atleast_2d(np.array(odometry.pose)), odometry.first
+    return PoseBatch(*times, poses, "odom", first.frame, static=False, topic=first.topic)
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:

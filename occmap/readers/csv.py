@@ -42,17 +42,18 @@ _TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
 """By what stands between cells: makes commas of these, and dots of commas within numbers"""
 
 
-def split_names(text: str) -> list[str]:
-    """Split a header row, which may stand behind a #, in occmap's own names."""
-    names = split_header(text.lstrip("# "), find_separator(text) or ",")
-    return [_BEAM.sub(r"r\1", name) for name in names]
+def split_names(text: str) -> tuple[list[str], bool]:
+    """Split a header row, which may stand behind a #, as `split_header` does."""
+    names, is_ns = split_header(text.lstrip("# "), find_separator(text) or ",")
+    return [_BEAM.sub(r"r\1", name) for name in names], is_ns
 
 
-def is_header(names: Collection[str], stated: Collection[str] = ()) -> bool:
-    """Whether names of columns are those of scans, to which comments may add some."""
+def is_header(text: str, stated: Collection[str]) -> bool:
+    """Whether a row names columns of scans, to which comments may add some."""
+    names, _ = split_names(text)
     known = list(filter(is_known, {*names, *stated}))
     of_scans = any(name.startswith(("r", "angle")) for name in known)
-    return of_scans and len(known) >= 3 and not {"stamp", "stamp_ns", "r0"}.isdisjoint(names)
+    return of_scans and len(known) >= 3 and not {"stamp", "r0"}.isdisjoint(names)
 
 
 def split_comment(text: str) -> tuple[str, str]:
@@ -134,7 +135,7 @@ class CsvReader:
         stated = {split_comment(line)[0] for line in comments} & NAMES
         if not rows:
             return bool(stated)
-        return any(is_header(split_names(line), stated) for line in (rows[0], *comments))
+        return any(is_header(line, stated) for line in (rows[0], *comments))
 
     def open(self, path: Path) -> "CsvLog":
         """Open a log: read its header and count its rows.
@@ -163,9 +164,7 @@ class CsvLog(TextLog):
         header, comments = self._find_header()
         self._header_line = header.number
         self.table = _TABLES.get(find_separator(header.text) or "")
-        names = split_names(header.text)
-        stamp = "stamp" if "stamp" in names else "stamp_ns"
-        self._names = ["stamp" if name == stamp else name for name in names]
+        self._names, is_ns = split_names(header.text)
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
         self._stated = {*self._names, *comments}
@@ -176,7 +175,7 @@ class CsvLog(TextLog):
         self._columns = {name: at for at, name in enumerate(self._names) if name in NAMES}
         """The cell of each of `NAMES` that is a column"""
         self._kinds = np.array([_find_kind(name) for name in self._names])
-        if stamp == "stamp_ns":
+        if is_ns:
             self._kinds[self._kinds == decimals.SECONDS] = decimals.NANOSECONDS
         self._places = [_name_place(name) for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
@@ -208,7 +207,7 @@ class CsvLog(TextLog):
                 constants = {name: line for name, _, line in reversed(named) if name in NAMES}
                 first = block.get_line(rows[0])
                 maybe = (first, *headings)  # numpy comments the header out
-                known = (it for it in maybe if is_header(split_names(it.text), constants))
+                known = (it for it in maybe if is_header(it.text, constants))
                 return next(known, first), constants
         found = "; ".join(["no header row", *(note.text for note in self.notes)])
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
@@ -240,17 +239,10 @@ class CsvLog(TextLog):
         for name, at in self._columns.items():
             if self._kinds[at] == decimals.SAME:
                 stated[name] = read_value(name, unquote(cells[at]))
-        scan = Scan(
-            stamp_ns=int(stated.get("stamp", 0)),
-            frame=stated["frame"],
-            angle_min=stated["angle_min"],
-            angle_increment=stated["angle_increment"],
-            ranges=np.zeros(0, np.float32),
-            range_min=stated["range_min"],
-            range_max=stated["range_max"],
-            pose=IDENTITY if "x" in self._stated else None,
-            topic=TOPIC,
-        )
+        shape = {name: stated[name] for name in ("frame", "angle_min", "angle_increment", *LIMITS)}
+        stamp_ns, ranges = int(stated.get("stamp", 0)), np.zeros(0, np.float32)
+        pose = IDENTITY if "x" in self._stated else None
+        scan = Scan(stamp_ns, ranges=ranges, pose=pose, topic=TOPIC, **shape)
         return Pattern(b",", self._kinds, self._places, self._columns, stated, scan)
 
 

@@ -247,9 +247,8 @@ def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
     if seat is None:
         return None
     found = f"by the floor {seat.height:.2f} m below it"
-    if seat.has_yaw:
-        return Guess(seat.mount, f"{found}, and by walls; measure x and y, or walls are doubled")
-    return Guess(seat.mount, f"{found}; measure x, y and yaw, or walls are doubled")
+    by_walls = ", and by walls; measure x and y" if seat.has_yaw else "; measure x, y and yaw"
+    return Guess(seat.mount, f"{found}{by_walls}, or walls are doubled")
 
 
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:

@@ -22,13 +22,11 @@ from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun, 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
     """Say why nobody can use a scan; None where it can be used."""
-    if isinstance(scan, Cloud):
-        return None if len(scan.points) else LeftOut.NO_BEAMS
-    if not len(scan.ranges):
+    beams = len(scan.points if isinstance(scan, Cloud) else scan.ranges)
+    if not beams:
         return LeftOut.NO_BEAMS
-    if not math.isfinite(scan.angle_min + scan.angle_increment * len(scan.ranges)):
-        return LeftOut.BAD_ANGLES
-    return None
+    last = 0.0 if isinstance(scan, Cloud) else scan.angle_min + scan.angle_increment * beams
+    return None if math.isfinite(last) else LeftOut.BAD_ANGLES
 
 
 class Selector:
@@ -154,7 +152,9 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
     """
     first = clouds[0]
     moments = 1 if first.offset_ns is None else CLOUD_MOMENTS
-    span = np.array([find_span(cloud) for cloud in clouds])
+    at_once = np.zeros(1, np.int64)
+    offsets = [at_once if cloud.offset_ns is None else cloud.offset_ns for cloud in clouds]
+    span = np.array([(each.min(), each.max()) for each in offsets])
     stamp_ns, record_ns = np.array([(cloud.stamp_ns, cloud.record_ns) for cloud in clouds]).T
     times = stamps.choose(stamp_ns, record_ns) + span[:, 0]
     step = (span[:, 1] - span[:, 0]) / 1e9 / max(moments - 1, 1)
@@ -164,20 +164,17 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
     return ScanBatch(*shape, times, ranges, step, pose, first.topic, clouds=tuple(clouds))
 
 
-def find_span(cloud: Cloud) -> tuple[int, int]:
-    """When its first and its last point were measured, after its stamp (ns)."""
-    if cloud.offset_ns is None:
-        return 0, 0
-    return int(cloud.offset_ns.min()), int(cloud.offset_ns.max())
-
-
-def find_oddity(angle_increment: float, beams: int) -> str:
-    """Say what is odd about angles; "" where nothing is."""
-    turns = abs(angle_increment) * (beams - 1) / math.tau
+def find_oddity(batch: ScanBatch, options: BuildOptions) -> str:
+    """Say what is odd about angles, or if the update frees no cell by them; "" where nothing is."""
+    beams, step = batch.ranges.shape[1], batch.angle_increment
+    turns = abs(step) * (beams - 1) / math.tau
     if MOST_TURNS < turns < math.inf:
         return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"
-    if beams > 1 and angle_increment == 0:
+    if beams > 1 and step == 0:
         return f"{beams} beams all point the same way: angle_increment is 0"
+    fills = options.update is Update.POLYGON and not isinstance(options.model, RadialModel)
+    if fills and beams == 1:
+        return "scans of one beam have no inside, and polygon frees no cell: choose another update"
     return ""
 
 
@@ -190,13 +187,6 @@ def find_middle(batch: ScanBatch) -> float:
     sample = batch.ranges.ravel()[::16]  # one beam of so many tells how far away things are
     measured = sample[(sample > 0) & (sample < batch.range_max)]
     return float(np.median(measured)) if len(measured) else math.inf
-
-
-def suspect_millimetres(middle_m: float) -> str:
-    """Say if half of the ranges of a laser are too far away to be metres; "" if they are not."""
-    if not FAR_M < middle_m < math.inf:
-        return ""
-    return f"most ranges are above {FAR_M:g} m: ranges are metres; are these millimetres?"
 
 
 def list_idle(log: Log, topics: Sequence[str], options: ReaderOptions) -> Iterator[str]:
@@ -279,9 +269,8 @@ class Drive:
         limited = map(self.limits.apply, stack(chosen, stamps))
         for batch in tally.time_each("read", limited):
             selector.look(batch)
-            beams = batch.ranges.shape[1]
             self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
-            if oddity := find_oddity(batch.angle_increment, beams) or self._find_lack(beams):
+            if oddity := find_oddity(batch, self.options):
                 self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
                 yield drop_own_points(posed, self.options.returns) if batch.clouds else posed
@@ -293,18 +282,13 @@ class Drive:
         tally.drop(dict(selector.left_out))
         self._first_ns = selector.first_ns or 0
 
-    def _find_lack(self, beams: int) -> str:
-        """Say if scans of so many beams free no cell with the update; "" if they do."""
-        fills = self.options.update is Update.POLYGON
-        if not fills or beams > 1 or isinstance(self.options.model, RadialModel):
-            return ""
-        return "scans of one beam have no inside, and polygon frees no cell: choose another update"
-
-    def list_doubts(self) -> list[tuple[str, str]]:
+    def list_doubts(self) -> Iterator[tuple[str, str]]:
         """Say of which topics angles are odd, and where ranges or places can hardly be metres."""
-        ranges = ((topic, suspect_millimetres(it)) for topic, it in self._middle_m.items())
-        doubts = (*self._odd, *ranges, *self.poser.suspect_places())
-        return [(topic, doubt) for topic, doubt in doubts if doubt]
+        yield from self._odd
+        for topic in (topic for topic, it in self._middle_m.items() if FAR_M < it < math.inf):
+            found = f"most ranges are above {FAR_M:g} m: ranges are metres"
+            yield topic, f"{found}; are these millimetres?"
+        yield from self.poser.suspect_places()
 
     def list_left(self) -> Iterator[str]:
         """Say which clouds are left out where there are scans, and the user chose nothing."""
@@ -318,9 +302,8 @@ class Drive:
         concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
-        idle = list_idle(self.log, self.topics, self.options.reading)
         return [
-            *idle,
+            *list_idle(self.log, self.topics, self.options.reading),
             *self.list_left(),
             *self.poser.notes,
             *map(": ".join, self.list_doubts()),

@@ -38,16 +38,12 @@ HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
 threads, a log of 20,000 laser frames with one scan each took six times as long."""
 
-AddRays = Callable[[Any], None]
-"""Adds the rays of a batch, or its posed clouds, to the evidence; any number of threads may."""
-
 
 class TakesRays(Protocol):
     """Whatever scans are given to."""
 
-    @property
-    def add(self) -> AddRays:
-        """Takes the scans of a batch."""
+    def add(self, seen: Any, /) -> None:
+        """Add the rays of a batch, or its posed clouds; any number of threads may."""
 
 
 Taker = TypeVar("Taker", bound=TakesRays)
@@ -67,7 +63,7 @@ def trace_drive(drive: Drive, begin: Callable[[], Taker], tally: Tally) -> Taker
     """
     for _ in range(2):
         counts, taker = tally.start_over(), begin()
-        if trace(drive, taker.add, counts):
+        if trace(drive, taker, counts):
             break
         counts.advance(-counts.advanced)  # the same scans are read once more
     if counts.recorder:
@@ -76,10 +72,10 @@ def trace_drive(drive: Drive, begin: Callable[[], Taker], tally: Tally) -> Taker
     return taker
 
 
-def trace(drive: Drive, add_rays: AddRays, tally: Tally) -> bool:
+def trace(drive: Drive, taker: TakesRays, tally: Tally) -> bool:
     """Trace the scans of a log; say whether they were read as all of it says they should be."""
     try:
-        trace_stream(drive, add_rays, tally)
+        trace_stream(drive, taker, tally)
     except MapError as error:
         # Without scans that leap away the map may be small enough.
         if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
@@ -225,14 +221,14 @@ def count_ground(drive: Drive, finder: "GroundFinder") -> None:
     finder.join(seen.count())
 
 
-def trace_stream(drive: Drive, add_rays: AddRays, tally: Tally) -> None:
+def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:
     """Trace the scans of a log as a stream."""
     options = drive.options
     reach = Reach(Lattice(options.resolution), options.max_cells)
 
     def work(seen: Rays | PosedScans) -> None:
         with tally.time("trace"):
-            add_rays(seen)
+            taker.add(seen)
 
     with name_log(drive.log.path), Workers(work, options.jobs) as workers:
         # Here, not in a worker: each of many short NumPy calls would wait for the GIL.

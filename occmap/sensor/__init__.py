@@ -26,7 +26,6 @@ from occmap.values import as_float32
 Sector: TypeAlias = tuple[float, float]
 """From one bearing counter-clockwise to another (rad)."""
 
-FULL_TURN = 2 * math.pi
 EDGE_RAD = 1e-6
 """A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
 
@@ -210,8 +209,8 @@ def find_inside(bearings: Float64, sectors: tuple[Sector, ...]) -> Bool:
     """(N,): which bearings lie in one of the sectors."""
     inside = np.zeros(len(bearings), np.bool_)
     for start, end in sectors:
-        width = (end - start) % FULL_TURN or FULL_TURN
-        inside |= (bearings - start + EDGE_RAD) % FULL_TURN <= width + 2 * EDGE_RAD
+        width = (end - start) % math.tau or math.tau
+        inside |= (bearings - start + EDGE_RAD) % math.tau <= width + 2 * EDGE_RAD
     return inside
 
 
@@ -251,7 +250,7 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
 def goes_round(batch: ScanBatch) -> bool:
     """Whether the beams go all the way round, to half an increment."""
     beams = batch.ranges.shape[1]
-    return bool((beams + 0.5) * abs(batch.angle_increment) >= 2 * math.pi)
+    return bool((beams + 0.5) * abs(batch.angle_increment) >= math.tau)
 
 
 @lru_cache(maxsize=64)

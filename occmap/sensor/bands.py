@@ -49,8 +49,7 @@ class Band:
     @property
     def values(self) -> str:
         """From the smallest to the largest, or the one that there is."""
-        low, high = f"{self.low:.4g} m", f"{self.high:.4g} m"
-        return low if low == high else f"{low} to {high}"
+        return " to ".join(dict.fromkeys((f"{self.low:.4g} m", f"{self.high:.4g} m")))
 
 
 class RangeTally:

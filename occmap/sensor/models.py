@@ -319,19 +319,17 @@ def list_parameters(model: Any) -> list[str]:
 
 def describe_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without values that change nothing."""
-    pairs = {field.name: getattr(model, field.name) for field in fields(model)}
-    kept = {name: value for name, value in pairs.items() if NEUTRAL.get(name) != value}
-    return f"{model.name}:" + ",".join(f"{name}={value}" for name, value in kept.items())
+    pairs = ((name, getattr(model, name)) for name in list_parameters(model))
+    kept = (f"{name}={value}" for name, value in pairs if NEUTRAL.get(name) != value)
+    return f"{model.name}:{','.join(kept)}"
 
 
 def shorten_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without parameters that are at their defaults."""
     usual = type(model)()
-    changed = [
-        name for name in list_parameters(model) if getattr(model, name) != getattr(usual, name)
-    ]
-    pairs = ",".join(f"{name}={getattr(model, name):g}" for name in changed)
-    return f"{model.name}:{pairs}" if pairs else str(model.name)
+    pairs = ((name, getattr(model, name)) for name in list_parameters(model))
+    changed = [f"{name}={value:g}" for name, value in pairs if value != getattr(usual, name)]
+    return f"{model.name}:{','.join(changed)}" if changed else str(model.name)
 
 
 def parse_model(text: str) -> SensorModel:
