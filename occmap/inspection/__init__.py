@@ -20,14 +20,21 @@ from occmap.errors import LogError, MapError, OccmapError, UsageError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import poses
-from occmap.inspection.findings import Better, Inspection, LogFindings, MapFindings, ScanFindings
+from occmap.inspection.findings import (
+    Better,
+    Inspection,
+    LogFindings,
+    MapFindings,
+    RangeFindings,
+    ScanFindings,
+)
 from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
+from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
@@ -102,11 +109,13 @@ def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]
         if "" not in faults:  # else some topic of the log has poses
             found += [f"{log.path}: {fault}" for fault in faults]
     topics = [(log, topic) for log in logs for topic in log.scans]
-    if topics and not found and not any(topic.poses.posed for _, topic in topics):
-        for log, topic in topics:
-            unused = write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})
-            found.append(f"{topic.topic}: {unused}{bridge_clocks(log, topic, stamps)}")
-    return found
+    if found or any(topic.poses.posed for _, topic in topics):
+        return found
+    return [
+        f"{topic.topic}: {write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})}"
+        f"{bridge_clocks(log, topic, stamps)}"
+        for log, topic in topics
+    ]
 
 
 def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
@@ -128,61 +137,56 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
 def recommend(
     logs: Sequence[LogFindings], options: BuildOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Recommend a command line for the logs that can be mapped.
+    """Recommend a command line for the logs that can be mapped: the options given, then the advice.
 
     Returns
     -------
     command, remarks
-        The words of the line, none where the logs need several; and what there is to say of it.
+        The words of the line, none where nothing helps or the logs need several; and what there is
+        to say of it.
     """
     mapped = [  # with poses, or with an option that gives some
         log for log in logs if any(it.poses.posed or it.better for it in log.scans)
     ]
-    lines = [compose_command([log], options) for log in mapped]
-    if len({(*line[:2], *line[3:-2]) for line in lines}) > 1:
+    advice = [advise(log) for log in mapped]
+    if any(each != advice[0] for each in advice):
         return (), ("the logs need different options: check them one by one",)
-    command = compose_command(mapped, options) if mapped else ()
-    left = [log.path for log in logs if log not in mapped]
-    if command and left:
-        return command, (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
-    return command, ()
+    if not advice or advice[0] is None:
+        return (), ()
+    name, advised = advice[0]
+    command = compose_build([log.path for log in mapped], options, advised)
+    if name == "tune":
+        command = ("occmap", name, *command[2:-2])
+    left = ", ".join(log.path for log in logs if log not in mapped)
+    return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
 
 
-def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
-    """Compose the command line for logs that can be mapped: the options given, then the advice.
+def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
+    """Name the command that makes the best of a log, and the options that it needs.
 
-    Where the poses do not fit the scans, it is the line of `occmap tune`, which looks for the
-    reason. It is empty where nothing helps, or where logs need different options.
+    Where the poses do not fit the scans, it is `occmap tune`, which looks for the reason. None:
+    nothing helps, or the findings ask for two values of an option.
     """
-    paths = [log.path for log in logs]
-    concerns = [concern for log in logs for concern in log.concerns]
-    advised = list_advised(logs)
-    for concern in concerns:
-        for name, value in (concern.remedy or {}).items():
-            if advised.setdefault(name, value) != value:
-                return ()
+    found = list(dict.fromkeys(list_advised(log)))
+    advised = dict(found)
+    is_lost = any(text for text, remedy in log.concerns if remedy is None and ASK_TUNE not in text)
+    if is_lost or len(advised) < len(found):
+        return None
     if advised.keys() & {"poses", "map_frame"}:  # which have no use for a part without jumps
         advised = {name: advised[name] for name in advised if name not in {"start_s", "end_s"}}
-    command = compose_build(paths, options, advised)
-    asking = [each for each in concerns if ASK_TUNE in each.text and each.remedy != {}]
-    if any(each.remedy is None for each in concerns if each not in asking):
-        return ()
-    return ("occmap", "tune", *command[2:-2]) if asking else command
+    return ("tune" if any(ASK_TUNE in text for text, _ in log.concerns) else "build"), advised
 
 
-def list_advised(logs: Sequence[LogFindings]) -> dict[str, str]:
-    """List the options that the findings suggest."""
-    topics = [topic for log in logs for topic in log.scans]
-    advised = {}
-    for topic in topics:
-        if topic.poses.assumed:
-            advised["sensor_pose"] = topic.poses.assumed
-    for better in [topic.better for topic in topics if topic.better][:1]:  # each was tried alone
-        advised[better.name] = better.value
-    advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
-    if advice == {"clear"}:
-        advised["no_return"] = "clear"
-    return advised
+def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
+    """List the options that the findings about a log suggest, with their values."""
+    yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
+    betters = [(it.better.name, it.better.value) for it in log.scans if it.better]
+    yield from betters[:1]  # each was tried alone
+    specials = (special for topic in log.scans for special in topic.ranges.specials)
+    if {special.no_return for special in specials} - {""} == {"clear"}:
+        yield "no_return", "clear"
+    for concern in log.concerns:
+        yield from (concern.remedy or {}).items()
 
 
 def list_concerns(
@@ -270,23 +274,6 @@ def tell_better(topic: ScanFindings, better: Better) -> str:
 
 def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     """Say what is strange about the mount of a topic, its poses, stamps and ranges."""
-    yield from list_pose_doubts(topic, has_poses)
-    yield from list_clock_faults(topic)
-    for item in topic.ranges.repeated:
-        if not item.is_no_return:
-            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
-            yield Concern(f"{share} and may mean no return")
-    if topic.ranges.body is not None:
-        yield poses.warn_of_body(topic.ranges.body)
-    if not topic.ranges.measured and not topic.is_of_clouds:
-        is_beyond = any(special.name == BEYOND for special in topic.ranges.specials)
-        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
-        no_range = Concern("no range value is a measurement")
-        yield Concern(found, None) if is_beyond else no_range
-
-
-def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
-    """Say what is strange about the mount and the poses of a topic."""
     if topic.mount and topic.mount.better:
         yield warn_of_misfit(topic.mount.better)
     lost = topic.poses.dropped
@@ -298,13 +285,15 @@ def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         found = f"the poses stand still for {end - start:.3g} s, {since:.3f} s after the first scan"
         why = "did odometry stop? map the rest by `start_s` and `end_s`, or give other poses"
         yield Concern(f"{found}, and the scans change all the same: {why}")
+    if not topic.poses.stated:  # else the stamps do not matter
+        yield from list_clock_faults(topic)
+    if not topic.is_of_clouds:
+        yield from list_odd_ranges(topic.ranges)
 
 
 def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
-    """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
+    """Say what is wrong with the stamps of a topic."""
     times = topic.times
-    if topic.poses.stated:
-        return
     if times.all_equal:
         yield Concern("all stamps are equal")
         return
@@ -315,6 +304,23 @@ def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
         if topic.poses.posed and not topic.better:
             found += "; the scans fit no better with the other of the two times"
         yield Concern(found)
+
+
+def list_odd_ranges(ranges: RangeFindings) -> Iterator[Concern]:
+    """Say which ranges may not be measurements, or which of the robot itself."""
+    for item in ranges.repeated:
+        if not item.is_no_return:
+            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
+            yield Concern(f"{share} and may mean no return")
+    if ranges.body is not None:
+        yield poses.warn_of_body(ranges.body)
+    if ranges.measured:
+        return
+    if any(special.name == BEYOND for special in ranges.specials):
+        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
+        yield Concern(found, None)
+    else:
+        yield Concern("no range value is a measurement")
 
 
 __all__ = ["Inspection", "inspect"]
@@ -414,8 +420,6 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     ranked = [] if is_of_clouds else topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
-    agreement = estimate_agreement(topic.sample.parts, options)
     stacked = stack_sample(topic.sample.parts, options.returns)
     found = ScanFindings(
         topic=topic.stream.topic,
@@ -428,15 +432,13 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
-        poses=posed,
-        mount=mount,
-        agreement=agreement,
+        poses=poses.sum_up_poses(topic, posing),
+        mount=poses.describe_mount(topic, posing, options),
+        agreement=estimate_agreement(topic.sample.parts, options),
         frozen_s=find_frozen(stacked),
     )
     better = poses.find_better(log, posing, topic, found, options)
-    is_explained = posed.stated or posed.problem or better or (mount and mount.better)
     if better and better.name == "stamps":
         times = replace(found.times, suggested_stamps=Stamps(better.value))
         found = replace(found, times=times)
-    hint = "" if is_explained else hint_at_tune(agreement, [str(log.path)], options)
-    return replace(found, better=better, hint=hint)
+    return replace(found, better=better)

@@ -206,8 +206,6 @@ class ScanFindings:
     agreement: Share | None
     """Share of the hits of a sample of scans that lie in cells which their map calls occupied;
     null where they make no map"""
-    hint: str = field(default="", metadata=HIDDEN)
-    """What to try where these are few, and nothing else that was found may be why"""
     frozen_s: tuple[float, float] | None = field(default=None, metadata=HIDDEN)
     """When poses stood still though scans changed (s, as stamps are); None: never"""
     better: Better | None = field(default=None, metadata=HIDDEN)
@@ -354,8 +352,7 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
     yield "", describe_times(times)
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
-        share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
-        yield "", share + topic.hint
+        yield "", f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 
