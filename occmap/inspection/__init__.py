@@ -12,22 +12,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
+from operator import itemgetter
 from pathlib import Path
 
-import numpy as np
-
-from occmap.errors import LogError, MapError, OccmapError, UsageError
+from occmap.errors import LogError, OccmapError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
-from occmap.inspection import poses
-from occmap.inspection.findings import (
-    Better,
-    Inspection,
-    LogFindings,
-    MapFindings,
-    RangeFindings,
-    ScanFindings,
-)
+from occmap.inspection import findings, poses
+from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
 from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
@@ -52,27 +44,21 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     """Judge logs by what was found in them, and by the size of the map that they would make."""
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
-    found, too_large, unseen = None, "", ""
+    found, unseen = None, ""
     if box is not None:
         size = box.cols, box.rows, box.cells, box.cells * BYTES_PER_CELL
-        found = MapFindings(lattice.resolution, lattice.measure(box), *size)
-        try:
-            refuse_large(box, lattice, options.max_cells)
-            refuse_long(max(log.longest for log in logs), lattice.resolution)
-        except MapError as error:
-            too_large = str(error)
+        found = findings.MapFindings(lattice.resolution, lattice.measure(box), *size)
     elif posed := [topic for log in logs for topic in log.scans if topic.poses.posed]:
         of_clouds = any(topic.is_of_clouds for topic in posed)
         unseen = "no beam of any scan observes a cell: see the ranges"
         unseen = f"{UNSEEN_CLOUDS}: {MEND_CLOUDS}" if of_clouds else unseen
+    refusal = find_refusal(logs, box, options)
     problems = [log.problem for log in logs if log.problem]
-    mixed = find_mixed(logs, options)
     # That no scan has a pose is why nothing is seen.
-    problems += list_pose_problems(logs, options.posing.stamps) or list(
-        filter(None, [mixed, too_large or unseen])
-    )
+    problems += list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
+    problems = list(filter(None, problems))
 
-    command, differing = ((), ()) if too_large or mixed else recommend(logs, options)
+    command, differing = ((), ()) if refusal else recommend(logs, options)
     if unseen and FLAGS["no_return"] not in command:
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
@@ -87,8 +73,8 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     )
 
 
-def find_mixed(logs: Sequence[LogFindings], options: BuildOptions) -> str:
-    """Say why one build does not take the logs: some hold scans, others clouds; "" if it does."""
+def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
+    """Say why no build takes the logs: some hold scans, others clouds, or the map is too large."""
     kinds = {
         Role.CLOUD if topic.is_of_clouds else Role.SCAN: f"{topic.topic} of {log.path}"
         for log in logs
@@ -96,7 +82,10 @@ def find_mixed(logs: Sequence[LogFindings], options: BuildOptions) -> str:
     }
     try:
         suit_kinds(kinds, options)
-    except UsageError as error:
+        if box is not None:
+            refuse_large(box, Lattice(options.resolution), options.max_cells)
+            refuse_long(max(log.longest for log in logs), options.resolution)
+    except OccmapError as error:
         return str(error)
     return ""
 
@@ -243,16 +232,12 @@ def list_apart(
     """Say if the scans of several topics contradict each other, and whose mount may be why."""
     parts = [part for survey in surveys for part in survey.sample.parts]
     together = estimate_agreement(parts, options) if len(topics) > 1 else None
-    if together is None:
-        return
     alone = {topic.topic: topic.agreement or 0.0 for topic in topics}
-    expected = np.average(
-        [alone[part.batch.topic] for part in parts], weights=[it.batch.ranges.size for it in parts]
-    )
-    if together >= expected - poses.BETTER:
+    by_part = [(alone[part.batch.topic], part.batch.ranges.size) for part in parts]
+    expected = sum(share * size for share, size in by_part) / max(sum(it[1] for it in by_part), 1)
+    if together is None or together >= expected - poses.BETTER:
         return
-    worst, *_ = sorted(alone, key=alone.__getitem__)
-    share, least = alone.pop(worst), min(alone.values())
+    (worst, share), (_, least), *_ = sorted(alone.items(), key=itemgetter(1))
     found = f"{together:.0%} of the hits of a sample of all topics lie in occupied cells"
     if share < least - poses.BETTER:
         found += f", {share:.0%} of those of {worst}, and {least:.0%} or more of each other topic"
@@ -264,7 +249,7 @@ def list_apart(
     yield Concern(f"{found} {mend}; lasers at different heights contradict each other, too")
 
 
-def tell_better(topic: ScanFindings, better: Better) -> str:
+def tell_better(topic: ScanFindings, better: findings.Better) -> str:
     """Say how much better the scans of a topic fit each other with an option."""
     if topic.agreement is None or (better.agreement or 0) <= topic.agreement + poses.BETTER:
         return f"more scans have a pose with {better.option}"
@@ -306,7 +291,7 @@ def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
         yield Concern(found)
 
 
-def list_odd_ranges(ranges: RangeFindings) -> Iterator[Concern]:
+def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
     """Say which ranges may not be measurements, or which of the robot itself."""
     for item in ranges.repeated:
         if not item.is_no_return:
@@ -365,8 +350,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
-        found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
-        problem = f"{log.path}: {found}"
+        lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
+        problem = f"{log.path}: {lack}"
     ground, box = list[str](), survey.extent.box
     if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         below, posed = None, replace(options, posing=poser.options)
@@ -383,7 +368,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
-    findings = LogFindings(
+    found = LogFindings(
         str(log.path),
         streams=tuple(log.streams),
         scans=() if problem else scans,
@@ -393,7 +378,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         longest=survey.extent.longest,
         problem=problem,
     )
-    return replace(findings, concerns=tuple(list_concerns(findings, spoilers, seen, options)))
+    return replace(found, concerns=tuple(list_concerns(found, spoilers, seen, options)))
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
