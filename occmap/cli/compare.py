@@ -180,24 +180,21 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    (first, one), (second, other) = (
-        (describe(half.correction, names), format_gain(half.gain, half.gain_error))
-        for half in finding.halves
-    )
+    first, second = (describe(half.correction, names) for half in finding.halves)
+    one, other = (format_gain(half.gain, half.gain_error) for half in finding.halves)
     if finding.verdict is Verdict.DISAGREE:
         return (
             f"the halves of the scans do not agree: the first gains {one} by {first}, "
             f"the second {other} by {second}"
         )
-    if finding.verdict is Verdict.NOTHING and finding.halves[0].correction == finding.correction:
-        return "nothing to gain"
     gain = format_gain(finding.gain, finding.gain_error)
     halves = f"the first half of the scans gains {one}, the second {other}"
     if finding.verdict is Verdict.FOUND:
         return f"{first} gains {gain}; {halves}"
+    if finding.halves[0].correction == finding.correction:
+        return "nothing to gain"
     why = "too little to show in a map" if finding.gain <= SMALL else "which may be chance"
-    if finding.certain:
-        why = halves
+    why = halves if finding.certain else why
     return f"nothing sure to gain: the best, {first}, gains {gain}, {why}"
 
 

@@ -63,14 +63,8 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
-    return Inspection(
-        logs=tuple(logs),
-        map=found,
-        problems=tuple(problems),
-        warnings=(*damage, *concerns, *differing),
-        command=command,
-        buildable=not problems,
-    )
+    warnings = *damage, *concerns, *differing
+    return Inspection(tuple(logs), found, tuple(problems), warnings, command, not problems)
 
 
 def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
@@ -336,11 +330,11 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
         posing = prepare(log, look_ahead(log, options), options)
     except OccmapError as error:
         return replace(known, problem=str(error.placed(path)))
-    return inspect_log(log, posing, options)
+    return inspect_log(known, log, posing, options)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and sum up."""
+def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
+    """Read the scans of an opened log, and add to what is known of it."""
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
@@ -368,9 +362,8 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
-    found = LogFindings(
-        str(log.path),
-        streams=tuple(log.streams),
+    found = replace(
+        known,
         scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),

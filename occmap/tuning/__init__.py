@@ -161,9 +161,7 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
     """
     timed, place, unsearched = plan_search(scorer)
     time, mount, best = search.find_both(scorer, Correction(), timed, place)
-    deskew = Finding(verdict=Verdict.UNSEEN, correction=best)
-    if timed:
-        deskew = search.find_deskew(scorer, best)
+    deskew = search.find_deskew(scorer, best, timed)
     if deskew.verdict is Verdict.FOUND:
         time, mount, best = search.find_both(scorer, deskew.correction, timed, place)
     if place and mount.verdict is Verdict.UNSEEN:
