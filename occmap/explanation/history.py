@@ -64,9 +64,8 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -
         times = [at for at, build in enumerate(builds) for _ in range(count_uses(hashes, build))]
         if not times:
             refuse_stranger(evidence, log)
-        for at in times:
-            options = recall_build(builds[at], evidence.where, log, given)
-            uses.append(Use(log, hashes, at, options))
+        recalled = [recall_build(builds[at], evidence.where, log, given) for at in times]
+        uses += [Use(log, hashes, *each) for each in zip(times, recalled, strict=True)]
     used = {entry["sha256"] for use in uses for entry in list_trajectory(builds[use.build])}
     idle = given.keys() - used
     if idle:
