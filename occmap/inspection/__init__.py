@@ -351,7 +351,6 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         below, posed = None, replace(options, posing=poser.options)
         try:
             below, ground, posed = find_ground([survey.drive], posed, None)
-            ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
         level = replace(poser, options=posed.posing)

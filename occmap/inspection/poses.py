@@ -255,7 +255,6 @@ SAMPLED = 60
 """Clouds of a log that are looked at, about"""
 LEAST_TILT_DEG = 0.45
 """Poses are off by less, at times."""
-LEAST_SLOPE_DEG = 1.0
 MOST_TILT_DEG = 10.0
 """More is no small error, and linear no more."""
 
@@ -405,15 +404,3 @@ def find_angle(scans: Sequence[PosedScans], axis: Float64) -> float:
     """Find how far from upright an axis of the sensor (3,) is in most scans (degrees)."""
     rise = np.concatenate([each.at_first_beam[1][:, 2] @ axis for each in scans])
     return math.degrees(math.acos(float(np.clip(np.median(rise), -1, 1))))
-
-
-def tell_slope(ground: Ground) -> Iterator[str]:
-    """Say if most of the floor is tilted in the map."""
-    from occmap.clouds.ground import measure_slope  # noqa: PLC0415  late: it brings numba
-
-    angle = math.degrees(math.atan(math.hypot(*measure_slope(ground))))
-    if angle > LEAST_SLOPE_DEG:
-        yield (
-            f"most of the floor is tilted by {angle:.1f} deg in the map: heights count from the "
-            "floor, so that obstacles are right"
-        )
