@@ -353,10 +353,12 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
             below, ground, posed = find_ground([survey.drive], posed, None)
         except OccmapError as error:
             problem = str(error.placed(log.path))
-        level = replace(poser, options=posed.posing)
-        some, box = poses.look_at_clouds(log, level, posed, below)
+        level, box = replace(poser, options=posed.posing), None
+        again = {each.stream.topic: poses.pose_again(each, level) for each in seen}
+        some = {topic: clouds for topic, clouds in again.items() if clouds}
         against = list(poses.list_floor_concerns(some, level, posed, below))
-        if below is not None and not problem:
+        if below is not None:
+            box = poses.enclose_clouds(log, level, posed, below)
             against += poses.list_other_concerns(some, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
