@@ -339,7 +339,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     poser = posing.poser
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
     whole = [] if problem else seen  # a part that was read says nothing of a damaged log
-    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.shapes)
+    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.frames)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
@@ -395,8 +395,7 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
 
 def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
-    is_of_clouds = topic.stream.role is Role.CLOUD
-    ranked = [] if is_of_clouds else topic.shapes.most_common()
+    ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     stacked = stack_sample(topic.sample.parts, options.returns)
@@ -404,7 +403,7 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
         topic=topic.stream.topic,
         type=topic.stream.type,
         frames=tuple(topic.frames),
-        is_of_clouds=is_of_clouds,
+        is_of_clouds=topic.stream.role is Role.CLOUD,
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),

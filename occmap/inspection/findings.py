@@ -32,11 +32,6 @@ class Shape:
     scans: int
     """Scans of this shape"""
 
-    @property
-    def field_of_view(self) -> float:
-        """Angle from the first beam to the last (rad)."""
-        return max(self.beams - 1, 0) * abs(self.angle_increment)
-
 
 @dataclass(frozen=True)
 class Special:
@@ -362,10 +357,10 @@ def list_shapes(topic: ScanFindings) -> Iterator[str]:
     for shape in topic.shapes:
         scans = "" if topic.shape_count == 1 else f"{count(shape.scans, 'scan')}: "
         start, step = math.degrees(shape.angle_min), math.degrees(shape.angle_increment)
+        view = max(shape.beams - 1, 0) * abs(step)
         limit = "without limit" if math.isinf(shape.range_max) else f"to {shape.range_max:.6g} m"
         yield (
-            f"{scans}{count(shape.beams, 'beam')} over "
-            f"{math.degrees(shape.field_of_view):.4g} deg, from {start:.4g} deg every "
+            f"{scans}{count(shape.beams, 'beam')} over {view:.4g} deg, from {start:.4g} deg every "
             f"{step:.3g} deg, ranges from {shape.range_min:.3g} {limit}"
         )
     if topic.shape_count > len(topic.shapes):

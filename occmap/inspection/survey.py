@@ -457,7 +457,6 @@ class TopicSurvey:
         self.stated &= first.pose is not None
         self.frames.setdefault(first.frame)
         if isinstance(first, Cloud):
-            self.shapes[Shape(0, 0.0, math.tau, 0.0, math.inf, scans=0)] += 1
             return
         angles = first.angle_min, first.angle_increment
         shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
