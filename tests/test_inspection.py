@@ -81,7 +81,7 @@ def test_the_room_is_measured(tmp_path: Path) -> None:
     assert found.map.extent == (-5.1, -3.1, 5.1, 3.1)
     assert (found.map.columns, found.map.rows, found.map.file_bytes) == (204, 124, 204 * 124)
     assert (shape.beams, shape.scans, scans.shape_count) == (BEAMS, SCANS, 1)
-    assert shape.field_of_view == pytest.approx(2 * math.pi * (BEAMS - 1) / BEAMS)
+    assert shape.angle_increment == pytest.approx(2 * math.pi / BEAMS)
     assert scans.times.duration_s == SCANS - 1
     assert scans.times.rate_hz == pytest.approx(1)
     assert (scans.poses.stated, scans.poses.posed) == (True, SCANS)

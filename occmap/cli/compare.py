@@ -20,7 +20,7 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
 from occmap.report import count, label_first, write_metres
 from occmap.report.limits import COMPARE, DIFF, TUNE
-from occmap.scoring import SMALL
+from occmap.scoring import SMALL, Gain
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
@@ -152,9 +152,9 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
 
 def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
-    gain = format_gain(tuning.gain, tuning.gain_error)
     found = tuning.correction.is_any
-    gained, rise = (f" -> {tuning.share:.4f}", f", a gain of {gain}") if found else ("", "")
+    gained = f" -> {tuning.share:.4f}" if found else ""
+    rise = f", a gain of {format_gain(tuning)}" if found else ""
     held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     if tuning.deskew.verdict is not Verdict.UNSEEN:
@@ -163,13 +163,11 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     yield f"time     {alone}{format_finding(tuning.time, ['time_s'])}"
     yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
     if tuning.together.verdict is Verdict.FOUND:
-        together = format_finding(tuning.together, ["time_s", "yaw", "x", "y"])
-        yield f"together {together}"
+        yield f"together {format_finding(tuning.together, ['time_s', 'yaw', 'x', 'y'])}"
     yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
     yield f"scored   by {held}, on {maps} each"
     if len(tuning.by_log) > 1:
-        table = [TUNED, *map(list_tuned, tuning.by_log)]
-        yield from ("", *align(table, labels=1), "")
+        yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
     unsure = disagree or found or tuning.is_doubtful or tuning.mount.verdict is Verdict.UNSEEN
     nothing = "nothing is recommended" if unsure else "nothing to gain"
@@ -180,24 +178,21 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    (first, one), (second, other) = (
-        (describe(half.correction, names), format_gain(half.gain, half.gain_error))
-        for half in finding.halves
-    )
+    first, second = (describe(half.correction, names) for half in finding.halves)
+    one, other = map(format_gain, finding.halves)
     if finding.verdict is Verdict.DISAGREE:
         return (
             f"the halves of the scans do not agree: the first gains {one} by {first}, "
             f"the second {other} by {second}"
         )
-    if finding.verdict is Verdict.NOTHING and finding.halves[0].correction == finding.correction:
-        return "nothing to gain"
-    gain = format_gain(finding.gain, finding.gain_error)
+    gain = format_gain(finding)
     halves = f"the first half of the scans gains {one}, the second {other}"
     if finding.verdict is Verdict.FOUND:
         return f"{first} gains {gain}; {halves}"
+    if finding.halves[0].correction == finding.correction:
+        return "nothing to gain"
     why = "too little to show in a map" if finding.gain <= SMALL else "which may be chance"
-    if finding.certain:
-        why = halves
+    why = halves if finding.certain else why
     return f"nothing sure to gain: the best, {first}, gains {gain}, {why}"
 
 
@@ -214,7 +209,7 @@ def list_tuned(tuned: TunedLog) -> list[str]:
         return [tuned.log, *"----"]
     shares = f"{tuned.share_before:.4f}", f"{tuned.share:.4f}"
     agreement = "-" if tuned.agreement is None else f"{tuned.agreement:.1%}"
-    return [tuned.log, *shares, format_gain(tuned.gain, tuned.gain_error), agreement]
+    return [tuned.log, *shares, format_gain(tuned), agreement]
 
 
 def describe(correction: Correction, names: Sequence[str]) -> str:
@@ -230,9 +225,10 @@ def describe(correction: Correction, names: Sequence[str]) -> str:
     return ", ".join(changed) or "no change"
 
 
-def format_gain(gain: float, error: float) -> str:
+def format_gain(it: Gain) -> str:
     """Write a gain and its standard error, where that is known."""
-    return f"{gain:.4f} +- {error:.4f}" if math.isfinite(error) else f"{gain:.4f}"
+    error = f" +- {it.gain_error:.4f}" if math.isfinite(it.gain_error) else ""
+    return f"{it.gain:.4f}{error}"
 
 
 @command(

@@ -6,7 +6,7 @@ Options are read back from the JSON that `write_value` made of them.
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -64,9 +64,8 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -
         times = [at for at, build in enumerate(builds) for _ in range(count_uses(hashes, build))]
         if not times:
             refuse_stranger(evidence, log)
-        for at in times:
-            options = recall_build(builds[at], evidence.where, log, given)
-            uses.append(Use(log, hashes, at, options))
+        recalled = [recall_build(builds[at], evidence.where, log, given) for at in times]
+        uses += [Use(log, hashes, *each) for each in zip(times, recalled, strict=True)]
     used = {entry["sha256"] for use in uses for entry in list_trajectory(builds[use.build])}
     idle = given.keys() - used
     if idle:
@@ -86,21 +85,25 @@ def count_uses(hashes: Iterable[str], build: BuildRecord) -> int:
     return min((held[digest] for digest in hashes), default=0)
 
 
-def list_logs(build: BuildRecord) -> list[str]:
-    """Name the logs of a build: the files, and the folders that were read as one log."""
-    return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in list_inputs(build)))
+def list_logs(build: BuildRecord, but: Collection[str] = ()) -> list[str]:
+    """Name the logs of a build: the files, and the folders that were read as one log.
+
+    Parameters
+    ----------
+    but
+        Hashes of files that are left out.
+    """
+    entries = (entry for entry in list_inputs(build) if entry["sha256"] not in but)
+    return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in entries))
 
 
 def list_missing(evidence: Evidence, uses: Sequence[Use]) -> list[str]:
     """Name the logs that went into the evidence, and that no use reads."""
-    read = {(use.build, digest) for use in uses for digest in use.hashes}
-    missing = (
-        entry["name"].partition("/")[0]
-        for index, build in enumerate(evidence.manifest.builds)
-        for entry in list_inputs(build)
-        if (index, entry["sha256"]) not in read
-    )
-    return list(dict.fromkeys(missing))
+    missing = dict[str, None]()
+    for at, build in enumerate(evidence.manifest.builds):
+        read = {digest for use in uses if use.build == at for digest in use.hashes}
+        missing |= dict.fromkeys(list_logs(build, read))
+    return list(missing)
 
 
 def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Path]) -> BuildOptions:
@@ -184,7 +187,7 @@ def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
 def recall(name: str, plain: Any) -> Any:
     """Turn the value of an option back that was written as JSON.
 
-    JSON has no infinite numbers, and poses and transforms are lists of all their fields.
+    Poses and transforms are lists of all their fields there.
 
     Raises
     ------
@@ -194,9 +197,7 @@ def recall(name: str, plain: Any) -> Any:
     if name not in OPTIONS:
         raise ValueError(f"no option is called {name!r}")
     option = OPTIONS[name]
-    if option.kind is float and isinstance(plain, str):
-        plain = float(plain)
-    elif option.kind is Pose and plain is not None:
+    if option.kind is Pose and plain is not None:
         plain = Pose(*plain)
     elif name == "static_transforms":
         plain = [PoseSample(*[*it[:3], Pose(*it[3]), *it[4:]]) for it in plain]

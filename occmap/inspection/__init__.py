@@ -12,22 +12,21 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
+from operator import itemgetter
 from pathlib import Path
 
-import numpy as np
-
-from occmap.errors import LogError, MapError, OccmapError, UsageError
+from occmap.errors import LogError, OccmapError
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
-from occmap.inspection import poses
-from occmap.inspection.findings import Better, Inspection, LogFindings, MapFindings, ScanFindings
+from occmap.inspection import findings, poses
+from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
 from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
+from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
@@ -45,43 +44,31 @@ def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     """Judge logs by what was found in them, and by the size of the map that they would make."""
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
-    found, too_large, unseen = None, "", ""
+    found, unseen = None, ""
     if box is not None:
         size = box.cols, box.rows, box.cells, box.cells * BYTES_PER_CELL
-        found = MapFindings(lattice.resolution, lattice.measure(box), *size)
-        try:
-            refuse_large(box, lattice, options.max_cells)
-            refuse_long(max(log.longest for log in logs), lattice.resolution)
-        except MapError as error:
-            too_large = str(error)
+        found = findings.MapFindings(lattice.resolution, lattice.measure(box), *size)
     elif posed := [topic for log in logs for topic in log.scans if topic.poses.posed]:
         of_clouds = any(topic.is_of_clouds for topic in posed)
         unseen = "no beam of any scan observes a cell: see the ranges"
         unseen = f"{UNSEEN_CLOUDS}: {MEND_CLOUDS}" if of_clouds else unseen
+    refusal = find_refusal(logs, box, options)
     problems = [log.problem for log in logs if log.problem]
-    mixed = find_mixed(logs, options)
     # That no scan has a pose is why nothing is seen.
-    problems += list_pose_problems(logs, options.posing.stamps) or list(
-        filter(None, [mixed, too_large or unseen])
-    )
+    problems += list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
+    problems = list(filter(None, problems))
 
-    command, differing = ((), ()) if too_large or mixed else recommend(logs, options)
+    command, differing = ((), ()) if refusal else recommend(logs, options)
     if unseen and FLAGS["no_return"] not in command:
         command = ()  # no known option makes a map of these logs
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
-    return Inspection(
-        logs=tuple(logs),
-        map=found,
-        problems=tuple(problems),
-        warnings=(*damage, *concerns, *differing),
-        command=command,
-        buildable=not problems,
-    )
+    warnings = *damage, *concerns, *differing
+    return Inspection(tuple(logs), found, tuple(problems), warnings, command, not problems)
 
 
-def find_mixed(logs: Sequence[LogFindings], options: BuildOptions) -> str:
-    """Say why one build does not take the logs: some hold scans, others clouds; "" if it does."""
+def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
+    """Say why no build takes the logs: some hold scans, others clouds, or the map is too large."""
     kinds = {
         Role.CLOUD if topic.is_of_clouds else Role.SCAN: f"{topic.topic} of {log.path}"
         for log in logs
@@ -89,7 +76,10 @@ def find_mixed(logs: Sequence[LogFindings], options: BuildOptions) -> str:
     }
     try:
         suit_kinds(kinds, options)
-    except UsageError as error:
+        if box is not None:
+            refuse_large(box, Lattice(options.resolution), options.max_cells)
+            refuse_long(max(log.longest for log in logs), options.resolution)
+    except OccmapError as error:
         return str(error)
     return ""
 
@@ -102,11 +92,13 @@ def list_pose_problems(logs: Sequence[LogFindings], stamps: Stamps) -> list[str]
         if "" not in faults:  # else some topic of the log has poses
             found += [f"{log.path}: {fault}" for fault in faults]
     topics = [(log, topic) for log in logs for topic in log.scans]
-    if topics and not found and not any(topic.poses.posed for _, topic in topics):
-        for log, topic in topics:
-            unused = write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})
-            found.append(f"{topic.topic}: {unused}{bridge_clocks(log, topic, stamps)}")
-    return found
+    if found or any(topic.poses.posed for _, topic in topics):
+        return found
+    return [
+        f"{topic.topic}: {write_unused(topic.scans, {**topic.left_out, **topic.poses.dropped})}"
+        f"{bridge_clocks(log, topic, stamps)}"
+        for log, topic in topics
+    ]
 
 
 def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
@@ -128,61 +120,56 @@ def bridge_clocks(log: LogFindings, topic: ScanFindings, stamps: Stamps) -> str:
 def recommend(
     logs: Sequence[LogFindings], options: BuildOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Recommend a command line for the logs that can be mapped.
+    """Recommend a command line for the logs that can be mapped: the options given, then the advice.
 
     Returns
     -------
     command, remarks
-        The words of the line, none where the logs need several; and what there is to say of it.
+        The words of the line, none where nothing helps or the logs need several; and what there is
+        to say of it.
     """
     mapped = [  # with poses, or with an option that gives some
         log for log in logs if any(it.poses.posed or it.better for it in log.scans)
     ]
-    lines = [compose_command([log], options) for log in mapped]
-    if len({(*line[:2], *line[3:-2]) for line in lines}) > 1:
+    advice = [advise(log) for log in mapped]
+    if any(each != advice[0] for each in advice):
         return (), ("the logs need different options: check them one by one",)
-    command = compose_command(mapped, options) if mapped else ()
-    left = [log.path for log in logs if log not in mapped]
-    if command and left:
-        return command, (f"the line leaves out what cannot be mapped: {', '.join(left)}",)
-    return command, ()
+    if not advice or advice[0] is None:
+        return (), ()
+    name, advised = advice[0]
+    command = compose_build([log.path for log in mapped], options, advised)
+    if name == "tune":
+        command = ("occmap", name, *command[2:-2])
+    left = ", ".join(log.path for log in logs if log not in mapped)
+    return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
 
 
-def compose_command(logs: Sequence[LogFindings], options: BuildOptions) -> tuple[str, ...]:
-    """Compose the command line for logs that can be mapped: the options given, then the advice.
+def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
+    """Name the command that makes the best of a log, and the options that it needs.
 
-    Where the poses do not fit the scans, it is the line of `occmap tune`, which looks for the
-    reason. It is empty where nothing helps, or where logs need different options.
+    Where the poses do not fit the scans, it is `occmap tune`, which looks for the reason. None:
+    nothing helps, or the findings ask for two values of an option.
     """
-    paths = [log.path for log in logs]
-    concerns = [concern for log in logs for concern in log.concerns]
-    advised = list_advised(logs)
-    for concern in concerns:
-        for name, value in (concern.remedy or {}).items():
-            if advised.setdefault(name, value) != value:
-                return ()
+    found = list(dict.fromkeys(list_advised(log)))
+    advised = dict(found)
+    is_lost = any(text for text, remedy in log.concerns if remedy is None and ASK_TUNE not in text)
+    if is_lost or len(advised) < len(found):
+        return None
     if advised.keys() & {"poses", "map_frame"}:  # which have no use for a part without jumps
         advised = {name: advised[name] for name in advised if name not in {"start_s", "end_s"}}
-    command = compose_build(paths, options, advised)
-    asking = [each for each in concerns if ASK_TUNE in each.text and each.remedy != {}]
-    if any(each.remedy is None for each in concerns if each not in asking):
-        return ()
-    return ("occmap", "tune", *command[2:-2]) if asking else command
+    return ("tune" if any(ASK_TUNE in text for text, _ in log.concerns) else "build"), advised
 
 
-def list_advised(logs: Sequence[LogFindings]) -> dict[str, str]:
-    """List the options that the findings suggest."""
-    topics = [topic for log in logs for topic in log.scans]
-    advised = {}
-    for topic in topics:
-        if topic.poses.assumed:
-            advised["sensor_pose"] = topic.poses.assumed
-    for better in [topic.better for topic in topics if topic.better][:1]:  # each was tried alone
-        advised[better.name] = better.value
-    advice = {special.no_return for topic in topics for special in topic.ranges.specials} - {""}
-    if advice == {"clear"}:
-        advised["no_return"] = "clear"
-    return advised
+def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
+    """List the options that the findings about a log suggest, with their values."""
+    yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
+    betters = [(it.better.name, it.better.value) for it in log.scans if it.better]
+    yield from betters[:1]  # each was tried alone
+    specials = (special for topic in log.scans for special in topic.ranges.specials)
+    if {special.no_return for special in specials} - {""} == {"clear"}:
+        yield "no_return", "clear"
+    for concern in log.concerns:
+        yield from (concern.remedy or {}).items()
 
 
 def list_concerns(
@@ -239,16 +226,12 @@ def list_apart(
     """Say if the scans of several topics contradict each other, and whose mount may be why."""
     parts = [part for survey in surveys for part in survey.sample.parts]
     together = estimate_agreement(parts, options) if len(topics) > 1 else None
-    if together is None:
-        return
     alone = {topic.topic: topic.agreement or 0.0 for topic in topics}
-    expected = np.average(
-        [alone[part.batch.topic] for part in parts], weights=[it.batch.ranges.size for it in parts]
-    )
-    if together >= expected - poses.BETTER:
+    by_part = [(alone[part.batch.topic], part.batch.ranges.size) for part in parts]
+    expected = sum(share * size for share, size in by_part) / max(sum(it[1] for it in by_part), 1)
+    if together is None or together >= expected - poses.BETTER:
         return
-    worst, *_ = sorted(alone, key=alone.__getitem__)
-    share, least = alone.pop(worst), min(alone.values())
+    (worst, share), (_, least), *_ = sorted(alone.items(), key=itemgetter(1))
     found = f"{together:.0%} of the hits of a sample of all topics lie in occupied cells"
     if share < least - poses.BETTER:
         found += f", {share:.0%} of those of {worst}, and {least:.0%} or more of each other topic"
@@ -260,7 +243,7 @@ def list_apart(
     yield Concern(f"{found} {mend}; lasers at different heights contradict each other, too")
 
 
-def tell_better(topic: ScanFindings, better: Better) -> str:
+def tell_better(topic: ScanFindings, better: findings.Better) -> str:
     """Say how much better the scans of a topic fit each other with an option."""
     if topic.agreement is None or (better.agreement or 0) <= topic.agreement + poses.BETTER:
         return f"more scans have a pose with {better.option}"
@@ -270,23 +253,6 @@ def tell_better(topic: ScanFindings, better: Better) -> str:
 
 def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     """Say what is strange about the mount of a topic, its poses, stamps and ranges."""
-    yield from list_pose_doubts(topic, has_poses)
-    yield from list_clock_faults(topic)
-    for item in topic.ranges.repeated:
-        if not item.is_no_return:
-            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
-            yield Concern(f"{share} and may mean no return")
-    if topic.ranges.body is not None:
-        yield poses.warn_of_body(topic.ranges.body)
-    if not topic.ranges.measured and not topic.is_of_clouds:
-        is_beyond = any(special.name == BEYOND for special in topic.ranges.specials)
-        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
-        no_range = Concern("no range value is a measurement")
-        yield Concern(found, None) if is_beyond else no_range
-
-
-def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
-    """Say what is strange about the mount and the poses of a topic."""
     if topic.mount and topic.mount.better:
         yield warn_of_misfit(topic.mount.better)
     lost = topic.poses.dropped
@@ -298,13 +264,15 @@ def list_pose_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
         found = f"the poses stand still for {end - start:.3g} s, {since:.3f} s after the first scan"
         why = "did odometry stop? map the rest by `start_s` and `end_s`, or give other poses"
         yield Concern(f"{found}, and the scans change all the same: {why}")
+    if not topic.poses.stated:  # else the stamps do not matter
+        yield from list_clock_faults(topic)
+    if not topic.is_of_clouds:
+        yield from list_odd_ranges(topic.ranges)
 
 
 def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
-    """Say what is wrong with the stamps of a topic; those of stated poses do not matter."""
+    """Say what is wrong with the stamps of a topic."""
     times = topic.times
-    if topic.poses.stated:
-        return
     if times.all_equal:
         yield Concern("all stamps are equal")
         return
@@ -315,6 +283,23 @@ def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
         if topic.poses.posed and not topic.better:
             found += "; the scans fit no better with the other of the two times"
         yield Concern(found)
+
+
+def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
+    """Say which ranges may not be measurements, or which of the robot itself."""
+    for item in ranges.repeated:
+        if not item.is_no_return:
+            share = f"{item.value:g} m is {item.share:.0%} of the ranges"
+            yield Concern(f"{share} and may mean no return")
+    if ranges.body is not None:
+        yield poses.warn_of_body(ranges.body)
+    if ranges.measured:
+        return
+    if any(special.name == BEYOND for special in ranges.specials):
+        found = "all ranges lie beyond the limit that the scans state: is one of the two in mm?"
+        yield Concern(found, None)
+    else:
+        yield Concern("no range value is a measurement")
 
 
 __all__ = ["Inspection", "inspect"]
@@ -345,41 +330,41 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
         posing = prepare(log, look_ahead(log, options), options)
     except OccmapError as error:
         return replace(known, problem=str(error.placed(path)))
-    return inspect_log(log, posing, options)
+    return inspect_log(known, log, posing, options)
 
 
-def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and sum up."""
+def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
+    """Read the scans of an opened log, and add to what is known of it."""
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
     seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
     whole = [] if problem else seen  # a part that was read says nothing of a damaged log
-    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.shapes)
+    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.frames)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
-        found = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
-        problem = f"{log.path}: {found}"
+        lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
+        problem = f"{log.path}: {lack}"
     ground, box = list[str](), survey.extent.box
     if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         below, posed = None, replace(options, posing=poser.options)
         try:
             below, ground, posed = find_ground([survey.drive], posed, None)
-            ground += poses.tell_slope(below)
         except OccmapError as error:
             problem = str(error.placed(log.path))
-        level = replace(poser, options=posed.posing)
-        some, box = poses.look_at_clouds(log, level, posed, below)
+        level, box = replace(poser, options=posed.posing), None
+        again = {each.stream.topic: poses.pose_again(each, level) for each in seen}
+        some = {topic: clouds for topic, clouds in again.items() if clouds}
         against = list(poses.list_floor_concerns(some, level, posed, below))
-        if below is not None and not problem:
+        if below is not None:
+            box = poses.enclose_clouds(log, level, posed, below)
             against += poses.list_other_concerns(some, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
-    findings = LogFindings(
-        str(log.path),
-        streams=tuple(log.streams),
+    found = replace(
+        known,
         scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
@@ -387,7 +372,7 @@ def inspect_log(log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
         longest=survey.extent.longest,
         problem=problem,
     )
-    return replace(findings, concerns=tuple(list_concerns(findings, spoilers, seen, options)))
+    return replace(found, concerns=tuple(list_concerns(found, spoilers, seen, options)))
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
@@ -410,33 +395,28 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
 
 def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
-    is_of_clouds = topic.stream.role is Role.CLOUD
-    ranked = [] if is_of_clouds else topic.shapes.most_common()
+    ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    posed, mount = poses.sum_up_poses(topic, posing), poses.describe_mount(topic, posing, options)
-    agreement = estimate_agreement(topic.sample.parts, options)
     stacked = stack_sample(topic.sample.parts, options.returns)
     found = ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
         frames=tuple(topic.frames),
-        is_of_clouds=is_of_clouds,
+        is_of_clouds=topic.stream.role is Role.CLOUD,
         scans=topic.read,
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
         ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
-        poses=posed,
-        mount=mount,
-        agreement=agreement,
+        poses=poses.sum_up_poses(topic, posing),
+        mount=poses.describe_mount(topic, posing, options),
+        agreement=estimate_agreement(topic.sample.parts, options),
         frozen_s=find_frozen(stacked),
     )
     better = poses.find_better(log, posing, topic, found, options)
-    is_explained = posed.stated or posed.problem or better or (mount and mount.better)
     if better and better.name == "stamps":
         times = replace(found.times, suggested_stamps=Stamps(better.value))
         found = replace(found, times=times)
-    hint = "" if is_explained else hint_at_tune(agreement, [str(log.path)], options)
-    return replace(found, better=better, hint=hint)
+    return replace(found, better=better)

@@ -32,11 +32,6 @@ class Shape:
     scans: int
     """Scans of this shape"""
 
-    @property
-    def field_of_view(self) -> float:
-        """Angle from the first beam to the last (rad)."""
-        return max(self.beams - 1, 0) * abs(self.angle_increment)
-
 
 @dataclass(frozen=True)
 class Special:
@@ -206,8 +201,6 @@ class ScanFindings:
     agreement: Share | None
     """Share of the hits of a sample of scans that lie in cells which their map calls occupied;
     null where they make no map"""
-    hint: str = field(default="", metadata=HIDDEN)
-    """What to try where these are few, and nothing else that was found may be why"""
     frozen_s: tuple[float, float] | None = field(default=None, metadata=HIDDEN)
     """When poses stood still though scans changed (s, as stamps are); None: never"""
     better: Better | None = field(default=None, metadata=HIDDEN)
@@ -354,8 +347,7 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
     yield "", describe_times(times)
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
-        share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
-        yield "", share + topic.hint
+        yield "", f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 
@@ -365,10 +357,10 @@ def list_shapes(topic: ScanFindings) -> Iterator[str]:
     for shape in topic.shapes:
         scans = "" if topic.shape_count == 1 else f"{count(shape.scans, 'scan')}: "
         start, step = math.degrees(shape.angle_min), math.degrees(shape.angle_increment)
+        view = max(shape.beams - 1, 0) * abs(step)
         limit = "without limit" if math.isinf(shape.range_max) else f"to {shape.range_max:.6g} m"
         yield (
-            f"{scans}{count(shape.beams, 'beam')} over "
-            f"{math.degrees(shape.field_of_view):.4g} deg, from {start:.4g} deg every "
+            f"{scans}{count(shape.beams, 'beam')} over {view:.4g} deg, from {start:.4g} deg every "
             f"{step:.3g} deg, ranges from {shape.range_min:.3g} {limit}"
         )
     if topic.shape_count > len(topic.shapes):

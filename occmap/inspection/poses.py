@@ -4,7 +4,6 @@ The floor that clouds see says whether a mount, or the poses' up, is wrong.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -29,7 +28,7 @@ from occmap.readers import HoldingFixes, Log
 from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT
 from occmap.scans import mounts
-from occmap.scans.logs import count_scans, read_poser
+from occmap.scans.logs import read_poser
 from occmap.scans.mounts import Posing, estimate_agreement, sample_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
@@ -121,7 +120,12 @@ def pose_sample(
     named = (edge for edge in sources.pose_topics if edge.topic == options.posing.poses)
     sources = replace(sources, trajectory=next(named, sources.trajectory))
     poser = Poser(sources, options.posing)
-    return poser, [it for part in topic.sample.parts for it in poser.attach(part.batch)]
+    return poser, pose_again(topic, poser)
+
+
+def pose_again(topic: TopicSurvey, poser: Poser) -> list[PosedScans]:
+    """Pose the sample of a topic by other poses."""
+    return [posed for part in topic.sample.parts for posed in poser.attach(part.batch)]
 
 
 def share_posed(poser: Poser, topic: TopicSurvey) -> float:
@@ -252,42 +256,23 @@ def describe_mount(
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
-SAMPLED = 60
-"""Clouds of a log that are looked at, about"""
 LEAST_TILT_DEG = 0.45
 """Poses are off by less, at times."""
-LEAST_SLOPE_DEG = 1.0
 MOST_TILT_DEG = 10.0
 """More is no small error, and linear no more."""
 
 
-def look_at_clouds(
-    log: Log, poser: Poser, options: BuildOptions, ground: Ground | None
-) -> tuple[dict[str, list[PosedScans]], CellBox | None]:
-    """Read clouds once more; return some by their topics, and the cells that points observe.
-
-    Parameters
-    ----------
-    ground
-        None where none was found; then no cell is.
-    """
+def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground) -> CellBox | None:
+    """Read clouds once more, and find the cells that their points observe; None: they do none."""
     from occmap.clouds import engine  # noqa: PLC0415  late: it brings numba
-    from occmap.clouds.ground import draw  # noqa: PLC0415  likewise
     from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
 
-    share = SAMPLED / max(count_scans(log, options.selection.topics), 1)
-    some: defaultdict[str, list[PosedScans]] = defaultdict(list)
-    band, lattice = engine.make_band(options.clouds, options.returns), Lattice(options.resolution)
-    extent = None if ground is None else engine.Extent(lattice, ground, band)
-    drive = Drive(log, poser, options)  # which knows by now what leaps away
-    for posed in drive.read(Tally()):
-        drawn = [draw(stamp_ns) < share for stamp_ns in posed.batch.stamp_ns.tolist()]
-        if any(drawn):
-            some[posed.batch.topic].append(posed.take(np.flatnonzero(drawn)))
+    band = engine.make_band(options.clouds, options.returns)
+    extent = engine.Extent(Lattice(options.resolution), ground, band)
+    for posed in Drive(log, poser, options).read(Tally()):  # it knows by now what leaps away
         for cloud in list_clouds(posed):
-            if extent is not None:
-                extent.add(cloud)
-    return some, None if extent is None else extent.box
+            extent.add(cloud)
+    return extent.box
 
 
 def list_floor_concerns(
@@ -406,15 +391,3 @@ def find_angle(scans: Sequence[PosedScans], axis: Float64) -> float:
     """Find how far from upright an axis of the sensor (3,) is in most scans (degrees)."""
     rise = np.concatenate([each.at_first_beam[1][:, 2] @ axis for each in scans])
     return math.degrees(math.acos(float(np.clip(np.median(rise), -1, 1))))
-
-
-def tell_slope(ground: Ground) -> Iterator[str]:
-    """Say if most of the floor is tilted in the map."""
-    from occmap.clouds.ground import measure_slope  # noqa: PLC0415  late: it brings numba
-
-    angle = math.degrees(math.atan(math.hypot(*measure_slope(ground))))
-    if angle > LEAST_SLOPE_DEG:
-        yield (
-            f"most of the floor is tilted by {angle:.1f} deg in the map: heights count from the "
-            "floor, so that obstacles are right"
-        )

@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from occmap import sensor
 from occmap.cells import Box
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
@@ -24,15 +25,7 @@ from occmap.readers import Stream
 from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
-from occmap.sensor import (
-    NoReturn,
-    ReturnOptions,
-    bands,
-    classify,
-    interpret,
-    read_limits,
-    tabulate_bearings,
-)
+from occmap.sensor import ReturnOptions, bands
 from occmap.sensor.models import Spreading
 from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
@@ -187,10 +180,10 @@ def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> flo
         Their share; None where there are too few such beams, or no distance up to which they would
         call space free.
     """
-    options = replace(options, no_return=NoReturn.CLEAR)
+    options = replace(options, no_return=sensor.NoReturn.CLEAR)
     hits, beams = [np.zeros((0, 2))], [np.zeros((0, 5))]
     for part in parts:
-        rays, _ = interpret(part, options)
+        rays, _ = sensor.interpret(part, options)
         limit = part.batch.range_max if options.range_max is None else options.range_max
         lost = (rays.kind == Kind.FREE) & (part.batch.ranges >= as_float32(limit))
         hits.append(rays.end[rays.kind == Kind.HIT])
@@ -258,7 +251,7 @@ def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked
     """Stack the scans of a sample by their form."""
     seen: defaultdict[Form, list[Float64]] = defaultdict(list)
     for part in parts:
-        batch, (kind, reach, _) = part.batch, classify(part.batch, options)
+        batch, (kind, reach, _) = part.batch, sensor.classify(part.batch, options)
         ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
         form = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
         seen[form].append(stack_scans(part, ranges))
@@ -286,7 +279,7 @@ def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | 
     """
     _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
     place, turn = rows[first, 1:3], rows[first, 4:13].reshape(-1, 3, 3)[:, :2, :2]
-    ranges, ways = rows[first, 13:], tabulate_bearings(*form)
+    ranges, ways = rows[first, 13:], sensor.tabulate_bearings(*form)
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
@@ -464,10 +457,9 @@ class TopicSurvey:
         self.stated &= first.pose is not None
         self.frames.setdefault(first.frame)
         if isinstance(first, Cloud):
-            self.shapes[Shape(0, 0.0, math.tau, 0.0, math.inf, scans=0)] += 1
             return
         angles = first.angle_min, first.angle_increment
-        shape = Shape(len(first.ranges), *angles, *read_limits(first), scans=0)
+        shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
         if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
             self.shapes[shape] += some.scans
 
@@ -493,7 +485,7 @@ class Survey(Selector):
             if survey.is_sampled:
                 survey.sample.take(posed)
             if not posed.batch.clouds:
-                self.extent.add(interpret(posed, self.drive.options.returns)[0])
+                self.extent.add(sensor.interpret(posed, self.drive.options.returns)[0])
 
     def look(self, batch: ScanBatch) -> None:
         """Count the ranges of a batch; those of clouds only stand for moments."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.inspection import inspect
+from occmap.inspection import inspect, list_advised
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import LEAST_AGREEMENT
@@ -161,9 +161,7 @@ def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
     """
     timed, place, unsearched = plan_search(scorer)
     time, mount, best = search.find_both(scorer, Correction(), timed, place)
-    deskew = Finding(verdict=Verdict.UNSEEN, correction=best)
-    if timed:
-        deskew = search.find_deskew(scorer, best)
+    deskew = search.find_deskew(scorer, best, timed)
     if deskew.verdict is Verdict.FOUND:
         time, mount, best = search.find_both(scorer, deskew.correction, timed, place)
     if place and mount.verdict is Verdict.UNSEEN:
@@ -184,12 +182,10 @@ def list_other_cures(paths: Sequence[Path], options: BuildOptions) -> Iterator[s
     The scans may fit the other of their two times better, poses may jump, or a laser be turned.
     """
     for log in inspect(paths, options).logs:
-        better = (topic.better for topic in log.scans if topic.better)
-        advice = [each.option for each in better if each.name != "deskew"]  # which is tried here
-        for concern in log.concerns:
-            advice += [f"`{name}={value}`" for name, value in (concern.remedy or {}).items()]
-        if advice:
-            typed = " and ".join(dict.fromkeys(advice))
+        # Poses for single beams are tried here, and what no return means is no fault.
+        cures = [each for each in list_advised(log) if each[0] not in {"deskew", "no_return"}]
+        if cures:
+            typed = " and ".join(f"`{name}={value}`" for name, value in dict.fromkeys(cures))
             yield f"{log.path}: tune again with {typed}, as `occmap check` advises"
 
 

@@ -390,9 +390,9 @@ def is_better(scorer: Scorer, start: Correction, other: Correction) -> bool:
     return start == other or judge(scorer, start, other, [start, other]).verdict is Verdict.FOUND
 
 
-def find_deskew(scorer: Scorer, best: Correction) -> Finding:
+def find_deskew(scorer: Scorer, best: Correction, timed: Sequence[Knob]) -> Finding:
     """Judge whether poses for single beams alone gain on the best that was found without."""
-    if not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
+    if not timed or not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
         return Finding(verdict=Verdict.UNSEEN, correction=best)
     tried = [best, Correction(deskew=True)]
     return judge(scorer, best, max(tried, key=lambda each: scorer.score(each).score.share), tried)

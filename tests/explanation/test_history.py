@@ -267,7 +267,7 @@ def test_an_option_that_was_not_there_yet_has_its_default() -> None:
     ("name", "value", "found"),
     [
         ("smoothing", 3, "no option is called 'smoothing'"),
-        ("resolution", "wide", "could not convert"),
+        ("resolution", "wide", "`resolution` is 'wide'"),
         ("resolution", None, "`resolution` is None"),
         ("update", "circle", "circle"),
         ("model", "clever:p=1", "no model is called"),
