@@ -37,12 +37,14 @@ class Form(NamedTuple):
     """Makes a value of what was given or typed; raises TypeError, ValueError or UsageError"""
     text: str
     """What to type; Python may have it as text, too, or as a tuple of what stands between commas"""
+    write: Callable[[Any], str] | None = None
+    """Writes a value as it is typed; None: as `write_value` does"""
 
 
 def write_value(value: Any) -> str:
     """Write a value, or one item of several, as it is typed."""
     if isinstance(value, Pose):
-        return format_place(value) if value.z else format_mount(value)
+        return format_mount(value)
     if isinstance(value, PoseSample):
         return format_static(value.parent, value.child, value.pose)
     if isinstance(value, tuple):
@@ -58,8 +60,8 @@ def format_mount(pose: Pose) -> str:
 
 
 def format_place(pose: Pose) -> str:
-    """Write a pose as `transform` takes it, with its height: x,y,yaw,z."""
-    return _join([pose.x, pose.y, to_rpy(pose)[2], pose.z])
+    """Write a pose as `transform` takes it: x,y,yaw, and z where it is not 0."""
+    return _join([pose.x, pose.y, to_rpy(pose)[2], *[pose.z] * bool(pose.z)])
 
 
 def format_static(parent: str, child: str, pose: Pose) -> str:
@@ -190,7 +192,9 @@ FORMS: dict[Any, Form] = {
 MOUNT = Form(
     _read_mount, "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
 )
-PLACE = Form(_read_place, "x,y,yaw or x,y,yaw,z in metres and radians, such as 12.5,-3,1.5708")
+PLACE = Form(
+    _read_place, "x,y,yaw or x,y,yaw,z in metres and radians, such as 12.5,-3,1.5708", format_place
+)
 GLOBE = Form(
     lambda value: _read_numbers(value, 3), "latitude,longitude,yaw in degrees, such as 52.5,13.4,30"
 )
@@ -289,7 +293,8 @@ class Option:
     def write(self, value: Any) -> list[str]:
         """Write its value as it is typed, once for each of several."""
         several = value if self.is_many else [value]
-        return [self.none[0] if each is None else write_value(each) for each in several]
+        write = self.form.write or write_value
+        return [self.none[0] if each is None else write(each) for each in several]
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""

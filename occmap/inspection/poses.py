@@ -176,7 +176,8 @@ def tell_fixes(log: Log, poser: Poser) -> Iterator[str]:
     """
     fixes = list(log.fixes()) if isinstance(log, HoldingFixes) else []
     frames = {fix.frame for fix in fixes}
-    poser.find_chains(frames.intersection(edge.child for edge in poser.sources.tree.edges))
+    tree, fixed = poser.sources.tree, poser.fixed or ""
+    poser.find_chains(frame for frame in frames if tree.find_path(fixed, frame))
     of_sensors = (chain for chain in poser.chains.values() if chain)
     chain = next(filter(None, map(poser.chains.get, sorted(frames))), next(of_sensors, None))
     if not fixes or chain is None:

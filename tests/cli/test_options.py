@@ -106,6 +106,19 @@ def test_a_value_may_be_given_as_it_is_typed(name: str, typed: object, value: ob
     assert OPTIONS[name].read(typed) == value
 
 
+@pytest.mark.parametrize(
+    ("name", "pose", "typed"),
+    [
+        ("sensor_pose", Pose.from_xyzrpy((0.1, 0, 0.3), (0, 0.02, 0.5)), "0.1,0,0.5,0,0.02"),
+        ("transform", Pose.planar(1, 2, 0.5)._replace(z=-0.4), "1,2,0.5,-0.4"),
+        ("transform", Pose.planar(1, 2, 0.5), "1,2,0.5"),
+    ],
+)
+def test_a_pose_is_written_as_its_option_takes_it(name: str, pose: Pose, typed: str) -> None:
+    assert OPTIONS[name].write(pose) == [typed]
+    OPTIONS[name].read_one(typed)
+
+
 def test_a_transform() -> None:
     sample = OPTIONS["static_transforms"].read_one("base_link, laser,1,2,3,0,0,0")
     assert (sample.parent, sample.child, sample.static) == ("base_link", "laser", True)
