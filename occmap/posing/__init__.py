@@ -160,7 +160,8 @@ class PosingOptions:
         check_bounds(self)
         is_turn = all(abs(angle) <= 180 for angle in self.level or ())
         require(is_turn, f"no floor is tilted by {self.level}", "give degrees within -180 and 180")
-        poses = {f"the transform {it.parent} -> {it.child}": it.pose for it in self.static_transforms}
+        fixed = self.static_transforms
+        poses = {f"the transform {each.parent} -> {each.child}": each.pose for each in fixed}
         if self.transform:
             poses["the place of the logs' map"] = self.transform
         if self.sensor_pose:
