@@ -162,9 +162,9 @@ def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
         found = next((other for other in others if other in names), "")
         if found and name.removesuffix("_ns") not in names:
             names[names.index(found)] = name
-    if is_ns := "stamp" not in names and "stamp_ns" in names:
-        names = ["stamp" if name == "stamp_ns" else name for name in names]
-    return [name.removeprefix("field.") for name in names], is_ns
+    names = [name.removeprefix("field.") for name in names]
+    is_ns = "stamp" not in names and "stamp_ns" in names
+    return ["stamp" if is_ns and name == "stamp_ns" else name for name in names], is_ns
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -160,11 +160,13 @@ class PosingOptions:
         check_bounds(self)
         is_turn = all(abs(angle) <= 180 for angle in self.level or ())
         require(is_turn, f"no floor is tilted by {self.level}", "give degrees within -180 and 180")
-        poses = [("the place of the logs' map", self.transform)]
-        poses += [("the sensor's pose", self.sensor_pose)]
         fixed = self.static_transforms
-        poses += [(f"the transform {it.parent} -> {it.child}", it.pose) for it in fixed]
-        for name, pose in ((name, pose) for name, pose in poses if pose is not None):
+        poses = {f"the transform {each.parent} -> {each.child}": each.pose for each in fixed}
+        if self.transform:
+            poses["the place of the logs' map"] = self.transform
+        if self.sensor_pose:
+            poses["the sensor's pose"] = self.sensor_pose
+        for name, pose in poses.items():
             is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
             require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")
 

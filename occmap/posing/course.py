@@ -275,7 +275,7 @@ class Course:
         return None
 
     def warn_of_jumps(self, track: Track, first_ns: int) -> Concern | None:
-        """Say if it jumped: where poses are mixed, for that reason, and else as the function does.
+        """Say if it jumped. Where poses are mixed, they jump for no other reason.
 
         Poses beside scans show that only when all of them are known.
         """
