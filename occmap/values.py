@@ -136,7 +136,7 @@ def shorten(value: object) -> str:
 
 COLUMN_NAMES = {
     "stamp": ("timestamp", "time", "t", "timestamp_s", "time_s"),
-    "stamp_ns": ("field.header.stamp", "%time", "timestamp_ns", "time_ns"),
+    "stamp_ns": ("field.header.stamp", "%time", "timestamp_ns", "time_ns", "t_ns"),
     "yaw": ("theta", "heading", "field.theta"),
     "frame": ("field.header.frame_id", "header.frame_id"),
 }

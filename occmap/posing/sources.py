@@ -79,8 +79,7 @@ def gather(
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
     # Of a recording one pose, such as where a robot was said to start, is no trajectory.
     of_other = [edge for edge in _rank(others) if len(edge.track) > 1]
-    tf = (edge for edge in others if edge.source is Source.TF and (topic or not of_other))
-    lent = [edge for edge in tf if edge.topic.startswith(f"{recording}:{topic}")]
+    lent = list(_list_lent(others, topic.strip("/"))) if topic or not of_other else []
     edges = _add_lent([edge for edge in every if edge not in others], lent)
     strangers = find_strangers(edges, topics)
     edges = [edge for edge in edges if edge not in strangers]
@@ -146,6 +145,14 @@ def _build_edges(
     return edges, unusable, changes
 
 
+def _list_lent(others: Iterable[Edge], name: str) -> Iterator[Edge]:
+    """List the transforms of another recording, or those on a topic: with /tf go /tf_static."""
+    for edge in others:
+        own = edge.topic.rpartition(":")[2].strip("/")
+        if edge.source is Source.TF and own in {name or own, f"{name}_static"}:
+            yield edge
+
+
 def _add_lent(edges: Iterable[Edge], lent: Sequence[Edge]) -> list[Edge]:
     """Add transforms of another recording, in place of those between the same frames."""
     replaced = {(edge.parent, edge.child) for edge in lent}
@@ -187,7 +194,7 @@ def _find_trajectory(
     for edge in poses:
         if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
-    if recording is None and last_part(name) in TF_TOPICS - {""}:
+    if ":" not in name and last_part(name) in TF_TOPICS - {""}:
         raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
     held = f"holds no {'such ' if topic else ''}topic of poses"
     found = held if recording else "no such file, and no such topic of poses"
@@ -200,11 +207,11 @@ def _list_beside(
     edges: Iterable[Edge], strangers: Iterable[Edge], topics: Iterable[str]
 ) -> Iterator[str]:
     """Say which transforms are left out as another robot's, and which are of other recordings."""
+    tf = sorted({edge.topic for edge in edges if edge.source is Source.TF})
     if left_out := sorted({edge.topic for edge in strangers}):
-        why = f"they contradict those whose namespace is nearest to {join_names(topics)}"
+        why = f"they contradict {join_names(tf)}, by which {join_names(topics)} goes"
         yield f"transforms on {join_names(left_out)} are left out: {why}"
-    tf = {edge.topic for edge in edges if edge.source is Source.TF}
-    if beside := sorted(topic for topic in tf if ":" in topic):
+    if beside := [topic for topic in tf if ":" in topic]:
         yield f"transforms are taken from {join_names(beside)}, too"
 
 

@@ -57,14 +57,14 @@ def _parse_pose(
 ) -> Row:
     """Parse a line of these columns, with any white space between where `separator` is None.
 
-    Optional columns that are absent are 0. A comma in a number stands for a dot.
+    Optional columns that are absent are 0. Between ; and tabs, a comma in a number is a dot.
 
     Raises
     ------
     ValueError
         There are fewer or more values, or one is no number.
     """
-    if separator == ";":
+    if separator in {";", "\t"}:
         text = text.replace(",", ".")
     fields, expected = text.split(separator), len(columns)
     if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):

@@ -158,7 +158,9 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
     yield from readers.read_poses(log)
     if first := find_first_part(log):
         with suppress(LogError):
-            yield from (each for each in read_beside(open_log(first)) if each.static)
+            part = open_log(first)
+            has_fixed = any(last_part(stream.topic) == "tf_static" for stream in part.streams)
+            yield from (each for each in read_beside(part) if each.static) if has_fixed else ()
     if posing.recording is None:
         return
     path, _ = posing.recording
@@ -310,9 +312,10 @@ MADE = b"\x06\0\0\0occmap", b"#timestamp [ns],p_x [m]"
 
 def is_made(path: Path) -> bool:
     """Whether occmap wrote a file that could be taken for a recording by its name or content."""
-    with suppress(LogError):
-        begin = readers.probe_path(path).raw[:64]
-        return any(mark in begin for mark in MADE)
+    if path.suffix.lower() in {".mcap", ".csv"}:
+        with suppress(LogError):
+            begin = readers.probe_path(path).raw[:64]
+            return any(mark in begin for mark in MADE)
     return False
 
 

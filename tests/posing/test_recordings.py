@@ -97,6 +97,7 @@ def test_the_frames_of_the_other_recording_do_not_mix_with_those_of_the_log(log:
     [
         ("other.bag", "other.bag:/tf, other.bag:/tf_static"),
         ("other.bag:/tf", "other.bag:/tf, other.bag:/tf_static"),
+        ("other.bag:tf", "other.bag:/tf, other.bag:/tf_static"),
         ("other.bag:/tf_static", "other.bag:/tf_static"),
     ],
 )

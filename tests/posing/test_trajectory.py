@@ -49,6 +49,10 @@ TURN = (0, 0, 0.6, 0.8)
         ("timestamp\ttx\tty\ttz\tqx\tqy\tqz\tqw\n3\t1\t2\t4\t0\t0\t0.6\t0.8\n", (1, 2, 4, *TURN)),
         ("t;x;y;z;qx;qy;qz;qw\n3,0;1,0;2;4;0;0;0,6;0,8\n", (1, 2, 4, *TURN)),
         (
+            "t [ns]\tx\ty\tz\tqx\tqy\tqz\tqw\n3000000000\t1,0\t2\t4\t0\t0\t0,6\t0,8\n",
+            (1, 2, 4, *TURN),
+        ),
+        (
             "time [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
             "q_RS_z []\n3000000000,1,2,4,0.8,0,0,0.6\n",
             (1, 2, 4, *TURN),
@@ -56,7 +60,8 @@ TURN = (0, 0, 0.6, 0.8)
     ],
     ids=[
         *("heading", "columns in any order beside others", "quaternion", "byte order mark"),
-        *("units", "tabs", "semicolons and decimal commas", "names of EuRoC"),
+        *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
+        "names of EuRoC",
     ],
 )
 def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
