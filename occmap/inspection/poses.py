@@ -292,8 +292,7 @@ def list_floor_concerns(
         if tilts is None or not LEAST_TILT_DEG < angle < MOST_TILT_DEG:
             continue
         if tilts.is_mount and mount:
-            half_x, half_y, half_z = (tilts.sensor / 2).tolist()
-            small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
+            small = Pose(0.0, 0.0, 0.0, *(tilts.sensor / 2).tolist(), 1.0)
             mended = mount.write(mounts.turn_mount(mount.pose, small))
             found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever"
             yield topic, Concern(f"{found} it goes: its mount is wrong by that", mended)
@@ -370,9 +369,8 @@ def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> 
     """Find out if a sensor sits in another way than its poses say: by far, as in another frame."""
     if mount is None:
         return None
-    on_body = [
-        mounts.mount_scans(each, Transforms.fixed(mount.pose).invert().first) for each in clouds
-    ]
+    body = Transforms.fixed(mount.pose).invert().first
+    on_body = [mounts.mount_scans(each, body) for each in clouds]
     seat = find_seat(on_body)
     if seat is None:
         return None
