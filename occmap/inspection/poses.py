@@ -292,7 +292,8 @@ def list_floor_concerns(
         if tilts is None or not LEAST_TILT_DEG < angle < MOST_TILT_DEG:
             continue
         if tilts.is_mount and mount:
-            small = Pose(0.0, 0.0, 0.0, *(tilts.sensor / 2).tolist(), 1.0)
+            half_x, half_y, half_z = (tilts.sensor / 2).tolist()
+            small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
             mended = mount.write(mounts.turn_mount(mount.pose, small))
             found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever"
             yield topic, Concern(f"{found} it goes: its mount is wrong by that", mended)
