@@ -269,9 +269,8 @@ def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
     """Sum up a difference in a few rows."""
     known = f"{difference.share:.3%} of {count(difference.known, 'known cell')}"
     by_class = [f"{cells:,} {name}" for name, cells in difference.changed.items() if cells]
-    yield from label_first(
-        "changed", [f"{count(difference.changed_cells, 'cell')}, {known}", *by_class]
-    )
+    total = f"{count(difference.changed_cells, 'cell')}, {known}"
+    yield from label_first("changed", [total, *by_class])
     if difference.edited is not None:
         yield "edits", f"{count(difference.edited, 'changed cell')} in shapes that were drawn"
     if difference.largest:

@@ -182,10 +182,8 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
         yield from list_builds(explanation)
     elif explanation.verdict != "unknown":
-        yield (
-            "seen",
-            "nothing of its own: hits of the cells beside it count here in part (--spread)",
-        )
+        beside = "hits of the cells beside it count here in part (--spread)"
+        yield "seen", f"nothing of its own: {beside}"
     if explanation.ground is not None:
         yield "ground", f"{explanation.ground:.3f} m high there, as the clouds showed it"
     if box := explanation.map_extent:

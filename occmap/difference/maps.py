@@ -174,13 +174,9 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     x, y, *_ = made.extent
     classes = classify_blocks(made, thresholds)
     inputs = (entry["sha256"] for build in saved.manifest.builds for entry in list_inputs(build))
+    place, turn = Place(made.resolution, x, y), str(saved.manifest.align or "")
     return ClassMap(
-        path,
-        classes,
-        Place(made.resolution, x, y),
-        evidence=identify(saved),
-        align=str(saved.manifest.align or ""),
-        inputs=frozenset(inputs),
+        path, classes, place, evidence=identify(saved), align=turn, inputs=frozenset(inputs)
     )
 
 
@@ -252,9 +248,8 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
     if not isinstance(image, str):
         raise MapError("names no image", where=path, fix="add a line such as `image: map.pgm`")
     if mode not in list(MapMode):
-        raise MapError(
-            f"{brief(mode)} is not a mode of a map", where=path, fix="trinary, scale or raw"
-        )
+        found = f"{brief(mode)} is not a mode of a map"
+        raise MapError(found, where=path, fix="trinary, scale or raw")
     resolution, occupied, free = (
         parse_number(path, name, values.get(name))
         for name in ("resolution", "occupied_thresh", "free_thresh")

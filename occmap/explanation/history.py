@@ -287,10 +287,8 @@ class Cell:
     def read_slices(self, evidence: Evidence) -> list[Slices]:
         """Take from each layer of slices, one of each build, that of the cell's tile."""
         tile = self.row // TILE, self.column // TILE
-        layers = evidence.slices
-        return [
-            tiles.take(each, np.flatnonzero((each.tiles == tile).all(axis=1))) for each in layers
-        ]
+        mine = [np.flatnonzero((each.tiles == tile).all(axis=1)) for each in evidence.slices]
+        return [tiles.take(*each) for each in zip(evidence.slices, mine, strict=True)]
 
     def read_around(self, grid: TileGrid) -> list[list[Seen]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.

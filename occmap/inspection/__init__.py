@@ -26,7 +26,7 @@ from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT
+from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
@@ -128,9 +128,8 @@ def recommend(
         The words of the line, none where nothing helps or the logs need several; and what there is
         to say of it.
     """
-    mapped = [  # with poses, or with an option that gives some
-        log for log in logs if any(it.poses.posed or it.better for it in log.scans)
-    ]
+    # Those with poses, or with an option that gives some.
+    mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
     advice = [advise(log) for log in mapped]
     if any(each != advice[0] for each in advice):
         return (), ("the logs need different options: check them one by one",)
@@ -419,4 +418,7 @@ def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) 
     if better and better.name == "stamps":
         times = replace(found.times, suggested_stamps=Stamps(better.value))
         found = replace(found, times=times)
-    return replace(found, better=better)
+    is_known = found.poses.stated or found.poses.problem or better
+    is_explained = is_known or (found.mount and found.mount.better)
+    hint = "" if is_explained else hint_at_tune(found.agreement, [str(log.path)], options)
+    return replace(found, better=better, hint=hint)

@@ -201,6 +201,8 @@ class ScanFindings:
     agreement: Share | None
     """Share of the hits of a sample of scans that lie in cells which their map calls occupied;
     null where they make no map"""
+    hint: str = field(default="", metadata=HIDDEN)
+    """What to try where these are few, and nothing else that was found may be why"""
     frozen_s: tuple[float, float] | None = field(default=None, metadata=HIDDEN)
     """When poses stood still though scans changed (s, as stamps are); None: never"""
     better: Better | None = field(default=None, metadata=HIDDEN)
@@ -347,7 +349,8 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
     yield "", describe_times(times)
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
-        yield "", f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
+        share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
+        yield "", share + topic.hint
     if topic.mount is not None:
         yield "sensor", describe_mount(topic.mount, topic.poses)
 
@@ -423,9 +426,8 @@ def describe_mount(mount: MountFindings, poses: PoseFindings) -> str:
     parts = ["upside down"] if mount.upside_down else []
     parts += [f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level", f"height {mount.height:.3g} m"]
     if poses.assumed:
-        parts.append(
-            "turn not known: measure it" if poses.is_guess else "turn found from the scans"
-        )
+        turn = "not known: measure it" if poses.is_guess else "found from the scans"
+        parts.append(f"turn {turn}")
     return ", ".join(parts)
 
 

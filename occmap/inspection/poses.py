@@ -372,9 +372,8 @@ def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> 
     """Find out if a sensor sits in another way than its poses say: by far, as in another frame."""
     if mount is None:
         return None
-    on_body = [
-        mounts.mount_scans(each, Transforms.fixed(mount.pose).invert().first) for each in clouds
-    ]
+    body = Transforms.fixed(mount.pose).invert().first
+    on_body = [mounts.mount_scans(each, body) for each in clouds]
     seat = find_seat(on_body)
     if seat is None:
         return None

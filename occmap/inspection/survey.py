@@ -506,7 +506,5 @@ class Survey(Selector):
         """Say which clouds are left out, and where only some of very many topics are sampled."""
         yield from self.drive.list_left()
         if len(self.topics) > SAMPLED_TOPICS:
-            yield (
-                f"the mount and the agreement are estimated for {SAMPLED_TOPICS} of "
-                f"{len(self.topics):,} topics with scans"
-            )
+            some = f"{SAMPLED_TOPICS} of {len(self.topics):,} topics with scans"
+            yield f"the mount and the agreement are estimated for {some}"

@@ -222,21 +222,20 @@ def hint_at_tune(agreement: float | None, logs: Sequence[str], options: BuildOpt
     return f"; walls may be doubled: `occmap tune {named}` looks for a wrong clock or mount"
 
 
-def tell_map(grid: MapSummary, hint: str = "") -> list[Row]:
+def tell_map(grid: MapSummary, hint: str = "") -> Iterator[Row]:
     """Say how large a map is, what its cells are, how well scans fit it, and how it was made."""
     size = f"{grid.columns:,} x {grid.rows:,} cells of {grid.resolution:g} m"
     turned = f", turned by {grid.align:g} degrees" if grid.align else ""
+    yield "map", f"{size}, {write_box(grid.extent)}{turned}"
     # Between occupied and free there may be undecided cells.
     shares = {name: getattr(grid, name) for name in ("occupied", "free", "unknown", "undecided")}
     told = [name for name, share in shares.items() if share > 5e-4 or name == "occupied"]
-    cells = ", ".join(f"{shares[name]:.1%} {name}" for name in told)
-    rows = [("map", f"{size}, {write_box(grid.extent)}{turned}"), ("cells", cells)]
+    yield "cells", ", ".join(f"{shares[name]:.1%} {name}" for name in told)
     if grid.agreement is not None:
-        found = f"{grid.agreement:.1%} of the hits lie in occupied cells"
-        rows.append(("agree", found + hint))
+        yield "agree", f"{grid.agreement:.1%} of the hits lie in occupied cells{hint}"
     passes = "" if grid.min_passes is None else f", hits of {grid.min_passes} visits or more"
     model = shorten_model(parse_model(grid.model))
-    return [*rows, ("update", f"{grid.update}, model {model}{passes}")]
+    yield "update", f"{grid.update}, model {model}{passes}"
 
 
 def tell_scans(report: Report) -> list[Row]:

@@ -230,8 +230,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
         notes.append(f"{found}; {fix}")
         return timed, [], notes
     if not travels:
-        needed = f"more than {TRAVEL_M:g} m of travel"
-        notes.append(f"the yaw of the mount is not searched: it takes {needed}")
+        notes.append(f"the yaw of the mount is not searched: it takes {TRAVEL_M:g} m of travel")
     if not turns:
         notes.append(f"x and y of the mount are not searched: it takes a turn of {TURN_RAD:g} rad")
     return timed, [search.YAW] * travels + [search.X, search.Y] * turns, notes

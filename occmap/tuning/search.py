@@ -103,12 +103,9 @@ def keep_logs(reading: Reading) -> list[KeptLog]:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
     kept = [drop_outer(log, reading.options.posing, FIRST_REACH_S) for log in kept]
     if not any(log.scans for log in kept):
-        raise PoseError(
-            f"no scan has a pose both {FIRST_REACH_S:g} s before its time and {FIRST_REACH_S:g} s "
-            "after it",
-            where=", ".join(remarks.logs),
-            fix="give a longer log",
-        )
+        reach = f"{FIRST_REACH_S:g} s"
+        found = f"no scan has a pose both {reach} before its time and {reach} after it"
+        raise PoseError(found, where=", ".join(remarks.logs), fix="give a longer log")
     return kept
 
 
@@ -349,9 +346,8 @@ def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) ->
     scorer.score(start)
     earlier = scorer.tried.keys() - {start}
     best = find_best(scorer, start, knobs)
-    return judge(
-        scorer, start, best, [it for it in scorer.tried if it not in earlier or it == best]
-    )
+    tried = [each for each in scorer.tried if each not in earlier or each == best]
+    return judge(scorer, start, best, tried)
 
 
 def judge(
