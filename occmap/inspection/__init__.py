@@ -162,13 +162,19 @@ def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
 def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
     """List the options that the findings about a log suggest, with their values."""
     yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
-    betters = [(it.better.name, it.better.value) for it in log.scans if it.better]
-    yield from betters[:1]  # each was tried alone
+    betters = [it.better for it in log.scans if it.better and suits_all(it.better, it, log.scans)]
+    yield from ((it.name, it.value) for it in betters[:1])  # each was tried alone
     specials = (special for topic in log.scans for special in topic.ranges.specials)
     if {special.no_return for special in specials} - {""} == {"clear"}:
         yield "no_return", "clear"
     for concern in log.concerns:
         yield from (concern.remedy or {}).items()
+
+
+def suits_all(better: findings.Better, topic: ScanFindings, topics: Sequence[ScanFindings]) -> bool:
+    """Whether an option that suits a topic takes no ranges from others, which may reach farther."""
+    farthest = [it.ranges.largest for it in topics if it is not topic]
+    return better.name != "range_max" or not any(it > float(better.value) for it in farthest)
 
 
 def list_concerns(
@@ -187,6 +193,7 @@ def list_concerns(
         Of its topics, with samples of their scans.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
+    lost = {name for name, concern in spoilers if concern.remedy is None}
     found = []
     for topic in log.scans:
         others = [other for other in log.scans if other is not topic]
@@ -196,7 +203,7 @@ def list_concerns(
             mine.append(Concern(tell_better(topic, topic.better)))
         elif all(concern.remedy == {} for concern in mine):  # else the reason is known
             mine += doubt_poses(topic, others)
-        elif len(others) == 1 and others[0].poses.posed:  # which is mapped where nothing helps
+        elif len(others) == 1 and others[0].poses.posed and others[0].topic not in lost:
             only = {"topics": others[0].topic}
             left = f"; `topics={others[0].topic}` leaves it out"
             mine = [it if it.remedy is not None else Concern(it.text + left, only) for it in mine]
@@ -278,10 +285,7 @@ def list_clock_faults(topic: ScanFindings) -> Iterator[Concern]:
     if times.jumps_back:
         yield Concern(f"stamps jump back {count(times.jumps_back, 'time')}")
     if abs(times.drift_s) > poses.DRIFT_S:
-        found = f"stamps drift by {times.drift_s:.3g} s against the record times"
-        if topic.poses.posed and not topic.better:
-            found += "; the scans fit no better with the other of the two times"
-        yield Concern(found)
+        yield Concern(f"stamps drift by {times.drift_s:.3g} s against the record times")
 
 
 def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:

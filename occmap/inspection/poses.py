@@ -84,7 +84,8 @@ def list_others(
         return
     if way.interval_s > (options.max_pose_gap_s or math.inf):
         yield "max_pose_gap_s", f"{2 * way.interval_s:.3g}"
-    is_poor = topic.posed == 0 or (found.agreement or 1.0) < DOUBTFUL_AGREEMENT
+    share = found.agreement
+    is_poor = topic.posed == 0 or (share is not None and share < DOUBTFUL_AGREEMENT)
     is_timed = abs(times.drift_s) <= DRIFT_S and not times.jumps_back
     if is_poor or not is_timed or topic.posed < WELL_POSED * found.kept:
         yield from (("stamps", each.value) for each in Stamps if each is not options.stamps)

@@ -340,7 +340,7 @@ def list_disagreement(
     Times matter only where poses were `looked_up` by them.
     """
     if facts.agreement and facts.agreement < LEAST_AGREEMENT:
-        timed = "`stamps=record`, `occmap tune`, `deskew=on` or " if looked_up else ""
+        timed = "`occmap tune`, `deskew=on` or " if looked_up else ""
         less = ", or `min_passes` takes away what they hit" if min_passes else ""
         yield (
             f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
