@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,14 @@ _TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
 """By what stands between cells: makes commas of these, and dots of commas within numbers"""
 
 
-def split_names(text: str) -> tuple[list[str], bool]:
-    """Split a header row, which may stand behind a #, as `split_header` does."""
+@lru_cache(maxsize=32)
+def split_names(text: str) -> tuple[Sequence[str], bool]:
+    """Split a header row, which may stand behind a #, as `split_header` does.
+
+    Cached, since a header of many beams is looked at several times.
+    """
     names, is_ns = split_header(text.lstrip("# "), find_separator(text) or ",")
-    return [_BEAM.sub(r"r\1", name) for name in names], is_ns
+    return tuple(_BEAM.sub(r"r\1", name) for name in names), is_ns
 
 
 def is_header(text: str, stated: Collection[str]) -> bool:
@@ -97,7 +102,7 @@ def read_value(name: str, text: str) -> Any:
     return float(as_float32(value)) if name in LIMITS else value
 
 
-def _find_fault(names: list[str], given: set[str]) -> tuple[str, str] | None:
+def _find_fault(names: Sequence[str], given: set[str]) -> tuple[str, str] | None:
     """Find what is wrong with the columns and constants given: the fault, and what to do."""
     repeated = (name for name, count in Counter(names).items() if name and count > 1)
     if (twice := next(repeated, None)) is not None:
