@@ -193,7 +193,7 @@ def tell_fixes(log: Log, poser: Poser) -> Iterator[str]:
     *_, error = fit_globe(known)
     zero, yaw, error = fit_globe(known[error <= OUTLIER * np.median(error)])
     residual, reach = float(np.median(error)), math.hypot(*known[:, :2].std(axis=0))
-    if reach < LEAST_REACH * residual:
+    if reach <= LEAST_REACH * residual:
         yield f"satellite positions lie {residual:.2f} m off a way that reaches {reach:.2f} m"
         return
     positions = count(len(error), "satellite position")
@@ -224,11 +224,11 @@ def fit_globe(known: Float64) -> tuple[tuple[float, float], float, Float64]:
     east_m = math.radians(1) * EQUATOR_M / math.sqrt(bend) * math.cos(math.radians(latitude))
     here = known[:, 0] + 1j * known[:, 1]
     there = (known[:, 3] - longitude) * east_m + 1j * (known[:, 2] - latitude) * north_m
-    turn = np.vdot(here - here.mean(), there - there.mean())
-    turn /= abs(turn)
+    angle = float(np.angle(np.vdot(here - here.mean(), there - there.mean())))
+    turn = np.exp(1j * angle)
     at = there.mean() - here.mean() * turn
     zero = latitude + at.imag / north_m, longitude + at.real / east_m
-    return zero, math.degrees(np.angle(turn)), np.abs(here * turn + at - there)
+    return zero, math.degrees(angle), np.abs(here * turn + at - there)
 
 
 def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:

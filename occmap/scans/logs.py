@@ -87,9 +87,8 @@ def suit_kinds(kinds: Mapping[Role, str], options: BuildOptions) -> BuildOptions
     is_radial = isinstance(options.model, RadialModel)
     require(not is_radial, f"{found} a model of beams does not take", "try `model=counting`")
     model = options.model
-    if isinstance(
-        model, CountingModel
-    ):  # what the user changed of it is changed of that for clouds
+    # What the user changed of it is changed of that for clouds.
+    if isinstance(model, CountingModel):
         usual = vars(choose_model(options.update))
         chosen = {name: value for name, value in vars(model).items() if value != usual[name]}
         model = replace(choose_model(Update.CLOUD), **chosen)

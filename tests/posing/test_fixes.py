@@ -10,7 +10,7 @@ import pytest
 from rasterio.warp import transform
 
 import occmap
-from tests.readers.ros import ROS2, SECOND, Written, drive, header, write_mcap
+from tests.readers.ros import ROS2, SECOND, Written, drive, header, transforms, write_mcap
 
 GLOBE = (52.5, 13.4, 30.0)
 PLANE = "+proj=aeqd +lat_0=52.5 +lon_0=13.4 +datum=WGS84 +units=m"
@@ -34,11 +34,17 @@ def fix(stamp_ns: int, latitude: float, longitude: float, status: int, frame: st
     return Written("/fix", stamp_ns, made)
 
 
-def check(path: Path, wrong: Wrong, frame: str = "base", positions: int = SCANS) -> str:
+def check(
+    path: Path, wrong: Wrong, frame: str = "base", positions: int = SCANS, moves: bool = True
+) -> str:
     """What is told of a drive along x; a receiver in a frame that nobody knows is at the laser."""
     log = drive(ROS2, SCANS)
+    if not moves:
+        log = [each for each in log if each.topic != "/tf"]
+        stamps = [(k + 1) * SECOND + 5 for k in range(SCANS)]
+        log += [Written("/tf", at, transforms(ROS2, at, [("/odom", "base", 0.0)])) for at in stamps]
     for k in range(positions):
-        x, y = (0.5 * k, 2.0) if frame == "base" else (0.5 * k - 0.25, 0.0)
+        x, y = (0.5 * k * moves, 2.0) if frame == "base" else (0.5 * k - 0.25, 0.0)
         lat, lon = find_globe(x, y)
         right, up, status = wrong.get(k, (0.0, 0.0, 0))
         log.append(fix((k + 1) * SECOND + 5, lat + up, lon + right, status, frame))
@@ -67,3 +73,4 @@ def test_positions_that_tell_too_little_are_told(tmp_path: Path) -> None:
     assert check(tmp_path, {}, positions=9).startswith("only 9 satellite positions")
     noisy = {k: (1e-3 * (k % 2), 1e-3 * (k % 3), 0) for k in range(SCANS)}
     assert "m off a way that reaches" in check(tmp_path, noisy)
+    assert "m off a way that reaches 0.00 m" in check(tmp_path, {}, moves=False)
