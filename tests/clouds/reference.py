@@ -2,6 +2,7 @@
 
 import math
 from collections import defaultdict
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,9 @@ from occmap.types import Float64, PosedScans
 from tests.grid.reference import Cell, bresenham
 
 NONE = -(1 << 30)
+METRE = 5120
+"""Lattice units, 256 to a cell of 5 cm"""
+COLUMN, STEP = 0.15 * METRE, 0.075 * METRE
 
 
 def find_height(ground: dict[Cell, int], x: float, y: float) -> int | None:
@@ -93,31 +97,28 @@ class SlowEngine:
             self.cells[cell] = find_height(self.ground, x, y)
         return self.cells[cell]
 
-    def find_rim(
-        self, start: tuple[int, int], away: tuple[int, int], floor: int, share: float
-    ) -> tuple[int, int]:
-        """Where the floor ends before the place at which a ray goes through it; 0, 0: nowhere."""
-        pace = 0.5 * 768 / math.hypot(*away)  # half a column
-        ahead = min(max(int((1 - share) / pace) - 3, 0), 12)
-        for steps in range(-ahead, 21):
-            at = share - steps * pace
-            x, y = (math.floor(a + at * b) for a, b in zip(start, away, strict=True))
-            column = y // 768, x // 768
-            if at < 2 * pace or column not in self.ground:
-                return 0, 0
-            if column in self.measured:
-                is_rim = steps > 0 and abs(self.ground[column] - floor) <= 80
-                right, up = (math.floor(each * (at - 4 / 3 * pace)) for each in away)
-                return (right, up) if is_rim else (0, 0)
-        return 0, 0
-
     def find_drop(
-        self, start: tuple[int, int], away: tuple[int, int], below: tuple[int, float], rise: float
+        self, start: tuple[int, int], away: tuple[int, int], floor: int, share: float, rise: float
     ) -> list[Seen]:
-        """The hit where the floor ends before a point that lies below it, if there is one."""
-        right, up = self.find_rim(start, away, *below)
-        if (right, up) == (0, 0):
+        """The hit where measured floor ends before a point that lies below it, if there is one.
+
+        The ray goes through the floor's height at a share of its way.
+        """
+        reach = math.hypot(*away)
+        through = share * reach
+        beyond = min(12, max(0, math.floor((reach - through) / STEP) - 3))
+        ray = []
+        for at in (through - number * STEP for number in range(-beyond, 21)):
+            x, y = (a + at / reach * b for a, b in zip(start, away, strict=True))
+            ray.append((at, (math.floor(y / COLUMN), math.floor(x / COLUMN))))
+        known = takewhile(lambda it: it[0] >= 0.15 * METRE and it[1] in self.ground, ray)
+        measured = [(at, column) for at, column in known if column in self.measured]
+        if not measured or measured[0][0] >= through:
             return []
+        at, column = measured[0]
+        if abs(self.ground[column] - floor) > 80:
+            return []
+        right, up = (math.floor((at - 0.1 * METRE) / reach * each) for each in away)
         cell, apart = ((start[1] + up) // 256, (start[0] + right) // 256), right**2 + up**2
         return [Seen(cell, find_sector(*away), apart, rise / math.sqrt(apart))]
 
@@ -145,8 +146,8 @@ class SlowEngine:
             margin = max(self.options.range_margin * distance - 0.096, 0)
             if round(z * 1000) - ground <= -1500 * (low + margin):
                 rise = ground - origin[2] * 1000
-                below = ground, rise / (rise + above * 1000)
-                hits += self.find_drop(start, (right, up), below, rise)
+                share = rise / (rise + above * 1000)
+                hits += self.find_drop(start, (right, up), ground, share, rise)
             if not has_ground:
                 continue
             if abs(above) < low:
