@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from occmap.choices import read_options
+from occmap.options import FLAGS, BuildOptions
 from occmap.types import Float32, Float64
 from tests.readers.ros import ROS1, SECOND, Written, scan, transforms, write_bag1
 
@@ -139,3 +141,10 @@ def _transform(
     )
     placed.rotation = type(placed.rotation)(sr * cy, sr * sy, cr * sy, cr * cy)
     return message
+
+
+def read_line(command: Sequence[str]) -> BuildOptions:
+    """The options of a line that check recommends."""
+    names, words = {flag: name for name, flag in FLAGS.items()}, command[3:-2]
+    given = {names[flag]: value for flag, value in zip(words[::2], words[1::2], strict=True)}
+    return read_options(BuildOptions, given, "build_map")
