@@ -12,9 +12,11 @@ import numpy as np
 from occmap.choices import read_options
 from occmap.options import FLAGS, BuildOptions
 from occmap.types import Float32, Float64
+from tests.csv_logs import write_scans
 from tests.readers.ros import ROS1, SECOND, Written, scan, transforms, write_bag1
 
 BEAMS = 90
+STEP = 2 * math.pi / BEAMS
 HALF_WIDTH, HALF_HEIGHT = 5.0, 3.0
 SCANS = 40
 
@@ -60,7 +62,7 @@ class Drive:
 def write_csv(
     path: Path,
     drive: Drive,
-    limit: str = "30",
+    limit: float = 30.0,
     poses: Sequence[tuple[float, float, float]] = (),
     first: int = 0,
 ) -> Path:
@@ -68,14 +70,12 @@ def write_csv(
 
     Poses may be given, in another frame.
     """
-    names = ",".join(f"r{i}" for i in range(BEAMS))
-    geometry = f"# angle_min: 0\n# angle_increment: {2 * math.pi / BEAMS}\n"
-    lines = [f"{geometry}# range_min: 0.2\n# range_max: {limit}\nstamp,x,y,yaw,{names}"]
-    for index, (x, y, yaw) in enumerate(poses or map(drive.pose, range(SCANS)), first):
-        beams = ",".join(map(str, drive.ranges(index)))
-        lines.append(f"{100 + index},{x},{y},{yaw + drive.mount},{beams}")
-    path.write_text("\n".join(lines) + "\n")
-    return path
+    at = np.array(poses or list(map(drive.pose, range(SCANS))))
+    at[:, 2] += drive.mount
+    numbers = range(first, first + len(at))
+    seen = [drive.ranges(number) for number in numbers]
+    shape = {"angle_min": 0, "angle_increment": STEP, "range_min": 0.2, "range_max": limit}
+    return write_scans(path, np.array(numbers) + 100, seen, at, **shape)
 
 
 def write_bag(
@@ -122,8 +122,8 @@ def _scan(stamp_ns: int, frame: str, ranges: Float32, increment: float) -> Any:
     return replace(
         scan(ROS1, stamp_ns, frame, ranges),
         angle_min=0.0,
-        angle_max=2 * math.pi * (BEAMS - 1) / BEAMS,
-        angle_increment=2 * math.pi / BEAMS,
+        angle_max=STEP * (BEAMS - 1),
+        angle_increment=STEP,
         time_increment=increment,
         range_min=0.2,
     )

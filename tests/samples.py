@@ -1,7 +1,6 @@
 """Where logs are for tests: the sample logs, real ones, and small ones written by hand."""
 
 import importlib
-import itertools
 import os
 import sys
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from occmap.options import BuildOptions
 from occmap.sensor.models import SimpleModel
 from occmap.types import ScanBatch, Update
+from tests.csv_logs import write_scans
 
 PLAIN = BuildOptions(update=Update.BEAM, model=SimpleModel(spread=0.0), hit_offset=0.0, jobs=1)
 """Each beam by itself, ends where they were measured: what a hand can work out"""
@@ -73,28 +73,18 @@ def write_csv(
     every: int = 1,
 ) -> Path:
     """Write a log of a scan every second, all with the same ranges, beams `step` radians apart."""
-    beams = ",".join(f"r{beam}" for beam in range(len(ranges)))
-    head = f"# angle_min: 0\n# angle_increment: {step}\n# range_max: 1e6\nstamp,x,y,yaw,{beams}\n"
-    cells = ",".join(map(str, ranges))
-    seconds = itertools.count(start, every)
-    rows = [f"{t},{x},{y},{yaw},{cells}\n" for t, (x, y, yaw) in zip(seconds, poses, strict=False)]
-    path.write_text(head + "".join(rows))
-    return path
+    stamps = start + every * np.arange(len(poses))
+    shape = {"angle_min": 0, "angle_increment": step, "range_max": 1e6}
+    return write_scans(path, stamps, [ranges] * len(poses), poses, **shape)
 
 
 def write_late(path: Path, scans: int, marked_from: int) -> Path:
     """A log whose laser writes 30 m where nothing came back, though not before some scan."""
-    beams = 60
-    names = ",".join(f"r{beam}" for beam in range(beams))
-    head = f"# angle_min: 0\n# angle_increment: 0.02\nstamp,x,y,yaw,{names}\n"
-    rows = []
-    for number in range(scans):
-        ranges = [2 + 0.05 * beam + 0.01 * (number % 7) for beam in range(beams)]
-        if number >= marked_from:
-            ranges[::5] = [30.0] * len(ranges[::5])
-        rows.append(f"{number},0,{0.01 * number},0,{','.join(f'{r:.2f}' for r in ranges)}\n")
-    path.write_text(head + "".join(rows))
-    return path
+    number, beam = np.arange(scans)[:, None], np.arange(60)
+    ranges = np.round(2 + 0.05 * beam + 0.01 * (number % 7), 2)
+    ranges[marked_from:, ::5] = 30.0
+    poses = number * (0, 0.01, 0)
+    return write_scans(path, range(scans), ranges, poses, angle_min=0, angle_increment=0.02)
 
 
 def copy_mcap(source: IO[bytes], target: IO[bytes], leave_out: str = "", **settings: Any) -> None:

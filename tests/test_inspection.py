@@ -188,7 +188,7 @@ def test_the_log_itself_tells_whether_no_return_is_open_space(
             ranges[index % 7 :: 7] = np.inf
         return ranges
 
-    limit = "4.5" if lost == "far" else "30"
+    limit = 4.5 if lost == "far" else 30.0
     found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil), limit))
     assert {s.no_return for s in topic(found).ranges.specials} == {advice}
     assert ("--no-return" in found.command) == (advice == "clear")
@@ -304,7 +304,7 @@ def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
     """The robot drives at 0.11 m/s, the nearest wall is 1.1 m away, and one beam meets dust."""
     drive = Drive(spoil=lambda measured: np.append(measured[1:] * ranges, 3.0))
     poses = [(x * places, y * places, yaw) for x, y, yaw in map(drive.pose, range(SCANS))]
-    log = write_csv(tmp_path / "mm.csv", drive, "inf", poses)
+    log = write_csv(tmp_path / "mm.csv", drive, math.inf, poses)
     expected = {"ranges are metres": ranges > 1, "places are metres": places > 1}
     coarse = BuildOptions(resolution=10.0)
     texts = [look(log).warnings, build([log], coarse).report.notes]
