@@ -70,19 +70,20 @@ def test_an_error_of_any_thread_is_raised(jobs: int) -> None:
         give_all(work, jobs, 5)
 
 
+@pytest.mark.parametrize("jobs", [2, 3])
 @pytest.mark.parametrize("failing", [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
-def test_the_error_of_the_earliest_item_is_raised(failing: list[int]) -> None:
+def test_the_error_of_the_earliest_item_is_raised(failing: list[int], jobs: int) -> None:
     later_failed = Event()
 
     def work(item: int) -> None:
         if item == failing[0]:
-            later_failed.wait(0.2)  # in vain where one thread works on both
+            later_failed.wait(0.1)  # in vain where one thread works on both
         if item in failing:
             later_failed.set()
             raise ValueError(item)
 
     with pytest.raises(ValueError, match=str(failing[0])):
-        give_all(work, 2, 4)
+        give_all(work, jobs, 4)
 
 
 def test_after_an_error_of_the_giver_nothing_more_is_begun(monkeypatch: pytest.MonkeyPatch) -> None:

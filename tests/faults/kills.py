@@ -1,40 +1,17 @@
 """Kill commands that write, at random moments, and look at what they leave."""
 
-import os
 import random
 import signal
 import subprocess
 import sys
 import time
-from collections import Counter
-from pathlib import Path
 
-from tests.faults.scene import COMMANDS, Scene, set_up
+from tests.faults.scene import Scene
 
 ANSWERED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SIGNALS = (*ANSWERED, signal.SIGKILL)
 LINE = "error: interrupted: nothing more is written\n"
 TEMPORARY = ".occmap-"
-
-
-def kill_at_random(folder: Path, runs: int, seed: int) -> Counter[str]:
-    """Kill each command with each signal in turn; count what came of it, faults by name."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
-    dice = random.Random(seed)
-    outcomes: Counter[str] = Counter()
-    home = Path.cwd()
-    scenes = {}
-    for number, command in enumerate(COMMANDS):
-        place = folder / str(number)
-        place.mkdir()
-        os.chdir(place)
-        scenes[command] = set_up(place, command)
-    for number in range(runs):
-        command = list(COMMANDS)[number % len(COMMANDS)]
-        kind = SIGNALS[(number + number // len(COMMANDS)) % len(SIGNALS)]
-        outcomes[kill_once(scenes[command], kind, dice)] += 1
-    os.chdir(home)
-    return outcomes
 
 
 def kill_once(scene: Scene, kind: signal.Signals, dice: random.Random) -> str:
