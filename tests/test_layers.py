@@ -24,8 +24,7 @@ DRIVE = SAMPLE_LOGS / "drive.csv"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = ("readers", "posing", "sensor", "grid", "writers")
-SHARED = {"cells", "choices", "errors", "jit", "plugins", "types", "values"}
-SHARED |= {"report"}
+SHARED = {"cells", "choices", "errors", "jit", "plugins", "report", "types", "values"}
 OWNERS = {
     "click": {"cli"},
     "tqdm": {"cli"},
@@ -43,14 +42,13 @@ OWNERS = {
 }
 """Who alone may import a package."""
 
-RARE = {"numba", "rosbags", "mcap", "PIL", "tqdm"}
+LIBRARIES = {"rosbags", "mcap", "PIL"}
+RARE = {*LIBRARIES, "numba", "tqdm"}
 HEAVY = {
     *("numpy", "numba", "llvmlite", "rosbags", "mcap", "PIL", "tqdm", "zarr", "distributed"),
     "importlib.metadata",
 }
-
-
-BUILD_COMMAND = {f"occmap.cli.{name}" for name in [*("build", "console", "declaring", "options")]}
+BUILD_COMMAND = {f"occmap.cli.{name}" for name in ("build", "console", "declaring", "options")}
 
 
 def name_module(path: Path) -> str:
@@ -188,28 +186,28 @@ def list_loaded(code: str) -> set[str]:
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
+def call(*words: object) -> str:
+    return f"from occmap.cli import run; assert run({[*map(str, words)]}) == 0"
+
+
 def list_loaded_by(*words: object) -> set[str]:
     """Name the modules that a process has loaded after a command."""
-    return list_loaded(f"from occmap.cli import run; assert run({[*map(str, words)]}) == 0")
+    return list_loaded(call(*words))
 
 
-@pytest.mark.parametrize("words", [["--help"], []])
-def test_help_waits_for_nothing_heavy(words: list[str]) -> None:
-    assert list_loaded_by(*words).isdisjoint(HEAVY)
-
-
-def test_an_import_waits_for_nothing_heavy() -> None:
-    assert list_loaded("import occmap; assert 'build_map' in dir(occmap)").isdisjoint(HEAVY)
-
-
-@pytest.mark.parametrize("words", [["build", "--help"], ["models"]])
-def test_only_a_build_loads_numba_and_only_a_terminal_tqdm(words: list[str]) -> None:
-    assert list_loaded_by(*words).isdisjoint(RARE)
-
-
-def test_a_csv_is_read_without_the_ros_libraries() -> None:
-    loaded = list_loaded(f"import occmap; assert occmap.read_log({str(DRIVE)!r}).streams")
-    assert loaded.isdisjoint({"rosbags", "mcap", "PIL"})
+@pytest.mark.parametrize(
+    ("code", "absent"),
+    [
+        (call("--help"), HEAVY),
+        (call(), HEAVY),
+        ("import occmap; assert 'build_map' in dir(occmap)", HEAVY),
+        (call("build", "--help"), RARE),
+        (call("models"), RARE),
+        (f"import occmap; assert occmap.read_log({str(DRIVE)!r}).streams", LIBRARIES),
+    ],
+)
+def test_nothing_is_loaded_before_it_is_needed(code: str, absent: set[str]) -> None:
+    assert list_loaded(code).isdisjoint(absent)
 
 
 def test_saved_evidence_needs_no_engine_and_to_be_rendered_little_of_numpy(tmp_path: Path) -> None:
@@ -224,7 +222,7 @@ def test_saved_evidence_needs_no_engine_and_to_be_rendered_little_of_numpy(tmp_p
 def test_a_build_loads_what_it_needs_and_no_more(update: str, tmp_path: Path) -> None:
     log = SAMPLE_LOGS / "drive.log"
     loaded = list_loaded_by("build", update, log, "-o", tmp_path / "m.pgm")
-    assert loaded.isdisjoint({"rosbags", "mcap", "PIL", "tqdm", "ruamel", "jsonschema"})
+    assert loaded.isdisjoint({*LIBRARIES, "tqdm", "ruamel", "jsonschema"})
     others = {"difference", "explanation", "inspection", "scoring"}
     assert {f"occmap.{name}" for name in others} <= set(map(name_module, MODULES)) - loaded
     assert {name for name in loaded if name.startswith("occmap.cli.")} <= BUILD_COMMAND
