@@ -1,13 +1,14 @@
 """What the quality table is made of: the real logs, and the settings that are compared."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from occmap.options import BuildOptions, choose_model
-from occmap.posing import Deskew, PosingOptions
-from occmap.sensor import NoReturn, ReturnOptions
+from occmap.choices import list_values, take
+from occmap.options import OPTIONS, BuildOptions, choose_model
+from occmap.posing import PosingOptions
 from occmap.sensor.models import parse_model
 from occmap.types import Pose, Update
 from tests.samples import REAL_LOGS
@@ -62,28 +63,25 @@ def list_steps() -> dict[str, BuildOptions]:
 
 def list_neighbours() -> list[dict[str, BuildOptions]]:
     """Settings to compare, the default first in each group."""
-    models = ("strength=0.2", "hit_weight=2", "cut=0.25", "cut=0.4", "cut=0.5")
-    spreads = ("spread=0", "spread=0.04", "spread=0.12")
-    polygons = ("cut=0.32,spread=0", "cut=0.5,spread=0", "cut=0.4")
+    counting = "strength=0.2 hit_weight=2 cut=0.25 cut=0.4 cut=0.5 spread=0 spread=0.04 spread=0.12"
+    others = "hit_offset=0 hit_offset=0.25 hit_offset=0.75 hit_offset=1 jump=0.05 jump=0.2 jump=0.4"
+    others += " no_return=clear deskew=on"
+    of_polygon = "model=counting:cut=0.32,spread=0 model=counting:cut=0.5,spread=0"
+    of_polygon += " model=counting:cut=0.4 jump=0.05 jump=0.2"
+    of_polygon += " border_gap=0 border_gap=4 border_gap=16"
+    models = [f"model=counting:{each}" for each in counting.split()]
     return [
-        {
-            OURS: DEFAULT,
-            **{
-                each: replace(DEFAULT, model=parse_model(f"counting:{each}"))
-                for each in models + spreads
-            },
-            **{f"--hit-offset {n:g}": replace(DEFAULT, hit_offset=n) for n in (0, 0.25, 0.75, 1)},
-            **{f"--jump {m:g}": replace(DEFAULT, jump=m) for m in (0.05, 0.2, 0.4)},
-            "--no-return clear": replace(DEFAULT, returns=ReturnOptions(no_return=NoReturn.CLEAR)),
-            "--deskew on": replace(DEFAULT, posing=PosingOptions(deskew=Deskew.ON)),
-        },
-        {
-            "polygon": POLYGON,
-            **{
-                f"polygon {each}": replace(POLYGON, model=parse_model(f"counting:{each}"))
-                for each in polygons
-            },
-            **{f"polygon --jump {m:g}": replace(POLYGON, jump=m) for m in (0.05, 0.2)},
-            **{f"polygon --border-gap {n}": replace(POLYGON, border_gap=n) for n in (0, 4, 16)},
-        },
+        {OURS: DEFAULT, **vary(DEFAULT, [*models, *others.split()])},
+        {"polygon": POLYGON, **vary(POLYGON, of_polygon.split())},
     ]
+
+
+def vary(base: BuildOptions, changes: Sequence[str]) -> dict[str, BuildOptions]:
+    """Options that differ from some in one value, which is their name."""
+    pairs = [(change, *change.split("=", 1)) for change in changes]
+    return {
+        f"{base.update.value}, {change}": take(
+            BuildOptions, list_values(base) | {name: OPTIONS[name].read(value)}
+        )
+        for change, name, value in pairs
+    }

@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from occmap.grid import CellBox
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from tests.bench.__main__ import QUICK, Results
+from tests.bench.__main__ import Bench
 from tests.bench.engine import DisagreementError, check_equal
 from tests.bench.limits import Row
 from tests.bench.logs import FORMATS
@@ -21,7 +22,7 @@ from tests.bench.plans import cast_scans
 from tests.bench.processes import ProcessError, run
 from tests.bench.tables import draw
 from tests.bench.workloads import Sensor, Workload, make_corridor, make_office, make_yard
-from tests.bench.yardstick import Counts, compile_cpp, find_box, trace_in_numba
+from tests.bench.yardstick import PLAIN, Counts, Trace, compile_cpp, find_box
 
 WIDE = Sensor.spanning(91, 270, 30.0)
 ROUND = Sensor.spanning(72, 360, 30.0)
@@ -51,22 +52,21 @@ def test_generated_scans_are_the_same_in_every_run_and_clear_of_walls(workload: 
     assert np.isfinite(workload.ranges).mean() > 0.7
 
 
+@pytest.fixture(scope="module")
+def yardsticks(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Trace]:
+    return compile_cpp(tmp_path_factory.mktemp("cpp")) or pytest.skip("no g++ here")
+
+
 @pytest.mark.parametrize("workload", WORKLOADS, ids=lambda workload: workload.name)
-def test_the_yardstick_in_numba_counts_as_occmap_does(workload: Workload) -> None:
-    check_equal(workload, {"numba": trace_in_numba})
+def test_the_yardsticks_count_as_occmap_does(
+    workload: Workload, yardsticks: Mapping[str, Trace]
+) -> None:
+    check_equal(workload, yardsticks)
 
 
-def test_the_yardstick_in_cpp_counts_as_occmap_does(tmp_path: Path) -> None:
-    in_cpp = compile_cpp(tmp_path)
-    if not in_cpp:
-        pytest.skip("no g++ here")
-    for workload in WORKLOADS:
-        check_equal(workload, in_cpp)
-
-
-def test_a_yardstick_that_counts_otherwise_is_found_out() -> None:
+def test_a_yardstick_that_counts_otherwise_is_found_out(yardsticks: Mapping[str, Trace]) -> None:
     def trace_wrongly(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
-        hits, misses = trace_in_numba(workload, box)
+        hits, misses = yardsticks[PLAIN](workload, box)
         misses[np.nonzero(misses)[0][0], np.nonzero(misses)[1][0]] += 1
         return hits, misses
 
@@ -74,9 +74,9 @@ def test_a_yardstick_that_counts_otherwise_is_found_out() -> None:
         check_equal(WORKLOADS[0], {"wrong": trace_wrongly})
 
 
-def test_no_beam_leaves_the_box_that_yardsticks_are_given() -> None:
+def test_no_beam_leaves_the_box_that_yardsticks_are_given(yardsticks: Mapping[str, Trace]) -> None:
     corridor = make_corridor(WIDE, 20.0, spacing=5.0)
-    hits, misses = trace_in_numba(corridor, find_box(corridor))
+    hits, misses = yardsticks[PLAIN](corridor, find_box(corridor))
     assert hits.sum() == np.count_nonzero(corridor.ranges < 30)
     assert not any(edge.any() for edge in (misses[0], misses[-1], misses[:, 0], misses[:, -1]))
 
@@ -123,7 +123,7 @@ def test_a_process_that_fails_is_an_error() -> None:
 
 def test_rows_say_whether_their_limit_is_met_in_json_too() -> None:
     rows = [Row("", 0.5, value, "") for value in (0.5, 0.6, None)]
-    told = json.loads(Results(QUICK, {}, rows=rows).to_json())["rows"]
+    told = json.loads(Bench(Path(), rows=rows).to_json())["rows"]
     assert [row["verdict"] for row in told] == ["met", "NOT MET", "not measured"]
 
 

@@ -1,6 +1,6 @@
-"""The yardstick: the beam update cell by cell in dense arrays, in numba and in C++.
+"""The yardstick: the beam update cell by cell in dense arrays, in C++.
 
-Both begin with ranges and poses, as occmap's stages do, and must give occmap's own counts.
+It begins with ranges and poses, as occmap's stages do, and must give occmap's own counts.
 """
 
 import ctypes
@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.grid import CellBox
-from occmap.jit import kernel
-from occmap.types import Float32, Float64
 from tests.bench.workloads import Sensor, Workload
 
 Counts = NDArray[np.int32]
@@ -46,75 +44,6 @@ def limits(sensor: Sensor) -> tuple[float, float]:
     """The nearest range that counts, and the first that no longer does, as float32."""
     nearest = np.maximum(np.float32(sensor.range_min), np.finfo(np.float32).tiny)
     return float(nearest), float(np.float32(sensor.range_max))
-
-
-def trace_in_numba(workload: Workload, box: CellBox) -> tuple[Counts, Counts]:
-    """Visit every cell of every beam in compiled Python."""
-    hits, misses = np.zeros((2, *box.shape), np.int32)
-    _trace_scans(
-        workload.ranges,
-        workload.poses,
-        np.stack([np.cos(workload.sensor.bearings), np.sin(workload.sensor.bearings)]),
-        limits(workload.sensor),
-        (workload.resolution, box.row, box.col),
-        hits,
-        misses,
-    )
-    return hits, misses
-
-
-@kernel
-def _trace_scans(
-    ranges: Float32,
-    poses: Float64,
-    ways: Float64,
-    limits: tuple[float, float],
-    place: tuple[float, int, int],
-    hits: Counts,
-    misses: Counts,
-) -> None:
-    resolution, low_row, low_col = place
-    nearest, limit = limits
-    for s in range(ranges.shape[0]):
-        x, y = poses[s, 0], poses[s, 1]
-        turn_x, turn_y = np.cos(poses[s, 2]), np.sin(poses[s, 2])
-        col = _to_cell(x, resolution) - low_col
-        row = _to_cell(y, resolution) - low_row
-        for b in range(ways.shape[1]):
-            distance = np.float64(ranges[s, b])
-            if nearest <= distance < limit:
-                end_x = x + distance * (turn_x * ways[0, b] - turn_y * ways[1, b])
-                end_y = y + distance * (turn_y * ways[0, b] + turn_x * ways[1, b])
-                end_col = _to_cell(end_x, resolution) - low_col
-                end_row = _to_cell(end_y, resolution) - low_row
-                _trace_beam(misses, col, row, end_col, end_row)
-                hits[np.uint64(end_row), np.uint64(end_col)] += 1
-
-
-@kernel
-def _to_cell(metres: float, resolution: float) -> int:
-    return int(np.rint(metres / resolution * 256)) >> 8
-
-
-@kernel
-def _trace_beam(misses: Counts, col: int, row: int, end_col: int, end_row: int) -> None:
-    """Walk a Bresenham line up to, and without, its end."""
-    right, up = (1 if end_col > col else -1), (1 if end_row > row else -1)
-    n, m = abs(end_col - col), abs(end_row - row)
-    flat = n >= m
-    if not flat:
-        n, m = m, n
-    error = n
-    for _ in range(n):
-        misses[np.uint64(row), np.uint64(col)] += 1
-        error += 2 * m
-        turn = error >= 2 * n
-        if turn:
-            error -= 2 * n
-        if flat or turn:
-            col += right
-        if turn or not flat:
-            row += up
 
 
 def compile_cpp(folder: Path) -> dict[str, Trace]:
