@@ -209,12 +209,6 @@ def test_a_report_is_json_and_tells_damage_from_other_notes(tmp_path: Path) -> N
     assert {"open", "poses", "read", "trace", "render", "write"} <= values["seconds"].keys()
 
 
-def test_read_log_gives_scans_and_poses() -> None:
-    log = occmap.read_log(DRIVES[-1])
-    assert sum(1 for _ in log.scans(["/scan"])) == 414
-    assert next(iter(log.poses())).topic in ("/tf", "/tf_static")
-
-
 def test_a_name_that_occmap_lacks_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'build_maps'"):
         _ = occmap.build_maps
