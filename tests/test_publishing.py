@@ -17,6 +17,7 @@ from tests.samples import ROOT, SAMPLE_LOGS
 
 HIDDEN = ROOT / ".github"
 ACTION = HIDDEN / "actions" / "occmap"
+needs_bash = pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
 
 
 def load(path: Path) -> Any:
@@ -42,9 +43,9 @@ def test_the_container_is_made_of_files_that_are_there() -> None:
     kept = (HIDDEN / "docker" / "Dockerfile.dockerignore").read_text().splitlines()
     assert kept[0] == "*"
     assert all((ROOT / line.removeprefix("!")).exists() for line in kept[1:])
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    hatch = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]
-    samples = hatch["targets"]["wheel"]["force-include"]
+    whole = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = whole["project"]
+    samples = whole["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     needed = {"occmap", "pyproject.toml", project["readme"], *project["license-files"], *samples}
     assert needed == {line.removeprefix("!") for line in kept[1:]}
 
@@ -83,7 +84,7 @@ def act(at: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+@needs_bash
 def test_the_action_maps_a_log_and_compares_it(tmp_path: Path) -> None:
     log = str(SAMPLE_LOGS / "drive.csv")
     done = act(tmp_path, log=log, options="--resolution 0.1", fail_if="agreement < 60%\n\n")
@@ -101,7 +102,7 @@ def test_the_action_maps_a_log_and_compares_it(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "same" / "diff.json").read_text())["changed"] == 0
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+@needs_bash
 def test_the_action_maps_a_log_that_needs_options(tmp_path: Path) -> None:
     log = str(write_bag(tmp_path / "room.bag", Drive()))
     failed = act(tmp_path, log=log)
@@ -111,7 +112,7 @@ def test_the_action_maps_a_log_that_needs_options(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs bash")
+@needs_bash
 @pytest.mark.parametrize(
     "limits", [{"check_fail_if": "topics == 1"}, {"fail_if": "hits > 1%\nunknown > 1%"}]
 )
