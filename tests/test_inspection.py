@@ -604,7 +604,8 @@ BETTER = "the scans would fit each other better with "
     [
         *((Drive(turn), BARE, {}, f"--sensor-pose 0,0,{turn:.6g}", NO_MOUNT) for turn in QUARTERS),
         (Drive(spoil=hide), BARE, {},
-         "--sensor-pose 0,0,3.14159,3.14159,0", "best of all turns: 9"),
+         "--sensor-pose 0,0,3.14159,3.14159,0",
+         "its mount on base_link: `sensor_pose=(0,0,3.14159,3.14159,0)`, which suits the scans"),
         # It is turned by 1 rad, which is none of the turns that are tried.
         (Drive(1.0), {"mount": [], "frames": ("lidar_link",), "others": OTHERS}, {},
          "--sensor-pose 0,0,1", "`sensor_pose=(0,0,1)`, where tf has 'laser'"),

@@ -46,12 +46,6 @@ def test_a_log_builds_with_the_line_of_check_which_is_bare_where_it_can_be(
     assert unknown > 0.3
 
 
-def test_a_laser_without_transform_names_its_frame_and_the_flag() -> None:
-    found = r"frame 'laser' .*; give its mount on base_link: `sensor_pose=\(0,0,3.14159\)`"
-    with pytest.raises(PoseError, match=found):
-        build([REAL_LOGS / "ros1" / "mylaserdata2.bag"], BuildOptions())
-
-
 def test_a_log_without_poses_says_where_it_looked() -> None:
     with pytest.raises(PoseError, match="looked for tf, odometry and topics of poses"):
         build([REAL_LOGS / "ros1" / "laser_scan_matcher_demo.bag"], BuildOptions())

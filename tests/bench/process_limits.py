@@ -20,26 +20,7 @@ from tests.samples import DRIVES
 MRPT_LIMIT = 0.7
 MRPT_PROGRAMS = ("carmen2simplemap", "observations2map")
 """They make a grid map of a CARMEN log, one after the other"""
-MRPT_MAP = """\
-[MappingApplication]
-occupancyGrid_count = 1
-gasGrid_count = 0
-landmarksMap_count = 0
-beaconMap_count = 0
-pointsMap_count = 0
-[MappingApplication_occupancyGrid_00_creationOpts]
-resolution = 0.05
-min_x = -10
-max_x = 10
-min_y = -10
-max_y = 10
-[MappingApplication_occupancyGrid_00_insertOpts]
-mapAltitude = 0
-useMapAltitude = 0
-maxDistanceInsertion = 80
-considerInvalidRangesAsFreeSpace = 0
-wideningBeamsWithDistance = 0
-"""
+MRPT_MAP = Path(__file__).with_name("mrpt.ini")
 BYTES_A_CELL = 16
 FIELD = {"length": 1000.0, "spacing": 0.25, "width": 50.0}
 """Metres; at 40 scans a second that is 10 m/s, so 1 s there is what 10 s are at 1 m/s."""
@@ -67,11 +48,10 @@ def compare_mrpt(log: Path, folder: Path) -> list[Row]:
 
 def prepare_mrpt(log: Path, folder: Path) -> list[Command]:
     """Both programs as commands, one after the other."""
-    plain, ini, between = (folder / f"mrpt.{suffix}" for suffix in ("log", "ini", "simplemap"))
+    plain, between = (folder / f"mrpt.{suffix}" for suffix in ("log", "simplemap"))
     plain.write_bytes(gzip.decompress(log.read_bytes()))  # which it reads here; not in its time
-    ini.write_text(MRPT_MAP, encoding="ascii")
     convert: Command = [MRPT_PROGRAMS[0], "-q", "-w", "-i", plain, "-o", between]
-    insert: Command = [MRPT_PROGRAMS[1], ini, between, folder / "mrpt"]
+    insert: Command = [MRPT_PROGRAMS[1], MRPT_MAP, between, folder / "mrpt"]
     return [convert, insert]
 
 
