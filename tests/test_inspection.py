@@ -1,4 +1,4 @@
-"""Inspection of rooms written by formula, and of the real logs."""
+"""Inspection of rooms written by formula."""
 
 import json
 import math
@@ -31,7 +31,7 @@ from tests.posing.scenes import bolted, drive
 from tests.posing.scenes import build as make_poser
 from tests.readers.clouds import cloud
 from tests.readers.ros import ROS1, SECOND, Written
-from tests.samples import PLAIN, SAMPLE_LOGS, copy_mcap, find_real, make_batch
+from tests.samples import PLAIN, SAMPLE_LOGS, copy_mcap, make_batch
 from tests.samples import write_csv as write_row
 
 HALL = SAMPLE_LOGS / "hall.mcap"
@@ -682,21 +682,6 @@ def test_a_beam_that_no_build_traces_is_a_problem(tmp_path: Path) -> None:
     assert found.command == ()
     assert found.map is not None
     assert found.map.columns * found.map.rows < BuildOptions().max_cells
-
-
-def test_oddities_of_the_real_logs() -> None:
-    crash = topic(look(find_real("ros1/test_replay_crash.bag")))
-    assert crash.mount is not None
-    assert crash.mount.upside_down
-    turtlebot = topic(look(find_real("ros1/test_turtlebot.bag")))
-    assert turtlebot.times.offset_s == pytest.approx(44317, abs=1)
-    fr079 = topic(look(find_real("carmen/fr079-robotlaser.log.gz")))
-    assert [(round(item.value, 2), item.is_no_return) for item in fr079.ranges.repeated] == [
-        (81.91, True)
-    ]
-    matcher = look(find_real("ros1/laser_scan_matcher_demo.bag"))
-    assert matcher.command == ()
-    assert "`poses=FILE`" in matcher.problems[0]
 
 
 def test_clouds_are_told_by_the_ground_below_them() -> None:

@@ -1,13 +1,14 @@
-"""Maps of real recordings: what is used of each, and which are refused and how."""
+"""Real recordings: what check finds in each, what a build uses, and what is refused and how."""
 
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from occmap.errors import PoseError
-from occmap.inspection import inspect
+from occmap.inspection import Inspection, inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from tests.inspection_logs import read_line
@@ -17,6 +18,11 @@ pytestmark = pytest.mark.skipif(
     not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
 )
 MAC = REAL_LOGS / "ros2" / "macfirst_floor_take_2"
+
+
+@cache
+def check(name: str) -> Inspection:
+    return inspect([REAL_LOGS / name], BuildOptions())
 
 
 @pytest.mark.parametrize(
@@ -35,7 +41,7 @@ MAC = REAL_LOGS / "ros2" / "macfirst_floor_take_2"
 def test_a_log_builds_with_the_line_of_check_which_is_bare_where_it_can_be(
     name: str, words: str, used: int, dropped: dict[str, int]
 ) -> None:
-    found = inspect([REAL_LOGS / name], BuildOptions())
+    found = check(name)
     assert (" ".join(found.command[3:-2]), found.warnings) == (words, ())
     assert found.buildable == (words == "")
     report = build([REAL_LOGS / name], read_line(found.command)).report
@@ -46,9 +52,23 @@ def test_a_log_builds_with_the_line_of_check_which_is_bare_where_it_can_be(
     assert unknown > 0.3
 
 
+def test_oddities_are_found() -> None:
+    crash = check("ros1/test_replay_crash.bag").topics[0]
+    turtlebot = check("ros1/test_turtlebot.bag").topics[0]
+    fr079 = check("carmen/fr079-robotlaser.log.gz").topics[0]
+    assert crash.mount is not None
+    assert crash.mount.upside_down
+    assert turtlebot.times.offset_s == pytest.approx(44317, abs=1)
+    (code,) = fr079.ranges.repeated
+    assert (round(code.value, 2), code.is_no_return) == (81.91, True)
+
+
 def test_a_log_without_poses_says_where_it_looked() -> None:
+    name = "ros1/laser_scan_matcher_demo.bag"
     with pytest.raises(PoseError, match="looked for tf, odometry and topics of poses"):
-        build([REAL_LOGS / "ros1" / "laser_scan_matcher_demo.bag"], BuildOptions())
+        build([REAL_LOGS / name], BuildOptions())
+    assert check(name).command == ()
+    assert "`poses=FILE`" in check(name).problems[0]
 
 
 def test_conversion_to_mcap_gives_the_same_bytes(tmp_path: Path) -> None:

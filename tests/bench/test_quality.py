@@ -148,7 +148,10 @@ def test_the_last_step_is_a_bare_build() -> None:
     assert isinstance(list_steps()["polygon"].model, CountingModel)
 
 
-def test_the_tables_of_a_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_tables_of_a_drive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quality, "ROUNDS", 1)
     lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
     log = tmp_path / "drive.csv"
     log.write_text("".join(lines[:40]))
