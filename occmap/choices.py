@@ -236,6 +236,8 @@ class Option:
     """Stands for the value on the command line; "": its unit"""
     flag: str = ""
     """How it is typed; where it is declared, "" is like its name, without the unit"""
+    section: str = ""
+    """The heading of the help that it, or a group, stands under; "": that of the group it is in"""
     form: Any = None
     """What a value looks like, or each of several (`Form`); None where it is declared: as usual"""
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -314,22 +316,23 @@ def option(default: Any, text: str = "", **declared: Any) -> Any:
     return field(default=default, metadata=metadata)
 
 
-def list_options(kind: Any) -> dict[str, Option]:
+def list_options(kind: Any, section: str = "") -> dict[str, Option]:
     """List the options of a dataclass by their names, those in groups, too."""
     found: dict[str, Option] = {}
     hints = get_type_hints(kind)
     for each in fields(kind):
         name, hint = each.name, hints[each.name]
-        if is_dataclass(hint):
-            found |= list_options(hint)
-            continue
         declared = each.metadata.get("option", Option())
+        if is_dataclass(hint):
+            found |= list_options(hint, declared.section or section)
+            continue
         found[name] = replace(
             declared,
             name=name,
             **read_hint(hint, declared.form),
             default=each.default if each.default_factory is MISSING else each.default_factory(),
             flag="--" + (declared.flag or name.removesuffix("_s").replace("_", "-")),
+            section=declared.section or section,
             metavar=declared.metavar or declared.unit.upper(),
         )
     return found

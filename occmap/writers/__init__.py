@@ -309,18 +309,18 @@ def want_journey(outputs: Sequence[Path]) -> bool:
     return any(find_writer(path).shows_journey for path in outputs)
 
 
+USUAL = WriteOptions()
+USED_BY = {"mode": (".pgm", ".png", ".mcap"), "shade": (".png",), "georeference": (".tif", ".png")}
+"""Options that are for some formats alone"""
+
+
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     """Say which options do nothing, since no output is of the format that they are for."""
-    if not outputs:  # a map that is saved later, in whatever format
-        return
     suffixes = {path.suffix.lower() for path in outputs}
-    if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap", ".png"}):
-        formats = "it is for .pgm, .png and .mcap, and no output ends so"
-        yield f"`mode={options.mode}` does nothing: {formats}"
-    if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
-        yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
-    if options.georeference and suffixes.isdisjoint({".tif", ".png"}):
-        yield "`georeference` does nothing: it is for .tif and .png, and no output ends so"
+    for name, formats in USED_BY.items():
+        is_usual = getattr(options, name) == getattr(USUAL, name)
+        if outputs and not is_usual and suffixes.isdisjoint(formats):  # else it is saved later
+            yield f"`{name}` does nothing: it is for {', '.join(formats)}, and no output ends so"
 
 
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:

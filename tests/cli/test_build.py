@@ -332,9 +332,9 @@ def test_help_lists_options_by_section() -> None:
         "Files:",
         "Map:",
         "What a range means:",
-        "Sensor model:",
-        "Which scans:",
         "Where the scans were taken:",
+        "Which scans:",
+        "Sensor model:",
         "Limits:",
         "Run:",
     ]

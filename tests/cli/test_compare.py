@@ -40,7 +40,7 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
 
 def test_only_updates_that_have_beams_are_offered() -> None:
     command = find_command("compare")
-    (update,) = [each for each in command.params if each.name == "updates"]
+    (update,) = [each for each in command.params if each.name == "update"]
     offered = update.shell_complete(click.Context(command), "")
     assert [item.value for item in offered] == ["beam", "polygon", "surface"]
     told = read_error(occmap("compare --update foo a.csv"), 2)
