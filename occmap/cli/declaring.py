@@ -91,14 +91,15 @@ class Command(click.Command):
         """Fill in the number that --align may lack; raises UsageError for `-o=map.pgm`.
 
         click has options without a value, too, but they take a log that follows for the number, and
-        refuse a negative one.
+        refuse a negative one. A negative number gets a space before it: no option begins with one.
         """
         flag, bare, words = OPTIONS["align"].flag, OPTIONS["align"].none[0], []
         for word, following in zip_longest(args, args[1:], fillvalue=""):
             if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
                 fix = f"write {word[:2]} {word[3:]}"
                 raise UsageError("a short option takes no =", where=word, fix=fix)
-            words.append(word)
+            is_negative = word.startswith("-") and NUMBER.fullmatch(word)
+            words.append(f" {word}" if is_negative else word)
             if word == flag and following != bare and not NUMBER.fullmatch(following):
                 words.append(bare)
         return super().parse_args(ctx, words)
@@ -193,11 +194,7 @@ def fail_if(measures: Measures, example: str, *others: str) -> Option:
 
 
 def command(
-    name: str,
-    printed: type[Printed],
-    *params: click.Parameter,
-    cls: type[Command] = Command,
-    usual: Iterable[str] = (),
+    name: str, printed: type[Printed], *params: click.Parameter, usual: Iterable[str] = ()
 ) -> Callable[[Callable[..., Answer]], Command]:
     """Declare a command by a function that takes the console and the options, and answers.
 
@@ -225,7 +222,7 @@ def command(
 
         text = describe(function) or COMMANDS[name]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
-        made = cls(name, params=own, callback=run, help=text)
+        made = Command(name, params=own, callback=run, help=text)
         has_limits = any(param.name == "limits" for param in params)
         made.printed = [printed, Limited] if has_limits else [printed]
         made.usual = frozenset([*usual, "help_all"] if usual else ())

@@ -9,7 +9,7 @@ import click
 from occmap.choices import list_options, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
-from occmap.cli.declaring import NUMBER, PATH, Answer, Command, Value, command, fail_if, flag
+from occmap.cli.declaring import PATH, Answer, Value, command, fail_if, flag
 from occmap.cli.options import choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
@@ -124,15 +124,6 @@ PAIRS = {
 """What the two numbers of a cell are"""
 
 
-class PointCommand(Command):
-    """A command whose arguments may be negative numbers, which look like options."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put a space before numbers: no option begins with one."""
-        words = [f" {word}" if NUMBER.fullmatch(word) else word for word in args]
-        return super().parse_args(ctx, words)
-
-
 @command(
     "explain",
     Explanation,
@@ -144,7 +135,6 @@ class PointCommand(Command):
     ),
     options.paths(POSES, "FILE", "The trajectory that the log was built with.", "--poses"),
     *(*options.fields(["min_passes"]), *options.SAVED_MODEL, *options.THRESHOLDS),
-    cls=PointCommand,
 )
 def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say what was seen at a point of saved evidence, and by which scans.

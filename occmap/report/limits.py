@@ -135,10 +135,10 @@ def parse_bound(text: str, measure: Measure, where: str) -> float:
         raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
     if in_percent and not is_share:
         raise UsageError(f"{measure.name} is not a share", where=where, fix="leave out the %")
-    # Most who write 1 mean 1%.
     if is_share and not (0 <= bound < 1 or (bound == 1 and in_percent)):
-        found = f"{text} is not a share below 1" if bound >= 1 else f"{text} is not a share"
-        raise UsageError(found, where=where, fix="write 0% to 100%, or a part such as 0.05")
+        is_meant = 1 <= bound <= 100 and not in_percent  # most who write 1 mean 1%
+        fix = f"write {bound:g}% or {bound / 100:g}" if is_meant else "write 0% to 100%"
+        raise UsageError(f"{text} is not a share", where=where, fix=fix)
     return bound
 
 

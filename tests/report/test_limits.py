@@ -93,9 +93,9 @@ def test_a_limit_is_written_as_it_is_read(text: str) -> None:
         ("lots > 5%", "no measure is called 'lots'; did you mean 'lost'? there are lost, scans"),
         ("zzz > 5", "no measure is called 'zzz'; there are lost, scans, gap"),
         ("scans > 5%", "scans is not a share; leave out the %"),
-        ("lost > 1", "1 is not a share below 1; write 0% to 100%"),
-        ("lost < 1", "1 is not a share below 1"),
-        ("lost > 500", "500 is not a share below 1; write 0% to 100%"),
+        ("lost > 1", "1 is not a share; write 1% or 0.01"),
+        ("lost < 1", "1 is not a share"),
+        ("lost > 500", "500 is not a share; write 0% to 100%"),
         ("lost > -1%", "-1% is not a share"),
     ],
 )
