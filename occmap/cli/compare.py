@@ -153,7 +153,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     if len(tuning.by_log) > 1:
         yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or found or tuning.is_doubtful or tuning.mount.verdict is Verdict.UNSEEN
+    unsure = disagree or found or tuning.doubt or tuning.mount.verdict is Verdict.UNSEEN
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 

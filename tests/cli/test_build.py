@@ -159,6 +159,8 @@ def test_a_hint_names_a_few_logs_as_they_are_typed() -> None:
     options = BuildOptions()
     assert hint_at_tune(0.7, ["a b", "c"], options).split("`")[1] == "occmap tune 'a b' c"
     assert hint_at_tune(0.7, list("abcd"), options).split("`")[1] == "occmap tune a b c ..."
+    turned = BuildOptions(posing=PosingOptions(align=5.0))  # which tune does not take
+    assert hint_at_tune(0.7, ["a"], turned).split("`")[1] == "occmap tune a"
     assert [hint_at_tune(share, ["a"], options) for share in (None, 0.5, 0.8)] == [""] * 3
 
 
