@@ -147,8 +147,6 @@ def _read_path(value: Any) -> Path:
 
 def _read_mount(value: Any) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
-    if isinstance(value, Pose):
-        return value
     numbers = _read_numbers(value, 3, 5, angles=slice(2, None))
     x, y, yaw, roll, pitch, *_ = (*numbers, 0.0, 0.0)
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
@@ -156,16 +154,12 @@ def _read_mount(value: Any) -> Pose:
 
 def _read_place(value: Any) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, z), in metres and radians."""
-    if isinstance(value, Pose):
-        return value
     x, y, yaw, *up = _read_numbers(value, 3, 4, angles=slice(2, 3))
     return Pose.planar(x, y, yaw)._replace(z=sum(up))
 
 
 def _read_transform(value: Any) -> PoseSample:
     """Make a fixed transform of (parent, child, x, y, z, roll, pitch, yaw)."""
-    if isinstance(value, PoseSample):
-        return value
     parts = _part(value)
     x, y, z, roll, pitch, yaw = _read_numbers(parts[2:], 6, angles=slice(3, None))
     parent, child = map(_read_text, parts[:2])
@@ -275,6 +269,8 @@ class Option:
             It is not of the option's type: there are too many or too few numbers, an angle is in
             degrees, and so on.
         """
+        if self.kind in {Pose, PoseSample} and isinstance(value, self.kind):
+            return value
         try:
             return self.form.read(value)
         except UsageError as error:
