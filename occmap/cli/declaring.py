@@ -220,7 +220,7 @@ def command(
             answer = function(console, **values)
             tell(console, name, answer, limits)
 
-        text = describe(function) or COMMANDS[name]
+        text = describe(function) or COMMANDS[name][1]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
         made = Command(name, params=own, callback=run, help=text)
         has_limits = any(param.name == "limits" for param in params)
