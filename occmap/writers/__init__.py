@@ -11,13 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
 from occmap.cells import Decision, Evidence, OccupancyMap
 from occmap.choices import GLOBE, option
 from occmap.errors import OutputError, UsageError, require
-from occmap.plugins import list_plugins, load_plugin
+from occmap.plugins import list_plugins, load_plugin, need_extra
 from occmap.types import Journey
 from occmap.writers.atomic import check_parent, check_target, follow_links
 from occmap.writers.edits import Shape, apply_edits, read_edits
@@ -169,6 +170,8 @@ class Writer:
     only `place`, `shape`, `resolution`, `decision` and `take`"""
     is_folder = False
     """Whether it writes a folder with many files"""
+    needs: tuple[str, ...] = ()
+    """An extra of occmap and the modules that it brings, which are loaded late; none: no extra"""
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Every file that is written, so that all can be checked before the work starts."""
@@ -178,8 +181,11 @@ class Writer:
         """Whether an existing folder is one that this writer made, which it may replace."""
         return False
 
-    def check(self, path: Path, options: WriteOptions) -> None:
-        """Refuse before the work starts, by a UsageError, what these options cannot make."""
+    def check(self, path: Path, options: WriteOptions) -> None:  # noqa: ARG002  for some formats
+        """Refuse before the work starts, by a UsageError, what cannot be made here, or so."""
+        for module in self.needs[1:]:
+            with need_extra(self.needs[0], f"a {path.suffix} needs {module}", where=path):
+                import_module(module)
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write a map; return the files written.

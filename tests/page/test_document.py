@@ -171,4 +171,4 @@ def test_without_bokeh_one_line_says_what_to_type(
 ) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
     told = read_error(occmap(command, DRIVE, "-o", "m.html"), 2)
-    assert "Bokeh, which is not installed; install it: pip install '.[report]'" in told
+    assert "needs bokeh, which is not installed; install it: pip install '.[report]'" in told
