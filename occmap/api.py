@@ -13,7 +13,7 @@ from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_failures, require
 from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
-from occmap.options import OF_ONE_MAP, BuildOptions
+from occmap.options import OF_A_SCORED_MAP, OF_ONE_MAP, BuildOptions
 from occmap.pipeline import build, list_inputs
 from occmap.readers import Log, open_log
 from occmap.report.results import Build, Report
@@ -123,12 +123,6 @@ class Map(OccupancyMap):
 AnyPath = str | Path
 AnyPaths = AnyPath | Iterable[AnyPath]
 Paths = tuple[Path, ...]
-
-OF_A_BUILD = {*OF_ONE_MAP, "extent", "margin", "align"}
-"""Options that do not concern what is read of logs"""
-OF_A_SCORED_MAP = OF_A_BUILD | {"resolution", "max_cells", "jump", "border_gap", "hit_offset"}
-OF_A_SCORED_MAP -= {"occupied_thresh", "free_thresh"}
-"""Those that do not concern what is read of logs and of a written map"""
 
 
 @refuse_failures()
@@ -418,7 +412,7 @@ def read_request(
     logs: Sequence[AnyPaths],
     options: Mapping[str, Any],
     call: str,
-    of_one_map: Container[str] = OF_A_BUILD,
+    of_one_map: Container[str] = OF_ONE_MAP,
     outputs: Sequence[Path] = (),
 ) -> tuple[Inputs, BuildOptions]:
     """Find the recordings that a caller means, and make the options of maps of them.

@@ -147,8 +147,6 @@ def _read_path(value: Any) -> Path:
 
 def _read_mount(value: Any) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, roll, pitch), in metres and radians."""
-    if isinstance(value, Pose):
-        return value
     numbers = _read_numbers(value, 3, 5, angles=slice(2, None))
     x, y, yaw, roll, pitch, *_ = (*numbers, 0.0, 0.0)
     return Pose.from_xyzrpy((x, y, 0.0), (roll, pitch, yaw))
@@ -156,16 +154,12 @@ def _read_mount(value: Any) -> Pose:
 
 def _read_place(value: Any) -> Pose:
     """Make a pose of (x, y, yaw), or of (x, y, yaw, z), in metres and radians."""
-    if isinstance(value, Pose):
-        return value
     x, y, yaw, *up = _read_numbers(value, 3, 4, angles=slice(2, 3))
     return Pose.planar(x, y, yaw)._replace(z=sum(up))
 
 
 def _read_transform(value: Any) -> PoseSample:
     """Make a fixed transform of (parent, child, x, y, z, roll, pitch, yaw)."""
-    if isinstance(value, PoseSample):
-        return value
     parts = _part(value)
     x, y, z, roll, pitch, yaw = _read_numbers(parts[2:], 6, angles=slice(3, None))
     parent, child = map(_read_text, parts[:2])
@@ -236,6 +230,8 @@ class Option:
     """Stands for the value on the command line; "": its unit"""
     flag: str = ""
     """How it is typed; where it is declared, "" is like its name, without the unit"""
+    section: str = ""
+    """The heading of the help that it, or a group, stands under; "": that of the group it is in"""
     form: Any = None
     """What a value looks like, or each of several (`Form`); None where it is declared: as usual"""
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -273,6 +269,8 @@ class Option:
             It is not of the option's type: there are too many or too few numbers, an angle is in
             degrees, and so on.
         """
+        if self.kind in {Pose, PoseSample} and isinstance(value, self.kind):
+            return value
         try:
             return self.form.read(value)
         except UsageError as error:
@@ -314,22 +312,23 @@ def option(default: Any, text: str = "", **declared: Any) -> Any:
     return field(default=default, metadata=metadata)
 
 
-def list_options(kind: Any) -> dict[str, Option]:
+def list_options(kind: Any, section: str = "") -> dict[str, Option]:
     """List the options of a dataclass by their names, those in groups, too."""
     found: dict[str, Option] = {}
     hints = get_type_hints(kind)
     for each in fields(kind):
         name, hint = each.name, hints[each.name]
-        if is_dataclass(hint):
-            found |= list_options(hint)
-            continue
         declared = each.metadata.get("option", Option())
+        if is_dataclass(hint):
+            found |= list_options(hint, declared.section or section)
+            continue
         found[name] = replace(
             declared,
             name=name,
             **read_hint(hint, declared.form),
             default=each.default if each.default_factory is MISSING else each.default_factory(),
             flag="--" + (declared.flag or name.removesuffix("_s").replace("_", "-")),
+            section=declared.section or section,
             metavar=declared.metavar or declared.unit.upper(),
         )
     return found

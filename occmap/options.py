@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from occmap.choices import check_bounds, list_options, list_values, option
@@ -22,6 +22,9 @@ from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
 DEFAULT_UPDATE = Update.SURFACE
+FILES, RUN = "Files", "Run"
+SCANS, POSES = "Which scans", "Where the scans were taken"
+"""Headings of --help"""
 
 
 def choose_model(update: Update) -> CountingModel:
@@ -71,15 +74,16 @@ class BuildOptions:
         None,
         "How evidence is weighed: see `occmap models`.",
         metavar="NAME[:KEY=NUMBER,...]",
+        section="Sensor model",
         form=MODEL,
     )
-    reading: ReaderOptions = field(default_factory=ReaderOptions)
-    returns: ReturnOptions = field(default_factory=ReturnOptions)
-    posing: PosingOptions = field(default_factory=PosingOptions)
-    selection: Selection = field(default_factory=Selection)
-    framing: Framing = field(default_factory=Framing)
-    writing: WriteOptions = field(default_factory=WriteOptions)
-    clouds: CloudOptions = field(default_factory=CloudOptions)
+    reading: ReaderOptions = option(ReaderOptions, section=SCANS)
+    returns: ReturnOptions = option(ReturnOptions, section="What a range means")
+    posing: PosingOptions = option(PosingOptions, section=POSES)
+    selection: Selection = option(Selection, section=SCANS)
+    framing: Framing = option(Framing)
+    writing: WriteOptions = option(WriteOptions, section=FILES)
+    clouds: CloudOptions = option(CloudOptions, section=SCANS)
     jump: float = option(
         0.1,
         "Two neighbouring beams meet one surface if their ranges differ by at most this.",
@@ -114,24 +118,29 @@ class BuildOptions:
         unit="s",
         bounds=(1e-3, 1e9),  # slices of time are cut by it
     )
-    jobs: int = option(count_cores, "Threads.", unit="threads", metavar="N", bounds=(1, math.inf))
+    jobs: int = option(
+        count_cores, "Threads.", unit="threads", metavar="N", section=RUN, bounds=(1, math.inf)
+    )
     resume: Path | None = option(
         None,
         "Add to the evidence in this file, which `outputs` may name again.",
         unit="path",
         metavar="NPZ",
+        section=FILES,
     )
     resume_if_there: Path | None = option(
         None,
         "As `resume` if the file exists; otherwise start a new map.",
         unit="path",
         metavar="NPZ",
+        section=FILES,
     )
 
     fit: bool = option(
         False,
         "With evidence to add to: first move the logs by the shift of up to 2 m and the turn of up "
         "to 20 degrees by which their walls lie on its walls, where one is clearly the best.",
+        section=FILES,
     )
 
     def __post_init__(self) -> None:
@@ -153,7 +162,7 @@ class BuildOptions:
             yield "`fit` does nothing: it is for `resume`"
 
 
-OPTIONS = list_options(BuildOptions)
+OPTIONS = list_options(BuildOptions, "Map")
 """All of them by name"""
 CLOUDS_ALONE = tuple(list_options(CloudOptions))
 IDLE = {
@@ -179,11 +188,16 @@ FLAGS = {name: option.flag for name, option in OPTIONS.items()} | OTHER_FLAGS
 MARK = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 """An option in a text, as libraries write it: `max_range`, `max_range=6`, `transform=(1,2,0)`"""
 
-OF_ONE_MAP = (
-    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there", "fit"),
-    *list_options(WriteOptions),
-)
+OF_ONE_MAP = {
+    *("update", "model", "min_passes", "pass_gap_s", "resume", "resume_if_there", "fit", "align"),
+    *(*list_options(Framing), *list_options(WriteOptions)),
+}
 """Options of a single map, which do not change how logs are read"""
+OF_A_SCORED_MAP = {
+    *OF_ONE_MAP - {"occupied_thresh", "free_thresh"},
+    *("resolution", "max_cells", "jump", "border_gap", "hit_offset"),
+}
+"""Those that do not concern what is read of logs and of a written map"""
 
 
 def spell_flags(text: str) -> str:

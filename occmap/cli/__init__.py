@@ -20,30 +20,22 @@ from occmap.cli.console import Console, discard
 from occmap.errors import OccmapError, UsageError, refuse_failures
 
 COMMANDS = {
-    "build": "Build one map from one or more logs.",
-    "check": "Say what is in logs, and what will go wrong with them.",
-    "demo": "Map a simulated drive, to see what occmap does.",
-    "diff": "Say what changed between two maps, and fail above a limit.",
-    "compare": "Say which update and sensor model suits logs best.",
-    "explain": "Say what was seen at a point of saved evidence, and by which scans.",
-    "merge": "Add saved evidence, or take some of it away, exactly.",
-    "models": "List the sensor models that are installed.",
-    "readers": "List the log formats that can be read.",
-    "render": "Make a map of saved evidence, without reading the log.",
-    "score": "Say how good a map is, by recordings or by the truth.",
-    "schema": "Print the JSON Schema of what a command prints with --json.",
-    "tune": "Find the time offset and the mount that suit logs best.",
-    "writers": "List the map formats that can be written.",
+    "build": ("build", "Build one map from one or more logs."),
+    "check": ("check", "Say what is in logs, and what will go wrong with them."),
+    "demo": ("build", "Map a simulated drive, to see what occmap does."),
+    "diff": ("compare", "Say what changed between two maps, and fail above a limit."),
+    "compare": ("compare", "Say which update and sensor model suits logs best."),
+    "explain": ("evidence", "Say what was seen at a point of saved evidence, and by which scans."),
+    "merge": ("evidence", "Add saved evidence, or take some of it away, exactly."),
+    "models": ("lists", "List the sensor models that are installed."),
+    "readers": ("lists", "List the log formats that can be read."),
+    "render": ("evidence", "Make a map of saved evidence, without reading the log."),
+    "score": ("check", "Say how good a map is, by recordings or by the truth."),
+    "schema": ("lists", "Print the JSON Schema of what a command prints with --json."),
+    "tune": ("compare", "Find the time offset and the mount that suit logs best."),
+    "writers": ("lists", "List the map formats that can be written."),
 }
-"""The texts are those of --help."""
-HOMES = {
-    "demo": "build",
-    "score": "check",
-    **dict.fromkeys(("explain", "merge", "render"), "evidence"),
-    **dict.fromkeys(("models", "readers", "schema", "writers"), "lists"),
-    **dict.fromkeys(("diff", "tune"), "compare"),
-}
-"""The modules of commands that share one; any other has one of its own, under its name"""
+"""The module of each, and the text of --help"""
 
 NEW_OBJECTS = 100_000
 """Allocations between two garbage collections; at Python's 700 an import sets off many."""
@@ -60,7 +52,7 @@ class CommandTable(click.Group):
         """Import one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = import_module(f"occmap.cli.{HOMES.get(cmd_name, cmd_name)}")
+        module = import_module(f"occmap.cli.{COMMANDS[cmd_name][0]}")
         command: click.Command = getattr(module, f"{cmd_name}_command")
         return command
 
@@ -81,7 +73,7 @@ class CommandTable(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
         """List the commands from the table."""
         with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
 
 @click.group(

@@ -14,10 +14,10 @@ from click.core import ParameterSource
 from occmap.choices import read_value, take
 from occmap.cli import options
 from occmap.cli.console import Console, write_rows
-from occmap.cli.declaring import CONFIG, PATH, RUN, TEXT, Answer, Option, command, fail_if, flag
-from occmap.cli.options import FILES, MAP, Values
+from occmap.cli.declaring import CONFIG, PATH, TEXT, Answer, Option, command, fail_if, flag
+from occmap.cli.options import Values
 from occmap.errors import LogError, OccmapError, PoseError, UsageError
-from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import DEFAULT_UPDATE, OPTIONS, RUN, BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.plugins import guess
 from occmap.readers import open_log
@@ -61,16 +61,10 @@ USUAL = (
     "build",
     Report,
     click.Argument(["words"], nargs=-1, metavar="[beam|polygon|surface] LOG..."),
-    *options.WRITING,
-    *options.fields(FILES, "resume", "resume_if_there", "fit"),
-    *options.LATTICE,
-    options.ALIGN,
-    *options.FRAMING,
-    *options.fields(MAP, "min_passes", "pass_gap_s"),
-    *options.RANGES_READ,
+    options.OUTPUTS,
+    *options.fields(name for name in OPTIONS if name not in {"update", "model"}),
     *options.list_model(choose_model(DEFAULT_UPDATE).name),
-    *options.SCANS_READ,
-    *(fail_if(BUILD, "agreement < 70%"), options.JOBS, DASK, SCRATCH, SKIP, STRICT, CONFIG),
+    *(fail_if(BUILD, "agreement < 70%"), DASK, SCRATCH, SKIP, STRICT, CONFIG),
     usual=USUAL,
 )
 def build_command(console: Console, /, words: tuple[str, ...], **values: Any) -> Answer:

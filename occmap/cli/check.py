@@ -21,6 +21,7 @@ from occmap.scoring.maps import Against, MapScore, score
 from occmap.store.moving import STAY, Transform
 from occmap.writers import check_picture
 
+AGAINST = list_options(Against, "What it is held against")
 LABEL = 10
 """Width of the column of labels"""
 
@@ -30,11 +31,8 @@ LABEL = 10
     Inspection,
     options.LOGS,
     options.one_output("output", "FILE.html", "Write the findings as a page as well."),
-    options.RESOLUTION,
-    options.MAX_CELLS,
-    *options.READING,
-    fail_if(CHECK, "dropped_scans > 5%"),
-    CONFIG,
+    *options.OF_LOGS,
+    *(fail_if(CHECK, "dropped_scans > 5%"), CONFIG),
 )
 def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say what is in logs, and what will go wrong with them.
@@ -99,13 +97,10 @@ def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
     "score",
     MapScore,
     click.Argument(["path"], type=PATH, metavar="MAP"),
-    *options.fields(
-        "What it is held against", "logs", "truth", "within_m", "fit", of=list_options(Against)
-    ),
+    *(options.field(AGAINST[name]) for name in ("logs", "truth", "within_m", "fit")),
     options.one_output("picture", "FILE", "Write a .png here: where the map and the truth differ."),
-    *options.THRESHOLDS,
-    *options.READING,
-    *(fail_if(SCORE, "edges_found < 95%"), options.JOBS, CONFIG),
+    *options.OF_SCORED_LOGS,
+    *(fail_if(SCORE, "edges_found < 95%"), CONFIG),
 )
 def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say how good a map is, by recordings or by the truth.

@@ -11,56 +11,45 @@ from typing import Any
 
 import click
 
-from occmap.choices import Form, take
+from occmap.choices import take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_command, write_rows
-from occmap.cli.declaring import CONFIG, PATH, Answer, Option, Value, command, fail_if
-from occmap.difference import MapDifference
+from occmap.cli.declaring import CONFIG, PATH, Answer, command, fail_if
+from occmap.difference import MapDifference, tell_changes
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_files, compare_logs
-from occmap.report import count, label_first, write_metres
+from occmap.report import count
 from occmap.report.limits import COMPARE, DIFF, TUNE
 from occmap.scoring import SMALL, Gain
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.types import BEAM_UPDATES, Update
+from occmap.types import BEAM_UPDATES
 from occmap.writers import WriteOptions
 
-VARIANTS = "What to compare"
-BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
-"""What is told and completed: `combine` says why the update for clouds is none of them"""
+VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
 
 
 @command(
     "compare",
     VariantComparison,
     options.LOGS,
-    Option(
-        VARIANTS,
-        "--update",
-        "updates",
-        type=Value(replace(OPTIONS["update"], form=BEAMS, kind=BEAM_UPDATES)),
-        multiple=True,
+    options.field(
+        replace(OPTIONS["update"], kind=BEAM_UPDATES, **VARIED),
         metavar=f"[{'|'.join(BEAM_UPDATES)}]",
         show_default="all",
-        help="How a scan becomes observations. May repeat.",
     ),
     options.field(
-        VARIANTS,
-        "model",
-        multiple=True,
+        replace(OPTIONS["model"], **VARIED),
         show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
-        help=f"{OPTIONS['model'].help} May repeat.",
     ),
     options.one_output(
         "picture",
         "FILE",
         "Write all maps here: .png is a picture with where they disagree, .html a page.",
     ),
-    *options.LATTICE,
-    *options.READING,
-    *(fail_if(COMPARE, "share < 70%"), options.JOBS, CONFIG),
+    *options.OF_LOGS,
+    *(fail_if(COMPARE, "share < 70%"), CONFIG),
 )
 def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Say which update and sensor model suits logs best.
@@ -79,7 +68,7 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
       occmap compare intel.log.gz -o compare.png --resolution 0.1
       occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
     """
-    chosen = combine(values["updates"], values.pop("model"))
+    chosen = combine(values.pop("update"), values.pop("model"))
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
     comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
@@ -114,12 +103,7 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     return lines
 
 
-@command(
-    "tune",
-    Tuning,
-    *(options.LOGS, options.RESOLUTION, options.MAX_CELLS, *options.READING),
-    *(fail_if(TUNE, "gain > 2%"), options.JOBS, CONFIG),
-)
+@command("tune", Tuning, *(options.LOGS, *options.OF_LOGS, fail_if(TUNE, "gain > 2%"), CONFIG))
 def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
     """Find the time offset and the mount that suit logs best.
 
@@ -169,7 +153,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     if len(tuning.by_log) > 1:
         yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or found or tuning.is_doubtful or tuning.mount.verdict is Verdict.UNSEEN
+    unsure = disagree or found or tuning.doubt or tuning.mount.verdict is Verdict.UNSEEN
     nothing = "nothing is recommended" if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 
@@ -240,7 +224,7 @@ def format_gain(it: Gain) -> str:
         "output", "FILE", "Write the changes here: .png is a picture, .html a page."
     ),
     *options.THRESHOLDS,
-    options.field(options.FILES, "edits", help="Say which changes lie in the shapes in this file."),
+    options.field(OPTIONS["edits"], help="Say which changes lie in the shapes in this file."),
     fail_if(DIFF, "changed > 1%", "--fail-above"),
 )
 def diff_command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
@@ -262,24 +246,4 @@ def diff_command(_console: Console, /, before: Path, after: Path, **values: Any)
       occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
     """
     difference = compare_files(before, after, take(WriteOptions, values), values["output"])
-    return Answer(difference, write_rows(list_changes(difference)))
-
-
-def list_changes(difference: MapDifference) -> Iterator[tuple[str, str]]:
-    """Sum up a difference in a few rows."""
-    known = f"{difference.share:.3%} of {count(difference.known, 'known cell')}"
-    by_class = [f"{cells:,} {name}" for name, cells in difference.changed.items() if cells]
-    total = f"{count(difference.changed_cells, 'cell')}, {known}"
-    yield from label_first("changed", [total, *by_class])
-    if difference.edited is not None:
-        yield "edits", f"{count(difference.edited, 'changed cell')} in shapes that were drawn"
-    if difference.largest:
-        low_x, low_y, high_x, high_y = write_metres(difference.largest.extent)
-        blob = count(difference.largest.cells, "connected cell")
-        yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
-    before, after = difference.evidence
-    if before and before == after:
-        other = "; what changed is how it was rendered" if difference.changed_cells else ""
-        yield "evidence", f"{before}, of both{other}"
-    elif before and after:
-        yield from label_first("evidence", [before, after])
+    return Answer(difference, write_rows(tell_changes(difference)))

@@ -23,7 +23,7 @@ from occmap import choices
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import OccmapError, UsageError
-from occmap.options import FLAGS, OPTIONS
+from occmap.options import FLAGS, OPTIONS, RUN
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
@@ -33,7 +33,6 @@ from occmap.types import Update
 SHORT_EQUALS = re.compile("-[a-z]=")
 LIMIT_BROKEN = 3
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
-LIMITS, RUN = "Limits", "Run"
 ALL = "occmap.all_options"
 """Set in the context where help lists all options"""
 
@@ -81,7 +80,7 @@ class Option(click.Option):
 
 
 class Command(click.Command):
-    """A command whose --help lists its options by section, in the order of their declaration."""
+    """A command whose --help lists its options by section, as they are declared; "Run" is last."""
 
     printed: Sequence[type[Printed]]
     """What it prints with --json: the fields of these types, one after the other"""
@@ -92,20 +91,21 @@ class Command(click.Command):
         """Fill in the number that --align may lack; raises UsageError for `-o=map.pgm`.
 
         click has options without a value, too, but they take a log that follows for the number, and
-        refuse a negative one.
+        refuse a negative one. A negative number gets a space before it: no option begins with one.
         """
         flag, bare, words = OPTIONS["align"].flag, OPTIONS["align"].none[0], []
         for word, following in zip_longest(args, args[1:], fillvalue=""):
             if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
                 fix = f"write {word[:2]} {word[3:]}"
                 raise UsageError("a short option takes no =", where=word, fix=fix)
-            words.append(word)
+            is_negative = word.startswith("-") and NUMBER.fullmatch(word)
+            words.append(f" {word}" if is_negative else word)
             if word == flag and following != bare and not NUMBER.fullmatch(following):
                 words.append(bare)
         return super().parse_args(ctx, words)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write one list for each section; click's own --help is listed in the last one."""
+        """Write one list for each section; click's own --help is among those of the run."""
         sections: dict[str, list[tuple[str, str]]] = {}
         is_short = self.usual and ALL not in ctx.meta
         for param in self.get_params(ctx):
@@ -114,6 +114,7 @@ class Command(click.Command):
             record = param.get_help_record(ctx)
             if record and isinstance(param, click.Option) and not is_left_out:
                 sections.setdefault(section, []).append(record)
+        sections[RUN] = sections.pop(RUN)
         for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
@@ -176,14 +177,14 @@ def fail_if(measures: Measures, example: str, *others: str) -> Option:
     def read(text: str) -> Limit:
         if others and not re.search("[<>=]", text):
             bound = parse_bound(text.strip(), measures[0], f"{others[0]} {text}")
-            return Limit(measures[0], ">", bound, text.endswith("%"), others[0])
+            return Limit(measures[0], ">", bound, others[0])
         return parse_limit(text, measures)
 
     text = f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. May repeat.'
     text += "".join(f" {each} SHARE is short for {measures[0].name} > SHARE." for each in others)
     form = choices.Form(read, f'a limit such as "{example}"')
     return Option(
-        LIMITS,
+        "Limits",
         *("--fail-if", *others, "limits"),
         type=Value.of(Limit, "limits", form),
         multiple=True,
@@ -193,11 +194,7 @@ def fail_if(measures: Measures, example: str, *others: str) -> Option:
 
 
 def command(
-    name: str,
-    printed: type[Printed],
-    *params: click.Parameter,
-    cls: type[Command] = Command,
-    usual: Iterable[str] = (),
+    name: str, printed: type[Printed], *params: click.Parameter, usual: Iterable[str] = ()
 ) -> Callable[[Callable[..., Answer]], Command]:
     """Declare a command by a function that takes the console and the options, and answers.
 
@@ -223,9 +220,9 @@ def command(
             answer = function(console, **values)
             tell(console, name, answer, limits)
 
-        text = describe(function) or COMMANDS[name]
+        text = describe(function) or COMMANDS[name][1]
         own = [*params, JSON, QUIET, VERBOSE, *([HELP_ALL] if usual else [])]
-        made = cls(name, params=own, callback=run, help=text)
+        made = Command(name, params=own, callback=run, help=text)
         has_limits = any(param.name == "limits" for param in params)
         made.printed = [printed, Limited] if has_limits else [printed]
         made.usual = frozenset([*usual, "help_all"] if usual else ())

@@ -9,12 +9,14 @@ import click
 from occmap.choices import list_options, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
-from occmap.cli.declaring import NUMBER, PATH, Answer, Command, Value, command, fail_if, flag
-from occmap.cli.options import FILES, MAP, POSES, SCANS, choose_saved_model
+from occmap.cli.declaring import PATH, Answer, Value, command, fail_if, flag
+from occmap.cli.options import choose_saved_model
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits, add_up
+from occmap.grid.rendering import Framing
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.options import FILES, POSES, SCANS
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
@@ -40,7 +42,7 @@ LIMIT = fail_if(SAVED, "unknown > 60%")
         text="First move each file after the first by the shift of up to 2 m and the turn of up "
         "to 20 degrees by which its walls lie on those before it, where one is clearly the best.",
     ),
-    *(options.MIN_PASSES, options.MAX_CELLS, LIMIT),
+    *(*options.KEPT_CELLS, LIMIT),
 )
 def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:
     """Add saved evidence, or take some of it away, exactly.
@@ -67,9 +69,9 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
 @command(
     "render",
     Report,
-    *(EVIDENCE, *options.WRITING, *options.FRAMING),
-    options.field(MAP, "overview", of=list_options(RenderOptions)),
-    *(options.MIN_PASSES, options.MAX_CELLS, *options.SAVED_MODEL, LIMIT),
+    *(EVIDENCE, *options.WRITING, *options.fields(list_options(Framing))),
+    options.field(list_options(RenderOptions, "Map")["overview"]),
+    *(*options.KEPT_CELLS, *options.SAVED_MODEL, LIMIT),
 )
 def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Make a map of saved evidence, without reading the log.
@@ -122,19 +124,6 @@ PAIRS = {
 """What the two numbers of a cell are"""
 
 
-class PointCommand(Command):
-    """A command whose arguments may be negative numbers, which look like options."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Part X,Y, and put a space before negative numbers: no option begins with one."""
-        words: list[str] = []
-        for word in args:
-            parts = word.split(",")
-            is_point = len(parts) <= 2 and all(map(NUMBER.fullmatch, parts))
-            words += [f" {x}" if x[0] == "-" else x for x in parts] if is_point else [word]
-        return super().parse_args(ctx, words)
-
-
 @command(
     "explain",
     Explanation,
@@ -145,8 +134,7 @@ class PointCommand(Command):
         SCANS, "LOG", "List the scans of this log that observed the cell.", "--log", "logs"
     ),
     options.paths(POSES, "FILE", "The trajectory that the log was built with.", "--poses"),
-    *(options.MIN_PASSES, *options.SAVED_MODEL, *options.THRESHOLDS),
-    cls=PointCommand,
+    *(*options.fields(["min_passes"]), *options.SAVED_MODEL, *options.THRESHOLDS),
 )
 def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """Say what was seen at a point of saved evidence, and by which scans.

@@ -7,7 +7,7 @@ patterns, stdin and stdout.
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import EnumType
@@ -19,39 +19,31 @@ import click
 from occmap import choices
 from occmap.choices import list_options
 from occmap.cli.console import Console, put_on_stdout, spell
-from occmap.cli.declaring import PATH, RUN, Option, Value
-from occmap.clouds import CloudOptions
+from occmap.cli.declaring import PATH, Option, Value
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
-from occmap.grid.rendering import Framing
-from occmap.options import FLAGS, OPTIONS, BuildOptions, Selection, name_map
-from occmap.posing import PosingOptions
-from occmap.readers import ReaderOptions
+from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
 from occmap.report.results import Report
 from occmap.scans.logs import find_inputs, keep_stdin
-from occmap.sensor import ReturnOptions
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
-from occmap.writers import find_writer
+from occmap.writers import WriteOptions, find_writer
 
-BY_THEMSELVES = ("align", "shade")
-"""Options that are listed by themselves"""
 PIECE_BYTES = 1 << 20
 """So much of a file goes to stdout at once."""
-Known = Mapping[str, choices.Option]
-"""Options that are declared somewhere, by their names"""
 Values = Mapping[str, Any]
 """What click has read, by the names of the options."""
 
-MAP, MODEL = "Map", "Sensor model"
-SCANS, POSES, FILES = "Which scans", "Where the scans were taken", "Files"
+TYPED: dict[str, dict[str, Any]] = {
+    "align": {"metavar": "[DEG]", "show_default": "not turned"},
+    "jobs": {"show_default": "one for each core"},
+    "resolution": {"short": ["-r"]},
+    "shade": {"is_flag": True, "metavar": None, "flag_value": "light", "show_default": False},
+}
+"""What differs, by the names of options, from how others of their types are typed"""
 
 
-def field(section: str, name: str, *short: str, of: Known = OPTIONS, **more: Any) -> Option:
-    """Make an option as it is declared, `of` a build or of another command.
-
-    It may have a `short` flag as well, and `more` settings, which replace these.
-    """
-    known = of[name]
+def field(known: choices.Option, **more: Any) -> Option:
+    """Make an option as it is declared, but for what `more` settings say."""
     kind, default = known.kind, known.default
     settings: dict[str, Any] = {
         "type": Value(known),
@@ -66,18 +58,14 @@ def field(section: str, name: str, *short: str, of: Known = OPTIONS, **more: Any
         settings |= {"is_flag": True, "type": None}
     elif isinstance(default, int | float):
         settings |= {"default": default, "show_default": math.isfinite(default)}
-    return Option(section, *short, known.flag, name, **settings | more)
+    settings |= TYPED.get(known.name, {}) | more
+    short = settings.pop("short", ())
+    return Option(known.section, *short, known.flag, known.name, **settings)
 
 
-def fields(section: str, *names: str, of: Known = OPTIONS) -> list[Option]:
-    """Make some options, `of` a build or of another command."""
-    return [field(section, name, of=of) for name in names]
-
-
-def group(section: str, *kinds: Any) -> list[Option]:
-    """Make all options of groups of them, in the order in which they stand there."""
-    names = [name for kind in kinds for name in list_options(kind) if name not in BY_THEMSELVES]
-    return fields(section, *names)
+def fields(names: Iterable[str]) -> list[Option]:
+    """Make some options of a build."""
+    return [field(OPTIONS[name]) for name in names]
 
 
 def paths(section: str, metavar: str, text: str, *names: str) -> Option:
@@ -102,39 +90,35 @@ def one_output(name: str, metavar: str, text: str) -> Option:
 
 
 LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
-RESOLUTION = field(MAP, "resolution", "-r")
-MAX_CELLS = field(MAP, "max_cells")
-MIN_PASSES = field(MAP, "min_passes")
-ALIGN = field(MAP, "align", metavar="[DEG]", show_default="not turned")
-LATTICE = [RESOLUTION, *fields(MAP, "jump", "hit_offset", "border_gap"), MAX_CELLS]
-FRAMING = group(MAP, Framing)
-RANGES_READ = group("What a range means", ReturnOptions)
-SCANS_READ = [*group(SCANS, Selection, ReaderOptions, CloudOptions), *group(POSES, PosingOptions)]
-READING = [*RANGES_READ, *SCANS_READ]
-THRESHOLDS = fields(FILES, "occupied_thresh", "free_thresh")
-WRITING = [
-    paths(
-        FILES,
-        "FILE",
-        "Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large "
-        "maps, .html for a page, .mcap for Foxglove and RViz, .tum or .csv for the way of a build, "
-        ".npz for evidence to render, merge and resume, or .zarr for the same in blocks.",
-        *("-o", "--output", "outputs"),
-    ),
-    *fields(FILES, "edits", "georeference", "mode"),
-    *THRESHOLDS,
-    field(FILES, "shade", is_flag=True, metavar=None, flag_value="light", show_default=False),
-]
-JOBS = field(RUN, "jobs", show_default="one for each core")
+OF_LOGS = fields(name for name in OPTIONS if name not in OF_ONE_MAP)
+"""What a user may choose where no single map is made"""
+OF_SCORED_LOGS = fields(name for name in OPTIONS if name not in OF_A_SCORED_MAP)
+KEPT_CELLS = fields(["min_passes", "max_cells"])
+THRESHOLDS = fields(["occupied_thresh", "free_thresh"])
+OUTPUTS = paths(
+    FILES,
+    "FILE",
+    "Write the map here; the suffix picks the format: .pgm, .png, .tif or .tiles for large maps, "
+    ".html for a page, .mcap for Foxglove and RViz, .tum or .csv for the way of a build, .npz for "
+    "evidence to render, merge and resume, or .zarr for the same in blocks.",
+    *("-o", "--output", "outputs"),
+)
+WRITING = [OUTPUTS, *fields(list_options(WriteOptions))]
 
 
 def list_model(usual: str) -> list[Option]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
+    model = field(OPTIONS["model"], type=Value.of(str, "model"), show_default=usual)
     parameters = [
-        Option(MODEL, FLAGS[name], type=Value.of(float, name), metavar=metavar, help=text)
+        Option(
+            *(model.section, "--" + name.replace("_", "-")),
+            type=Value.of(float, name),
+            metavar=metavar,
+            help=text,
+        )
         for name, (metavar, text) in PARAMETERS.items()
     ]
-    return [field(MODEL, "model", type=Value.of(str, "model"), show_default=usual), *parameters]
+    return [model, *parameters]
 
 
 SAVED_MODEL = list_model("what it was built with")

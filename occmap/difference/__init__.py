@@ -1,17 +1,18 @@
 """What changed between two maps on one lattice: cells by class, the largest blob, a picture."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
 
 import numpy as np
 
+from occmap import report
 from occmap.cells import Box, CellClass, OccupancyMap
 from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
-from occmap.report import HIDDEN, Count, Printed, Share, printed_as
+from occmap.report import HIDDEN, Count, Printed, Row, Share, printed_as
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers.edits import Shape, apply_edits
 
@@ -134,6 +135,29 @@ class MapDifference(Printed):
     """(H, W) of CellClass, over both maps; NEITHER is also what a map does not reach"""
     place: Place = field(metadata=HIDDEN)
     """Where cell (0, 0) of both lies"""
+
+
+def tell_changes(difference: MapDifference) -> Iterator[Row]:
+    """Sum up a difference in a few rows."""
+    known = f"{difference.share:.3%} of {report.count(difference.known, 'known cell')}"
+    by_class = [f"{cells:,} {name}" for name, cells in difference.changed.items() if cells]
+    total = f"{report.count(difference.changed_cells, 'cell')}, {known}"
+    yield from report.label_first("changed", [total, *by_class])
+    if difference.edited is not None:
+        yield (
+            "edits",
+            f"{report.count(difference.edited, 'changed cell')} in shapes that were drawn",
+        )
+    if difference.largest:
+        low_x, low_y, high_x, high_y = report.write_metres(difference.largest.extent)
+        blob = report.count(difference.largest.cells, "connected cell")
+        yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
+    before, after = difference.evidence
+    if before and before == after:
+        other = "; what changed is how it was rendered" if difference.changed_cells else ""
+        yield "evidence", f"{before}, of both{other}"
+    elif before and after:
+        yield from report.label_first("evidence", [before, after])
 
 
 def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()) -> MapDifference:

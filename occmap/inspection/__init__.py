@@ -26,7 +26,7 @@ from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
-from occmap.report.results import LEAST_AGREEMENT, hint_at_tune
+from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
@@ -215,15 +215,15 @@ def list_concerns(
 
 def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator[Concern]:
     """Say if hardly any hits of a topic agree; tune mends one topic at a time."""
-    if topic.agreement is None or topic.agreement >= LEAST_AGREEMENT:
+    doubt = doubt_agreement(topic.agreement, "the hits of a sample of scans")
+    if not doubt:
         return
-    share = f"only {topic.agreement:.0%} of the hits of a sample of scans"
     mend, remedy = f"{ASK_TUNE}, or another trajectory", None
     if topic.poses.stated:  # at their own times
         mend = "try another trajectory by `poses=FILE`"
     elif others and all((other.agreement or 0.0) >= LEAST_AGREEMENT for other in others):
         remedy = {"topics": topic.topic}
-    yield Concern(f"{share} lie in occupied cells: the poses do not fit the scans; {mend}", remedy)
+    yield Concern(f"{doubt}: the poses do not fit the scans; {mend}", remedy)
 
 
 def list_apart(

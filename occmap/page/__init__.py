@@ -26,7 +26,6 @@ from occmap.grid import CellBox
 from occmap.inspection import findings
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import BuildOptions, spell_flags
-from occmap.plugins import need_extra
 from occmap.readers import Role
 from occmap.report import Noted, count, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress
@@ -361,19 +360,7 @@ class HtmlWriter(Writer):
 
     description = "page for any browser: the map in layers, the way, what was found"
     needs_evidence = shows_journey = True
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the file.
-
-        Raises
-        ------
-        UsageError
-            Bokeh, which is an extra, is not installed.
-        """
-        with need_extra("report", "a page is drawn by Bokeh", where=path):
-            import bokeh  # noqa: F401, PLC0415  an extra
-            import jinja2  # noqa: F401, PLC0415  likewise
-        return super().targets(path)
+    needs = "report", "bokeh", "jinja2"
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions

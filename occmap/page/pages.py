@@ -13,11 +13,10 @@ from bokeh.plotting import figure
 
 from occmap import page
 from occmap.cells import Evidence
-from occmap.difference import COLOURS, NEITHER, MapDifference
+from occmap.difference import COLOURS, MapDifference, tell_changes
 from occmap.evidence.manifest import describe_files, list_inputs
 from occmap.grid import CellBox
 from occmap.page import Block, Page, Section, Stage, raster
-from occmap.report import write_box
 from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
 from occmap.types import Journey
@@ -216,18 +215,10 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
     before, after = maps
     changed = f"{difference.changed_cells:,} cells changed, {difference.share:.3%}"
     subtitle = f"{changed} of {difference.known:,} known ones"
-    rows = [
-        (name.replace("neither", CLASSES[NEITHER]), f"{cells:,}")
-        for name, cells in difference.changed.items()
-        if cells
-    ]
-    facts = [("before", str(before)), ("after", str(after))]
-    facts.append((CLASSES[NEITHER], "or undecided: what is neither occupied nor free"))
-    if blob := difference.largest:
-        facts.append(("largest", f"{blob.cells:,} connected cells, {write_box(blob.extent)}"))
-    blocks = [Block("facts", facts), Block("table", rows, ("what changed", "#cells"))]
+    facts = [("before", str(before)), ("after", str(after)), *tell_changes(difference)]
+    facts.append(("neither", "unknown or undecided"))
     inputs = [entry for each in maps for entry in describe_files(each)]
-    sections = [Section("Changes", blocks), page.describe_maker(inputs)]
+    sections = [Section("Changes", [Block("facts", facts)]), page.describe_maker(inputs)]
     title = f"From {before.name} to {after.name}"
     page.write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
 

@@ -140,6 +140,7 @@ class PosingOptions:
         "Turn the map by this many degrees counter-clockwise; without a number, by the smallest "
         "angle that brings its walls along the axes.",
         unit="degrees",
+        section="Map",
         bounds=(-360, 360),
         none=("auto", "so that walls run along the axes"),
     )

@@ -69,8 +69,6 @@ class Limit(NamedTuple):
     sign: str
     bound: float
     """In the unit of the measure, a share from 0 to 1"""
-    in_percent: bool = False
-    """The bound was written as 5% rather than 0.05"""
     option: str = "`limits`"
     """Where the user set it"""
 
@@ -94,7 +92,8 @@ class Limit(NamedTuple):
         return SIGNS[self.sign](value, self.bound)
 
     def _write(self, value: float, digits: int) -> str:
-        return f"{100 * value:.{digits}g}%" if self.in_percent else f"{value:.{digits}g}"
+        is_share = self.measure.unit == SHARE
+        return f"{100 * value:.{digits}g}%" if is_share else f"{value:.{digits}g}"
 
 
 def parse_limit(text: str, measures: Sequence[Measure]) -> Limit:
@@ -115,8 +114,7 @@ def parse_limit(text: str, measures: Sequence[Measure]) -> Limit:
     if name not in by_name:
         fix = f"{guess(name, by_name)} there are {', '.join(by_name)}".strip()
         raise UsageError(f"no measure is called {name!r}", where=where, fix=fix)
-    bound = parse_bound(found[3], by_name[name], where)
-    return Limit(by_name[name], found[2], bound, in_percent=found[3].endswith("%"))
+    return Limit(by_name[name], found[2], parse_bound(found[3], by_name[name], where))
 
 
 def parse_bound(text: str, measure: Measure, where: str) -> float:
@@ -137,11 +135,10 @@ def parse_bound(text: str, measure: Measure, where: str) -> float:
         raise UsageError(f"{text!r} is not a number", where=where, fix=fix)
     if in_percent and not is_share:
         raise UsageError(f"{measure.name} is not a share", where=where, fix="leave out the %")
-    if is_share and not in_percent and 1 <= bound <= 100:  # most who write 1 mean 1%
-        fix = f"write {bound:g}% or {bound / 100:g}; the whole is 100%"
-        raise UsageError(f"{text} is not a share below 1", where=where, fix=fix)
-    if is_share and not 0 <= bound <= 1:
-        raise UsageError(f"{text} is not a share", where=where, fix="write 0% to 100%")
+    if is_share and not (0 <= bound < 1 or (bound == 1 and in_percent)):
+        is_meant = 1 <= bound <= 100 and not in_percent  # most who write 1 mean 1%
+        fix = f"write {bound:g}% or {bound / 100:g}" if is_meant else "write 0% to 100%"
+        raise UsageError(f"{text} is not a share", where=where, fix=fix)
     return bound
 
 

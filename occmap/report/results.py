@@ -332,6 +332,12 @@ def name_frames(tally: Tally) -> str:
     return f"the logs are mapped in different frames: {named}" if len(first) > 1 else ""
 
 
+def doubt_agreement(agreement: float | None, hits: str = "the hits") -> str:
+    """Say that scans contradict each other, if they do: how few of `hits` agree; else empty."""
+    is_low = agreement is not None and agreement < LEAST_AGREEMENT
+    return f"only {agreement:.0%} of {hits} lie in occupied cells" if is_low else ""
+
+
 def list_disagreement(
     facts: MapFacts, min_passes: int | None, looked_up: bool = True
 ) -> Iterator[str]:
@@ -339,14 +345,11 @@ def list_disagreement(
 
     Times matter only where poses were `looked_up` by them.
     """
-    if facts.agreement and facts.agreement < LEAST_AGREEMENT:
+    if facts.agreement and (doubt := doubt_agreement(facts.agreement)):
         timed = "`occmap tune`, `deskew=on` or " if looked_up else ""
         less = ", or `min_passes` takes away what they hit" if min_passes else ""
-        yield (
-            f"only {facts.agreement:.0%} of the hits lie in cells that the map calls occupied: the "
-            f"poses do not fit the scans{less}; see `occmap check`, try {timed}another trajectory "
-            "by `poses=FILE`"
-        )
+        fix = f"see `occmap check`, try {timed}another trajectory by `poses=FILE`"
+        yield f"{doubt}: the poses do not fit the scans{less}; {fix}"
 
 
 def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -> Iterator[str]:

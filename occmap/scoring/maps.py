@@ -17,7 +17,7 @@ from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share
-from occmap.report.results import LEAST_AGREEMENT
+from occmap.report.results import doubt_agreement
 from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
@@ -259,9 +259,10 @@ def score_by_logs(
     seen = [move_rays(rays, moved) for rays in sample.parts]
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
-    if agreement < LEAST_AGREEMENT and not is_fitted:
-        text = f"only {agreement:.0%} of the hits lie in occupied cells of the map or beside one"
-        remarks.notes.append(f"{text}: if the logs have another frame, `fit` may find it")
+    if not is_fitted and (doubt := doubt_agreement(agreement)):
+        remarks.notes.append(
+            f"{doubt} or beside one: if the logs have another frame, `fit` may find it"
+        )
     score = LogScore(
         logs=remarks.logs,
         scans=tally.scans,

@@ -227,11 +227,7 @@ class ZarrWriter(Writer):
 
     description = "evidence as a Zarr folder, for maps of a city; it does all that an .npz does"
     needs_evidence = in_parts = is_folder = True
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the folder."""
-        layout.import_zarr()
-        return (path,)
+    needs = "dask", "zarr"
 
     def owns(self, path: Path) -> bool:
         """Whether a folder is one that this writer made."""

@@ -10,7 +10,7 @@ import numpy as np
 from occmap.inspection import inspect, list_advised
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Share, count
-from occmap.report.results import LEAST_AGREEMENT
+from occmap.report.results import doubt_agreement
 from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import Gain, Trial
@@ -95,9 +95,9 @@ class Tuning(Improvement, Scored):
     """Share of the hits in cells that the map of the best calls occupied; None without any"""
 
     @property
-    def is_doubtful(self) -> bool:
-        """Whether scans contradict each other even with the best that was found."""
-        return self.agreement is not None and self.agreement < LEAST_AGREEMENT
+    def doubt(self) -> str:
+        """That scans contradict each other even with the best that was found; else empty."""
+        return doubt_agreement(self.agreement)
 
 
 def tune(
@@ -248,11 +248,10 @@ def measure_motion(scorer: Scorer, log: KeptLog) -> tuple[float, float]:
 
 def list_doubts(tuning: Tuning, scorer: Scorer) -> Iterator[str]:
     """Say what makes the result less sure."""
-    if tuning.is_doubtful:
+    if tuning.doubt:
         yield (
-            f"with the best that was found only {tuning.agreement:.0%} of the hits lie in occupied "
-            f"cells, still below {LEAST_AGREEMENT:.0%}: the search may have ended far from what is "
-            "right; measure the mount and give it by `sensor_pose`, or see `occmap check`"
+            f"{tuning.doubt} with the best that was found: the search may have ended far from what "
+            "is right; measure the mount and give it by `sensor_pose`, or see `occmap check`"
         )
     for each in tuning.by_log:
         if each.loses:

@@ -11,13 +11,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
 
 from occmap.cells import Decision, Evidence, OccupancyMap
 from occmap.choices import GLOBE, option
 from occmap.errors import OutputError, UsageError, require
-from occmap.plugins import list_plugins, load_plugin
+from occmap.plugins import list_plugins, load_plugin, need_extra
 from occmap.types import Journey
 from occmap.writers.atomic import check_parent, check_target, follow_links
 from occmap.writers.edits import Shape, apply_edits, read_edits
@@ -169,6 +170,8 @@ class Writer:
     only `place`, `shape`, `resolution`, `decision` and `take`"""
     is_folder = False
     """Whether it writes a folder with many files"""
+    needs: tuple[str, ...] = ()
+    """An extra of occmap and the modules that it brings, which are loaded late; none: no extra"""
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Every file that is written, so that all can be checked before the work starts."""
@@ -178,8 +181,11 @@ class Writer:
         """Whether an existing folder is one that this writer made, which it may replace."""
         return False
 
-    def check(self, path: Path, options: WriteOptions) -> None:
-        """Refuse before the work starts, by a UsageError, what these options cannot make."""
+    def check(self, path: Path, options: WriteOptions) -> None:  # noqa: ARG002  for some formats
+        """Refuse before the work starts, by a UsageError, what cannot be made here, or so."""
+        for module in self.needs[1:]:
+            with need_extra(self.needs[0], f"a {path.suffix} needs {module}", where=path):
+                import_module(module)
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write a map; return the files written.
@@ -309,18 +315,18 @@ def want_journey(outputs: Sequence[Path]) -> bool:
     return any(find_writer(path).shows_journey for path in outputs)
 
 
+USUAL = WriteOptions()
+USED_BY = {"mode": (".pgm", ".png", ".mcap"), "shade": (".png",), "georeference": (".tif", ".png")}
+"""Options that are for some formats alone"""
+
+
 def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
     """Say which options do nothing, since no output is of the format that they are for."""
-    if not outputs:  # a map that is saved later, in whatever format
-        return
     suffixes = {path.suffix.lower() for path in outputs}
-    if options.mode is not MapMode.TRINARY and suffixes.isdisjoint({".pgm", ".mcap", ".png"}):
-        formats = "it is for .pgm, .png and .mcap, and no output ends so"
-        yield f"`mode={options.mode}` does nothing: {formats}"
-    if options.shade is not Shade.DARK_OCCUPIED and ".png" not in suffixes:
-        yield "`shade` does nothing: it is for a PNG, and no output ends in .png"
-    if options.georeference and suffixes.isdisjoint({".tif", ".png"}):
-        yield "`georeference` does nothing: it is for .tif and .png, and no output ends so"
+    for name, formats in USED_BY.items():
+        is_usual = getattr(options, name) == getattr(USUAL, name)
+        if outputs and not is_usual and suffixes.isdisjoint(formats):  # else it is saved later
+            yield f"`{name}` does nothing: it is for {', '.join(formats)}, and no output ends so"
 
 
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:

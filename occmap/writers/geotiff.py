@@ -14,7 +14,6 @@ import numpy as np
 
 from occmap.cells import About, OccupancyMap, list_captions
 from occmap.errors import OutputError
-from occmap.plugins import need_extra
 from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import check_target, follow_links, open_atomic
@@ -31,11 +30,7 @@ class GeoTiffWriter(Writer):
 
     description = "cloud-optimised GeoTIFF of the probability in per cent, for GIS"
     in_parts = True
-
-    def targets(self, path: Path) -> tuple[Path, ...]:
-        """Return the image."""
-        import_rasterio()
-        return (path,)
+    needs = "geotiff", "rasterio"
 
     def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
         """Write the image part by part; return its path.
@@ -58,7 +53,7 @@ class GroundWriter(Writer):
 
     description = "GeoTIFF of the height of the ground that clouds show (m)"
     needs_evidence = True
-    targets = GeoTiffWriter.targets
+    needs = GeoTiffWriter.needs
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions
@@ -98,7 +93,9 @@ def write_image(
     OutputError
         It cannot be written; then nothing is left behind.
     """
-    rasterio = import_rasterio()
+    import rasterio  # noqa: PLC0415  late: it is an extra
+    import rasterio.shutil  # noqa: PLC0415  likewise
+
     check_target(path)
     try:
         with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
@@ -120,20 +117,6 @@ def write_image(
     except (OSError, rasterio.errors.RasterioError, rasterio._err.CPLE_BaseError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise OutputError(f"cannot be written ({reason})", where=path) from None
-
-
-def import_rasterio() -> Any:
-    """Load rasterio, late: it is an extra.
-
-    Raises
-    ------
-    UsageError
-        It is not installed.
-    """
-    with need_extra("geotiff", "a GeoTIFF needs rasterio"):
-        import rasterio  # noqa: PLC0415  as above
-        import rasterio.shutil  # noqa: PLC0415  as above
-    return rasterio
 
 
 def describe(

@@ -63,7 +63,6 @@ FORMAT, VERSION = "occmap evidence", 5
 SIDE = 64
 """Cells along the side of a tile."""
 MAGIC = b"PK\x03\x04"
-WIDTHS = ("<i1", "<i2", "<i4", "<i8")
 SLICES = ("slice_tiles", "slices", "slice_rows", "slice_parts", "slice_changes")
 """The arrays of `Slices`, in its order"""
 ARRAYS = ("tiles", "observed", "first", "second", "layers", *SLICES)
@@ -255,8 +254,8 @@ def unpack_ground(arrays: Arrays) -> Ground | None:
 def narrow(values: Int64) -> Any:
     """Convert integers to the smallest signed type that holds them all."""
     low, high = int(values.min(initial=0)), int(values.max(initial=0))
-    widths = (each for each in WIDTHS if np.iinfo(each).min <= low <= high <= np.iinfo(each).max)
-    return values.astype(next(widths))
+    width = np.min_scalar_type(min(low, -1 - high))  # of a number below 0, so it is signed
+    return values.astype(width.newbyteorder("<"))
 
 
 def pack_slices(layers: Sequence[Slices]) -> Arrays:

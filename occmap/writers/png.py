@@ -1,6 +1,5 @@
 """PNG images of the probability itself: grey for observed cells, transparent where unknown."""
 
-import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ import numpy as np
 from occmap.cells import Decision, OccupancyMap, list_captions
 from occmap.types import UInt8
 from occmap.writers import Shade, WriteOptions, Writer, bands_from_top
-from occmap.writers.atomic import check_target, open_atomic, refuse_unwritable
+from occmap.writers.atomic import check_target, open_atomic
 from occmap.writers.geotiff import describe
 
 HIDDEN_GREY = 127
@@ -71,35 +70,12 @@ class PngWriter(Writer):
             for kind, data in chunks:
                 checksum = zlib.crc32(kind + data)
                 file.write(struct.pack(">I", len(data)) + kind + data + struct.pack(">I", checksum))
-        if not beside:
-            remove_place(path)
         return path, *beside
 
 
 def name_beside(path: Path) -> tuple[Path, Path]:
     """Name the files that say where an image lies on the globe: the place, and its frame."""
     return path.with_suffix(".pgw"), path.with_name(f"{path.name}.aux.xml")
-
-
-def remove_place(path: Path) -> None:
-    """Remove what was written beside an image that lay on the globe before, and does not now.
-
-    Both files go where the frame is one of ours, maybe as GDAL wrote it anew. Others stay.
-
-    Raises
-    ------
-    OutputError
-        They cannot be removed.
-    """
-    world, frame = name_beside(path)
-    try:
-        is_ours = re.search(rb"aeqd|Azimuthal_Equidistant", frame.read_bytes())
-    except OSError:  # it is not there, or its name would be too long
-        return
-    if is_ours:
-        with refuse_unwritable(frame):
-            world.unlink(missing_ok=True)
-            frame.unlink()
 
 
 def write_place(layout: dict[str, Any]) -> tuple[str, str]:

@@ -11,7 +11,6 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT, hint_at_tune
-from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, SimpleModel
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
 from occmap.writers import Shade, WriteOptions
@@ -51,15 +50,10 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
     ("words", "expected"),
     [
         (
-            "--min-range 0.2 --max-range 9 --range-max 10 --no-return clear --jobs 3",
-            {"returns": ReturnOptions(0.2, 9.0, 10.0, NoReturn.CLEAR), "jobs": 3},
-        ),
-        (
             "--scan-topic /a --scan-topic /b --start 1 --end 2.5 --stride 3",
             {"selection": Selection(("/a", "/b"), 1.0, 2.5, 3)},
         ),
         ("--light-occupied", {"writing": WriteOptions(shade=Shade.LIGHT_OCCUPIED)}),
-        ("--georeference 52.5,13.4,-9", {"writing": WriteOptions(georeference=(52.5, 13.4, -9.0))}),
         ("--model simple:p_hit=0.8", {"model": SimpleModel(p_hit=0.8)}),
         ("--model simple --p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
         ("--prior 0.4", {"model": CountingModel(0.4)}),
@@ -69,10 +63,6 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
         (
             "--model simple:p_miss=0.75,prior=0.8 --p-hit 0.9",
             {"model": SimpleModel(0.9, 0.75, 0.8)},
-        ),
-        (
-            "--max-pose-gap 1 --time-offset -0.5",
-            {"posing": PosingOptions(max_pose_gap_s=1.0, time_offset_s=-0.5)},
         ),
         (
             "--sensor-pose -0.1,0,0 --static-tf a,b,1,2,3,0,0,0",
@@ -159,6 +149,8 @@ def test_a_hint_names_a_few_logs_as_they_are_typed() -> None:
     options = BuildOptions()
     assert hint_at_tune(0.7, ["a b", "c"], options).split("`")[1] == "occmap tune 'a b' c"
     assert hint_at_tune(0.7, list("abcd"), options).split("`")[1] == "occmap tune a b c ..."
+    turned = BuildOptions(posing=PosingOptions(align=5.0))  # which tune does not take
+    assert hint_at_tune(0.7, ["a"], turned).split("`")[1] == "occmap tune a"
     assert [hint_at_tune(share, ["a"], options) for share in (None, 0.5, 0.8)] == [""] * 3
 
 
@@ -328,14 +320,6 @@ def test_help_lists_options_by_section() -> None:
     text = occmap("build", "--help").out
     assert text.startswith("Usage: occmap build [OPTIONS] [beam|polygon|surface] LOG...")
     heads = [line for line in text.splitlines() if line.endswith(":") and line[0] != " "]
-    assert heads == [
-        "Files:",
-        "Map:",
-        "What a range means:",
-        "Sensor model:",
-        "Which scans:",
-        "Where the scans were taken:",
-        "Limits:",
-        "Run:",
-    ]
+    of_poses = ["What a range means:", "Where the scans were taken:", "Which scans:"]
+    assert heads == ["Files:", "Map:", *of_poses, "Sensor model:", "Limits:", "Run:"]
     assert "--resolution M" in text.split("Map:")[1].split("What a")[0]

@@ -15,9 +15,9 @@ from tests.cli.runner import find_command, occmap, read_error
 def test_the_table_says_what_the_command_says(name: str) -> None:
     command = find_command(name)
     assert command.name == name
-    assert (command.help or "").partition("\n")[0] == COMMANDS[name]
+    assert (command.help or "").partition("\n")[0] == COMMANDS[name][1]
     (help_line,) = [line for line in occmap("--help").out.splitlines() if f"  {name} " in line]
-    assert help_line.split() == [name, *COMMANDS[name].split()]
+    assert help_line.split() == [name, *COMMANDS[name][1].split()]
 
 
 def test_no_word_and_help_are_the_same() -> None:

@@ -39,12 +39,9 @@ def test_a_sensor_pose(text: str, pose: tuple[float, ...]) -> None:
     ("text", "found"),
     [
         ("0,0", "2 values where 3 or 5 belong"),
-        ("0,0,0,0", "4 values where 3 or 5 belong"),
-        ("", "1 value where 3 or 5 belong"),
         ("0,0,pi", "'pi' is not a number"),
         ("0,,0", "'' is not a number"),
         ("0,nan,0", "'nan' is not a number"),
-        ("inf,0,0", "'inf' is not a number"),
         ("0,0;0,0", "'0;0' is not a number"),
     ],
 )
@@ -72,14 +69,11 @@ def test_degrees_are_refused_and_turned_to_radians(name: str, text: str) -> None
     ("name", "text", "found"),
     [
         ("ignore_sectors", "1", "--ignore-sector 1: 1 value where 2 belong; give from,to in rad"),
-        ("ignore_sectors", "1,one", "--ignore-sector 1,one: 'one' is not a number"),
         ("footprint", "1,2,3", "--footprint 1,2,3: 3 values where 4 belong; give x_min,y_min"),
-        ("extent", "1", "--extent 1: 1 value where 4 belong; give x_min,y_min,x_max,y_max in met"),
         ("transform", "1,2", "--transform 1,2: 2 values where 3 or 4 belong; give x,y,"),
         ("max_range", "far", "--max-range is 'far'; give a number"),
         ("stride", "1.5", "--stride is '1.5'; give a whole number"),
         ("align", "north", "--align is 'north'; give a number, or auto, so that walls run"),
-        ("map_frame", "a\0", "--map-frame is 'a\\x00'; give text"),
     ],
 )
 def test_a_refused_value_names_its_option(name: str, text: str, found: str) -> None:

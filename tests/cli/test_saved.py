@@ -80,7 +80,7 @@ def test_scan_counts_say_what_they_count() -> None:
 @pytest.mark.parametrize(
     ("flags", "found"),
     [
-        ("-o m.tif --mode scale", "--mode scale does nothing"),
+        ("-o m.tif --mode scale", "--mode does nothing"),
         ("-o m.pgm -o n.npz --light-occupied", "--light-occupied does nothing"),
         ("-o m.PGM -o m.png --mode raw --light-occupied", ""),
         ("-o m.pgm -o n.npz --georeference 1,2,3", "--georeference does nothing"),

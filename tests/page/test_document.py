@@ -122,8 +122,7 @@ def test_a_difference_says_what_the_json_says() -> None:
     head = f"{found['changed']:,} cells changed, {found['share']:.3%} of {found['known']:,} known"
     assert any(text.startswith(head) for text in texts)
     for name, cells in found["by_class"].items():
-        told = name.replace("neither", "unknown")
-        assert not cells or texts[texts.index(told) + 1] == f"{cells:,}"
+        assert (f"{cells:,} {name}" in texts) == (cells > 0)
 
 
 @pytest.mark.parametrize("command", ["build", "check", "compare"])
@@ -172,4 +171,4 @@ def test_without_bokeh_one_line_says_what_to_type(
 ) -> None:
     monkeypatch.setitem(sys.modules, "bokeh", None)
     told = read_error(occmap(command, DRIVE, "-o", "m.html"), 2)
-    assert "Bokeh, which is not installed; install it: pip install '.[report]'" in told
+    assert "needs bokeh, which is not installed; install it: pip install '.[report]'" in told

@@ -80,13 +80,16 @@ def test_where_the_best_is_at_the_edge_of_what_is_tried_larger_offsets_are(
 
 @pytest.mark.parametrize(
     ("bound", "why"),
-    [("FEW_SCANS", "too few to tell"), ("LEAST_AGREEMENT", "far from what is right")],
+    [
+        ("occmap.tuning.FEW_SCANS", "too few to tell"),
+        ("occmap.report.results.LEAST_AGREEMENT", "far from what is right"),
+    ],
 )
 def test_no_command_is_given_for_what_is_not_sure(
     bound: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scans, poses = write_drive(tmp_path, lambda _: 0.13)
-    monkeypatch.setattr(tuning_package, bound, 1e9)  # no log has so many, or fits so well
+    monkeypatch.setattr(bound, 1e9)  # no log has so many, or fits so well
     tuning = tune([scans], follow(poses))
     assert tuning.correction.time_s == pytest.approx(-0.13, abs=STEP_S + 1e-9)
     assert tuning.command == ()

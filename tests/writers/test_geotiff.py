@@ -15,7 +15,6 @@ from occmap.cells import About, Evidence, Ground, OccupancyMap
 from occmap.errors import OutputError
 from occmap.writers import Product, WriteOptions, find_writer
 from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
-from occmap.writers.png import PngWriter
 from tests.samples import SAMPLE_LOGS
 from tests.writers.maps import map_of_places, nothing_kept
 
@@ -71,26 +70,6 @@ def test_a_place_on_the_globe_is_where_it_is(
     along = across * (1 - squared) / (1 - squared * math.sin(phi) ** 2)
     assert north == pytest.approx(latitude + math.degrees(y / along), abs=1e-9)  # 0.1 mm
     assert east == pytest.approx(longitude + math.degrees(x / across / math.cos(phi)), abs=1e-9)
-
-
-@pytest.mark.parametrize("is_seen_by_gdal", [False, True])
-def test_a_png_that_lies_on_the_globe_no_more_says_nothing_of_it(
-    tmp_path: Path, is_seen_by_gdal: bool
-) -> None:
-    path = tmp_path / "m.png"
-    PngWriter().write(path, make_map(), WriteOptions(georeference=(52.5, 13.4, 0)))
-    frame = tmp_path / "m.png.aux.xml"
-    if is_seen_by_gdal:  # it adds numbers of its own, and writes the frame anew
-        with rasterio.open(path, "r+") as image:
-            image.update_tags(seen="yes")
-        assert "<MDI" in frame.read_text()
-    assert frame.exists()
-    PngWriter().write(path, make_map(), WriteOptions())
-    assert list(tmp_path.iterdir()) == [path]
-    for beside in ("m.pgw", frame.name):  # of somebody else
-        (tmp_path / beside).write_text("1")
-    PngWriter().write(path, make_map(), WriteOptions())
-    assert len(list(tmp_path.iterdir())) == 3
 
 
 def test_a_disk_that_is_too_full_is_told_before_libtiff_tells_it(
