@@ -496,15 +496,6 @@ def test_the_mount_is_named_in_the_error_of_a_build(tmp_path: Path) -> None:
     assert f"give its mount on base_link: {mount}" in refuse(path)
 
 
-def test_a_laser_whose_frame_tf_spells_otherwise_is_where_tf_has_that(tmp_path: Path) -> None:
-    """It is turned by 1 rad, which is none of the turns that are tried."""
-    others = {"camera": 0.0, "laser": 1.0, "odd": 1.5}
-    path = write_bag(tmp_path / "room.bag", Drive(1.0), frames=("lidar_link",), others=others)
-    found = "its mount on base_link: `sensor_pose=(0,0,1)`, where tf has 'laser', a frame that no"
-    assert found in refuse(path)
-    assert look(path).command[3:-2] == ("--sensor-pose", "0,0,1")
-
-
 @pytest.mark.parametrize("mirrored", [True, False])
 def test_a_build_of_a_short_log_names_the_mount_of_a_mirrored_laser(
     tmp_path: Path, mirrored: bool
