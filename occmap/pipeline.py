@@ -27,7 +27,7 @@ from occmap.scans.tracing import observe as observe_here
 from occmap.store import open_saved, read_all
 from occmap.store.merging import refuse_different
 from occmap.store.publishing import sum_scans
-from occmap.types import Update
+from occmap.types import Journey, Update
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone
 
@@ -88,8 +88,8 @@ def build(
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
         with tally.time("write"):
-            journey = tally.recorder.finish() if tally.recorder else None
-            product = Product(grid, evidence, journey, report, check)
+            journey = Journey(tuple(tally.trajectories), tuple(tally.shown))
+            product = Product(grid, evidence, journey if keep.journey else None, report, check)
             files = write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
         return Build(grid, report, seen.tiles, evidence() if wants_evidence else None)

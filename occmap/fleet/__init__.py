@@ -160,7 +160,7 @@ class Fleet:
             window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, WINDOW_CELLS)
             setting = Setting(options, keep, folder, len(paths), window, spare)
             jobs = [Job(setting, f"log{place:05}", str(each)) for place, each in enumerate(paths)]
-            tally = Tally(recorder=keep.make_recorder(0, 1))
+            tally = Tally()
             remarks = Remarks([str(path) for path in paths], list(list_others(folder)))
             setting = settle(cluster, jobs, tally, remarks)
             jobs = [replace(job, setting=setting) for job in jobs]

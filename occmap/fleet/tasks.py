@@ -162,7 +162,7 @@ def trace_log(job: Job) -> Traced:
     setting, options = job.setting, replace(job.setting.options, jobs=1)
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
-    tally = Tally(recorder=setting.keep.make_recorder(scans, setting.logs))
+    tally = Tally(shown_every=setting.keep.choose_shown(scans * setting.logs))
     runs = RunWriter(job)
     with tally.time("poses"):
         drive = open_drive(log, options)

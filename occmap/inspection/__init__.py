@@ -295,7 +295,9 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
     if ranges.body is not None:
-        yield poses.warn_of_body(ranges.body)
+        box = ",".join(f"{edge:g}" for edge in ranges.body)
+        found = "the robot is in its own scans: some of it is at the same place wherever it goes"
+        yield Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
     if ranges.measured:
         return
     if any(special.name == BEYOND for special in ranges.specials):
@@ -340,7 +342,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     """Read the scans of an opened log, and add to what is known of it."""
     survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
-    seen = [survey.topics[topic] for topic in survey.drive.topics if topic in survey.topics]
+    seen = list(survey.topics.values())
     whole = [] if problem else seen  # a part that was read says nothing of a damaged log
     scans = tuple(sum_up(log, each, posing, options) for each in whole if each.frames)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
@@ -362,7 +364,8 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         against = list(poses.list_floor_concerns(some, level, posed, below))
         if below is not None:
             box = poses.enclose_clouds(log, level, posed, below)
-            against += poses.list_other_concerns(some, posed, below, is_right=not against)
+            # That mounts or floor are wrong would be a reason for contradictions.
+            against += [] if against else poses.list_cloud_contradictions(some, posed, below)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))

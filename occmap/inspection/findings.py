@@ -255,7 +255,7 @@ class Coverage:
     moves: bool
     """The poses differ"""
     start_ns: int
-    """Earliest stamp (ns)"""
+    """Earliest stamp (ns); of what holds for all times, when it was recorded last"""
     end_ns: int
     """Latest stamp (ns)"""
     largest_gap_s: float

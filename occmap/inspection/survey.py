@@ -155,17 +155,13 @@ def list_repeated(parts: Sequence[PosedScans], limit: float) -> Iterator[Repeate
         return
     total = int(counts.sum())
     frequent = np.flatnonzero(counts >= max(REPEATED_SHARE * total, bands.MIN_READINGS))
-    ranked = frequent[np.argsort(-counts[frequent], kind="stable")]
-    low = np.searchsorted(values, values[ranked] - np.float32(NEIGHBOURHOOD_M))
-    high = np.searchsorted(values, values[ranked] + np.float32(NEIGHBOURHOOD_M), side="right")
-    places = zip(ranked, low, high, strict=True)  # of each value, and of those around it
-    found = [
-        k
-        for k, a, b in places
-        if counts[k] >= bands.DOMINANCE * np.delete(counts[a:b], k - a).max(initial=0)
-    ]
-    for value, number in zip(values[found].tolist(), counts[found].tolist(), strict=True):
-        yield Repeated(value, number / total, value >= limit)
+    for at in frequent[np.argsort(-counts[frequent], kind="stable")].tolist():
+        value, number = float(values[at]), int(counts[at])
+        near = np.float32(NEIGHBOURHOOD_M)
+        beside = (values >= values[at] - near) & (values <= values[at] + near)
+        beside[at] = False
+        if number >= bands.DOMINANCE * counts[beside].max(initial=0):
+            yield Repeated(value, number / total, value >= limit)
 
 
 def measure_crossing(parts: Sequence[PosedScans], options: ReturnOptions) -> float | None:
@@ -244,7 +240,7 @@ OWN_MARGIN_M = 0.05
 Form: TypeAlias = tuple[float, float, int]
 """Bearing of the first beam, the angle from one to the next (rad), and how many there are"""
 Stacked: TypeAlias = dict[Form, Float64]
-"""A sample of scans by their form, as `stack_scans` makes them"""
+"""By the form of the scans of a sample: (S, 13 + B) their stamps (s), poses and ranges"""
 
 
 def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked:
@@ -253,19 +249,14 @@ def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked
     for part in parts:
         batch, (kind, reach, _) = part.batch, sensor.classify(part.batch, options)
         ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
+        position, rotation = part.at_first_beam
+        poses = position, rotation.reshape(-1, 9)
         form = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[form].append(stack_scans(part, ranges))
+        seen[form].append(np.column_stack([batch.stamp_ns / 1e9, *poses, ranges]))
     return {form: np.concatenate(scans) for form, scans in seen.items()}
 
 
-def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
-    """(S, 13 + B) the stamps (s), poses and ranges (S, B) of scans."""
-    position, rotation = posed.at_first_beam
-    poses = position, rotation.reshape(-1, 9)
-    return np.column_stack([posed.batch.stamp_ns / 1e9, *poses, ranges])
-
-
-def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | None:
+def find_body(rows: Float64, form: Form) -> Box | None:
     """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
 
     It is in the sensor's frame (m); None where there is no such thing.
@@ -273,9 +264,7 @@ def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | 
     Parameters
     ----------
     rows
-        Scans of one form, as `stack_scans` makes them.
-    spread
-        Parts of the robot keep their range so well (m).
+        Scans of one form, as in `Stacked`.
     """
     _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
     place, turn = rows[first, 1:3], rows[first, 4:13].reshape(-1, 3, 3)[:, :2, :2]
@@ -283,7 +272,7 @@ def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | 
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
-    stays = (np.abs(ranges - middle) <= spread).mean(axis=0) >= OWN_SHARE
+    stays = (np.abs(ranges - middle) <= OWN_SPREAD_M).mean(axis=0) >= OWN_SHARE
     own = stays & (middle < OWN_RANGE_M)
     if own.sum() < MIN_OWN_BEAMS:
         return None
@@ -332,8 +321,6 @@ def find_frozen(stacked: Stacked) -> tuple[float, float] | None:
     return max(found, key=lambda times: times[1] - times[0], default=None)
 
 
-MAX_SHAPES = 1000
-"""How many shapes are counted: each scan of a log may have its own, and memory is bounded."""
 SAMPLED_TOPICS = 100
 """How many topics are sampled: no robot has more lasers, and the map of each takes time."""
 LONGEST_RUN_NS = 10**16
@@ -434,7 +421,7 @@ class TopicSurvey:
 
     stream: Stream
     sample: Sample
-    is_sampled: bool = True
+    is_sampled: bool
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
     shapes: Counter[Shape] = field(default_factory=Counter)
@@ -460,8 +447,7 @@ class TopicSurvey:
             return
         angles = first.angle_min, first.angle_increment
         shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
-        if shape in self.shapes or len(self.shapes) < MAX_SHAPES:
-            self.shapes[shape] += some.scans
+        self.shapes[shape] += some.scans
 
 
 class Survey(Selector):
@@ -471,7 +457,11 @@ class Survey(Selector):
         options = drive.options
         super().__init__(options.selection, options.posing.stamps)
         self.drive = drive
-        self.topics: dict[str, TopicSurvey] = {}
+        streams = {each.topic: each for each in reversed(drive.log.streams)}
+        self.topics = {
+            topic: TopicSurvey(streams[topic], Sample(drive), place < SAMPLED_TOPICS)
+            for place, topic in enumerate(drive.topics)
+        }
         spreads = isinstance(options.model, Spreading) and options.model.spread > 0
         behind = options.hit_offset * options.resolution
         around = options.resolution if spreads else 0.0
@@ -495,12 +485,7 @@ class Survey(Selector):
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Count scans, and take note of what their topic has."""
         super().see(some, reason)
-        topic = some.first.topic
-        if topic not in self.topics:
-            stream = next(each for each in self.drive.log.streams if each.topic == topic)
-            is_sampled = len(self.topics) < SAMPLED_TOPICS
-            self.topics[topic] = TopicSurvey(stream, Sample(self.drive), is_sampled)
-        self.topics[topic].see(some, reason)
+        self.topics[some.first.topic].see(some, reason)
 
     def list_notes(self) -> Iterator[str]:
         """Say which clouds are left out, and where only some of very many topics are sampled."""

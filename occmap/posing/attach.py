@@ -13,8 +13,9 @@ import numpy as np
 
 from occmap.errors import PoseError
 from occmap.posing import Concern, Deskew, PosingOptions, chain
+from occmap.posing import course as courses
 from occmap.posing.chain import Chain, Status, Transforms
-from occmap.posing.course import STANDS, Course, Stance, list_tilts, stands, suspect_places
+from occmap.posing.course import Course, Stance
 from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
@@ -95,9 +96,6 @@ class Poser:
             failures.pop(frame, None)
             self.chains[frame] = way
             self._note(*search.notes)
-            others_move = any(edge.track.moves for edge in self.sources.tree.edges)
-            if not way.interval_s and others_move and frame != self.fixed:
-                self._note(f"{frame!r} never moves in {self.fixed!r}, though other frames do")
         if self.fixed is not None:
             self.chains.update(dict.fromkeys(failures))
             self._note(*map(str, failures.values()))
@@ -147,7 +145,7 @@ class Poser:
         if not len(batch.stamp_ns):
             return
         if batch.pose is not None and self.options.poses is None:
-            yield from self._keep(batch, self._read_stated(batch.pose), None, None)
+            yield from self._keep(batch, self._read_stated(batch.pose))
             return
         if batch.frame not in self.chains:
             self.find_chains([batch.frame])
@@ -159,7 +157,7 @@ class Poser:
             return
         stamp_ns = self._convert(batch.stamp_ns)
         if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
-            yield from self._keep(batch, way.at(stamp_ns), way, carrier.at(stamp_ns))
+            yield from self._keep(batch, way.at(stamp_ns), carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         deskew = Deskew.AUTO if batch.clouds else self.options.deskew
@@ -168,9 +166,9 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield from self._keep(part, way.at(moment_ns.ravel()), way, None)
+            yield from self._keep(part, way.at(moment_ns.ravel()))
         if not deskewed.all():
-            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]), way, None)
+            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]))
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -192,7 +190,7 @@ class Poser:
         return None
 
     def _keep(
-        self, batch: ScanBatch, found: Transforms, way: Chain | None, seen_from: Transforms | None
+        self, batch: ScanBatch, found: Transforms, seen_from: Transforms | None = None
     ) -> Iterator[PosedScans]:
         """Keep the scans (S) that have a pose at all of their K moments; record all of them.
 
@@ -200,8 +198,6 @@ class Poser:
         ----------
         found
             Where the frame of the scans was.
-        way
-            What it was looked up in; None: it stands beside the scans.
         seen_from
             Where the sensor was, if clouds are in another frame than its own.
         """
@@ -212,7 +208,6 @@ class Poser:
             status[np.isin(stamp_ns, self.leaps[laser])] = Status.LEAP
         kept = status == Status.POSED
         course = self.courses.setdefault(laser, Course())
-        course.chain = way
         if not kept.all():
             course.lose(batch.stamp_ns[~kept], status[~kept])
         if kept.any():
@@ -258,23 +253,24 @@ class Poser:
         max_range
             Beams are used up to here (m).
         """
-        jumped = None
+        jumped, begin_ns = None, first_ns + self._offset_ns
         yield from self._list_twins()
-        for (topic, _), course in self._list_posed():
+        for (topic, frame), course in self._list_posed():
             track = course.build()
-            if stands(track):
-                self._note(f"{topic}: {STANDS}")
+            if courses.stands(track):
+                self._note(f"{topic}: {courses.STANDS}")
             if not course.is_of_clouds:
-                for tilt in list_tilts(Stance.measure(track), max_range):
+                for tilt in courses.list_tilts(Stance.measure(track), max_range):
                     yield topic, tilt
             # Of several sensors on one robot, one tells it.
-            if not jumped and (jumped := course.warn_of_jumps(track, first_ns + self._offset_ns)):
+            way = self.chains.get(frame)
+            if not jumped and (jumped := courses.warn_of_jumps(way, track, begin_ns)):
                 yield topic, jumped
 
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""
         for (topic, _), course in self._list_posed():
-            if doubt := suspect_places(course.build()):
+            if doubt := courses.suspect_places(course.build()):
                 yield topic, doubt
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:

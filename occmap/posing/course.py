@@ -7,7 +7,7 @@ carried, or where two trajectories were joined.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -20,8 +20,6 @@ from occmap.types import Float64, Int64, PosedScans, UInt8
 
 JUMP_M, JUMP_RAD = 1.0, math.radians(20)
 """A correction that moves and turns the sensor by less mends drift; at most it doubles walls."""
-UNDONE_SHARE = 0.1
-"""A jump undoes another where it leads back to within this share of the other's way, or JUMP_M."""
 STRIDE_M = 1.0
 """A shorter step may be a correction of drift."""
 STRIDE_S = 10.0
@@ -68,107 +66,113 @@ class Jump(NamedTuple):
     @property
     def radians(self) -> float:
         """How far it turned."""
-        return float(tracks.measure_turn(np.eye(3), self.rotation))
+        return tracks.measure_turn(self.rotation)
 
-    def is_undone_by(self, later: Self) -> bool:
-        """Whether a later jump leads back to where this one came from."""
-        back = later.after + later.rotation @ (self.after - later.before)
-        apart = float(np.linalg.norm(back - self.before))
-        askew = float(tracks.measure_turn(later.rotation.T, self.rotation))
-        return apart <= max(JUMP_M, UNDONE_SHARE * self.metres) and askew <= JUMP_RAD
+    def then(self, later: Self) -> Self:
+        """Join it with a later one: of what leads there and back nothing is left."""
+        after = later.after + later.rotation @ (self.after - later.before)
+        rotation = later.rotation @ self.rotation
+        return later._replace(before=self.before, after=after, rotation=rotation)
 
 
-def warn_of_jumps(jumps: Sequence[Jump], stamp_ns: Int64, first_ns: int) -> Concern | None:
+def warn_of_mixed(chain: Chain) -> Concern | None:
+    """Say if a step holds poses of two times, or of two nodes, among each other."""
+    for step in (leg.step for leg in chain.legs if isinstance(leg, Moving)):
+        name, track = f"{step.parent} -> {step.child}", step.track
+        if track.set_back_s > SET_BACK_S:
+            found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
+            why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
+            return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
+        share = measure_flicker(track)
+        if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
+            found = f"{name} jumps to and fro at {share:.0%} of its {len(track):,} samples"
+            return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
+    return None
+
+
+def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern | None:
     """Say which jump between used scans is the largest, and which options keep one part.
+
+    Where poses are mixed, they jump for no other reason.
 
     Parameters
     ----------
-    jumps
-        Of the sensor, in the order of time.
-    stamp_ns
-        (S,) of the scans that have poses, by the clock of the poses.
+    chain
+        What poses are looked up in. None: they stand beside the scans, and are its only step.
+    track
+        Where the sensor was at its scans.
     first_ns
-        Stamp of the first scan of the log, by that clock.
+        Stamp of the first scan of the log, by the clock of the poses.
     """
-    jumps, scans = _part(jumps, stamp_ns)
-    used = np.flatnonzero(scans)
-    if len(used) < 2:
+    if chain and (mixed := warn_of_mixed(chain)):
+        return mixed
+    stated = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
+    found = find_jumps(chain or stated, track.stamp_ns)
+    if not found:
         return None
+    scans, jumps = np.diff([0, *found, len(track)]), list(found.values())
     longest = int(np.argmax(scans))
     remedy = {}
-    if longest > used[0]:  # rounded so that no scan of another part is kept
+    if longest > 0:  # rounded so that no scan of another part is kept
         start_ms = -(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS)
         remedy["start_s"] = f"{start_ms / 1e3:.12g}"
-    if longest < used[-1]:
+    if longest < len(jumps):
         remedy["end_s"] = f"{(jumps[longest].stamp_ns - first_ns) // MS_NS / 1e3:.12g}"
     keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
-    text = _describe_largest(jumps[used[0] : used[-1]], first_ns)
+    worst = max(jumps, key=lambda jump: jump.metres + jump.radians)
+    text = (
+        f"{worst.name} jumps by {worst.metres:.3g} m and {math.degrees(worst.radians):.0f} deg "
+        f"{(worst.stamp_ns - first_ns) / 1e9:.3f} s after the first scan"
+    )
+    text += f", the largest of {len(jumps)} jumps" if len(jumps) > 1 else ""
     return Concern(
         f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
-        f"part, {scans[longest] / sum(scans):.0%} of them",
+        f"part, {scans[longest] / len(track):.0%} of them",
         remedy,
     )
 
 
-def _part(found: Sequence[Jump], stamp_ns: Int64) -> tuple[list[Jump], list[int]]:
-    """Count the scans before the first jump, between jumps and after the last.
-
-    A jump that the next one undoes, without any scan in between, harms nothing and is left out.
-    """
-    parts = np.searchsorted([jump.stamp_ns for jump in found], stamp_ns, side="right")
-    first, *others = np.bincount(parts, minlength=len(found) + 1).tolist()
-    jumps: list[Jump] = []
-    scans = [first]
-    for jump, following in zip(found, others, strict=True):
-        if jumps and not scans[-1] and jumps[-1].is_undone_by(jump):
-            del jumps[-1], scans[-1]
-            scans[-1] += following
-        else:
-            jumps.append(jump)
-            scans.append(following)
-    return jumps, scans
-
-
-def _describe_largest(jumps: Sequence[Jump], first_ns: int) -> str:
-    """Say of the largest jump what jumps, how far and when, and whether the next undoes it."""
-    worst = max(range(len(jumps)), key=lambda at: jumps[at].metres + jumps[at].radians)
-    if worst and jumps[worst - 1].is_undone_by(jumps[worst]):
-        worst -= 1
-    jump, later = jumps[worst], jumps[worst + 1 : worst + 2]
-    seconds = (jump.stamp_ns - first_ns) / 1e9
-    text = (
-        f"{jump.name} jumps by {jump.metres:.3g} m and {math.degrees(jump.radians):.0f} deg "
-        f"{seconds:.3f} s after the first scan"
-    )
-    if later and jump.is_undone_by(later[0]):
-        text += f", and back at {(later[0].stamp_ns - first_ns) / 1e9:.3f} s"
-    return f"{text}, the largest of {len(jumps)} jumps" if len(jumps) > 2 else text
-
-
-def find_jumps(chain: Chain) -> list[Jump]:
-    """Find when the sensor at the end of a chain is suddenly elsewhere, in the order of time.
+def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
+    """Find between which scans the sensor at the end of a chain is suddenly elsewhere.
 
     A correction jumps where its pose holds until then, any other step where a body moves faster
-    than a robot can.
+    than a robot can. What jumps there and back with no scan in between harms nothing.
+
+    Parameters
+    ----------
+    stamp_ns
+        (S,) of the scans, in the order of time.
+
+    Returns
+    -------
+    dict
+        By the number of scans before each jump, in the order of time.
     """
     breaks: dict[int, tuple[int, Edge]] = {}
     """By the first stamp after a jump: the last one that is clearly before it, and what jumps"""
     for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
-        stamp_ns = leg.step.track.stamp_ns
+        samples_ns = leg.step.track.stamp_ns
         for at in np.union1d(np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)):
-            after_ns = int(stamp_ns[at + 1])
+            after_ns = int(samples_ns[at + 1])
             # A pose that holds does so until just before the next sample.
-            breaks[after_ns] = after_ns - 1 if leg.holds[at] else int(stamp_ns[at]), leg.step
-    times = sorted(breaks)
-    after = chain.at(np.array(times, np.int64))
-    before = chain.at(np.array([breaks[each][0] for each in times], np.int64))
-    jumps = []
+            breaks[after_ns] = after_ns - 1 if leg.holds[at] else int(samples_ns[at]), leg.step
+    times = np.array(sorted(breaks), np.int64)
+    after = chain.at(times)
+    before = chain.at(np.array([breaks[each][0] for each in times.tolist()], np.int64))
+    scans = np.searchsorted(stamp_ns, times).tolist()
+    found: dict[int, Jump] = {}
     for at in np.flatnonzero(np.maximum(before.status, after.status) == Status.POSED).tolist():
-        step = breaks[times[at]][1]
-        rotation = after.rotation[at] @ before.rotation[at].T
+        time_ns, rotation = int(times[at]), after.rotation[at] @ before.rotation[at].T
+        step = breaks[time_ns][1]
         name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
-        jumps.append(Jump(times[at], before.position[at], after.position[at], rotation, name))
-    return [jump for jump in jumps if jump.metres > JUMP_M or jump.radians > JUMP_RAD]
+        jump = Jump(time_ns, before.position[at], after.position[at], rotation, name)
+        earlier = found.get(scans[at])
+        found[scans[at]] = earlier.then(jump) if earlier else jump
+    return {
+        number: jump
+        for number, jump in found.items()
+        if 0 < number < len(stamp_ns) and (jump.metres > JUMP_M or jump.radians > JUMP_RAD)
+    }
 
 
 def find_strides(track: Track) -> Int64:
@@ -221,8 +225,6 @@ class Course:
     """What became of the scans of one sensor, and where it was: 72 bytes for each with a pose."""
 
     def __init__(self) -> None:
-        self.chain: Chain | None = None
-        """What its poses are looked up in; None where they stand beside the scans"""
         self.is_posed = False
         """Some scan has a pose"""
         self._poses = TrackBuilder()
@@ -258,30 +260,6 @@ class Course:
         track = self._poses.build()
         assert track is not None
         return track
-
-    def _warn_of_mixed(self) -> Concern | None:
-        """Say if a track holds poses of two times, or of two nodes, among each other."""
-        legs = self.chain.legs if self.chain else ()
-        for step in (leg.step for leg in legs if isinstance(leg, Moving)):
-            name, track = f"{step.parent} -> {step.child}", step.track
-            if track.set_back_s > SET_BACK_S:
-                found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
-                why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
-                return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
-            share = measure_flicker(track)
-            if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
-                found = f"{name} jumps to and fro at {share:.0%} of its {len(track):,} samples"
-                return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
-        return None
-
-    def warn_of_jumps(self, track: Track, first_ns: int) -> Concern | None:
-        """Say if it jumped. Where poses are mixed, they jump for no other reason.
-
-        Poses beside scans show that only when all of them are known.
-        """
-        stated = [Edge("", "", track, Source.ODOMETRY)]
-        jumps = find_jumps(self.chain or make_chain(stated, None))
-        return self._warn_of_mixed() or warn_of_jumps(jumps, track.stamp_ns, first_ns)
 
 
 def stands(track: Track) -> bool:

@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TypeAlias
 
@@ -80,7 +79,9 @@ def gather(
     # Of a recording one pose, such as where a robot was said to start, is no trajectory.
     of_other = [edge for edge in _rank(others) if len(edge.track) > 1]
     lent = list(_list_lent(others, topic.strip("/"))) if topic or not of_other else []
-    edges = _add_lent([edge for edge in every if edge not in others], lent)
+    replaced = {(edge.parent, edge.child) for edge in lent}
+    own = (edge for edge in every if edge not in others)
+    edges = [*lent, *(edge for edge in own if (edge.parent, edge.child) not in replaced)]
     strangers = find_strangers(edges, topics)
     edges = [edge for edge in edges if edge not in strangers]
     given = [
@@ -118,7 +119,8 @@ def _build_edges(
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
         builder = builders[item.topic, item.parent, item.child, item.static]
-        stamp_ns = stamps.choose(item.stamp_ns, item.record_ns)
+        # The stamps of what holds at all times mean nothing.
+        stamp_ns = item.record_ns if item.static else stamps.choose(item.stamp_ns, item.record_ns)
         builder.add(stamp_ns, item.record_ns, item.pose)
     edges: list[Edge] = []
     unusable: list[str] = []
@@ -130,11 +132,11 @@ def _build_edges(
                 f"{count(builder.unusable, 'pose')} of {parent} -> {child or 'a body'} left out: "
                 "not finite, beyond 1e12 m, without a rotation, or with a damaged stamp"
             )
-        if static and builder.changes:
-            changed[topic].append(f"{parent} -> {child}")
+        if track is not None and static:
+            if track.moves:
+                changed[topic].append(f"{parent} -> {child}")
+            track = track.hold_last()  # of a transform that was sent more than once
         if track is not None and parent != child:
-            # Of a transform that was sent more than once the last pose counts.
-            track = track.hold_last() if static else track
             is_tf = child and (static or last_part(topic.rpartition(":")[2]) in TF_TOPICS)
             source = Source.TF if is_tf else Source.ODOMETRY
             edges.append(Edge(parent.strip("/"), child.strip("/"), track, source, topic))
@@ -151,12 +153,6 @@ def _list_lent(others: Iterable[Edge], name: str) -> Iterator[Edge]:
         own = edge.topic.rpartition(":")[2].strip("/")
         if edge.source is Source.TF and own in {name or own, f"{name}_static"}:
             yield edge
-
-
-def _add_lent(edges: Iterable[Edge], lent: Sequence[Edge]) -> list[Edge]:
-    """Add transforms of another recording, in place of those between the same frames."""
-    replaced = {(edge.parent, edge.child) for edge in lent}
-    return [*lent, *(edge for edge in edges if (edge.parent, edge.child) not in replaced)]
 
 
 def _rank(edges: Iterable[Edge]) -> list[Edge]:
@@ -233,10 +229,6 @@ def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str
     several = [f"{child} ({', '.join(up)})" for child, up in parents.items() if len(up) > 1]
     if several:
         yield f"frames that have several parents: {join_names(several)}; the shortest way counts"
-    try:
-        TopologicalSorter(parents).prepare()
-    except CycleError as error:
-        yield f"the transforms {' -> '.join(error.args[1])} form a loop: the shortest way counts"
 
 
 def _disagree(same: Sequence[Edge]) -> bool:

@@ -61,14 +61,9 @@ def list_poses(scans: PosedScans) -> Float64:
     return np.column_stack([position, to_quaternions(rotation)])
 
 
-def measure_turn(start: Float64, end: Float64) -> Float64:
-    """Angles (N,) in [0, pi] between two rotation matrices (3, 3), or one and each of (N, 3, 3).
-
-    The trace of a rotation matrix, such as that from the one to the other, is 1 + 2 cos of it.
-    """
-    trace = np.einsum("ij,...ij->...", start, end)
-    angle: Float64 = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-    return angle
+def measure_turn(rotation: Float64) -> float:
+    """The angle in [0, pi] of a rotation matrix (3, 3), whose trace is 1 + 2 cos of it."""
+    return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
 
 
 def angle_between(start: Float64, end: Float64) -> Float64:
@@ -201,14 +196,6 @@ class TrackBuilder:
         times = np.frombuffer(self._times, np.int64).reshape(-1, 2)
         sound = (times == np.clip(times, -MAX_STAMP_NS, MAX_STAMP_NS)).all(axis=1)
         return times[sound], np.frombuffer(self._values, np.float64).reshape(-1, 7)[sound]
-
-    @property
-    def changes(self) -> bool:
-        """Whether usable samples differ, even those with the same stamp."""
-        _, values = self.samples
-        usable, norm = find_usable(values)
-        unit = values[usable, 3:] / norm[usable, None]
-        return differ(values[usable, :3], unit)
 
     def build(self) -> Track | None:
         """Sort what was gathered; None where nothing is usable.

@@ -104,8 +104,7 @@ def open_scans(paths: Sequence[Path], options: BuildOptions) -> list[Log]:
         A log cannot be read, or holds clouds of points, which have no beams.
     """
     logs = [open_log(path, options.reading) for path in paths]
-    clouds = [log for log in logs if settle_update([log], options).update is Update.CLOUD]
-    for log in clouds:
+    for log in (log for log in logs if settle_update([log], options).update is Update.CLOUD):
         found = "holds clouds of points, and maps are scored by the beams of laser scans"
         raise UsageError(found, where=log.path, fix="give a log of scans, or choose with `topics`")
     return logs
@@ -123,22 +122,6 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
     return sum(stream.count for stream in log.streams if stream.topic in topics)
 
 
-def refuse_part(path: Path) -> None:
-    """Refuse a file of a split recording, of which another one may hold what this one lacks.
-
-    Raises
-    ------
-    PoseError
-        Naming the folder.
-    """
-    from occmap.readers import rosbag  # noqa: PLC0415  late: it brings mcap and apsw
-
-    files = rosbag.list_storage(path.parent) if path.is_file() else []
-    if path in files and len(files) > 1 and (path.parent / rosbag.METADATA).exists():
-        found = f"its scans have no poses, and it is one of {len(files)} files of a recording"
-        raise PoseError(found, where=path, fix=f"give the folder: {path.parent}")
-
-
 def read_poser(log: Log, options: PosingOptions, topics: Sequence[str]) -> Poser:
     """Read every pose source of a log, for scans on some topics; raises as `gather`."""
     moments = log.moments if isinstance(log, readers.Counting) else None
@@ -152,7 +135,7 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
     """Read every pose source of a log, and of other ones, whose topics begin with their path.
 
     These are the recording that `poses` names, whose damage is noted of the log, and what never
-    changes in the first part of a split ROS 1 bag: the other parts lack it.
+    changes in the first part of a split recording: the other parts lack it.
     """
     yield from readers.read_poses(log)
     if first := find_first_part(log):
@@ -180,17 +163,19 @@ def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
             yield replace(each, topic=topic)
 
 
-PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+\.bag$")
-"""How the names of the parts of a bag that was split end: PREFIX_DATE_NUMBER.bag"""
+PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+\.(bag|mcap|db3)$")
+"""How the names of the parts of a recording that was split end: PREFIX_DATE_NUMBER.bag"""
 
 
 def find_first_part(log: Log) -> Path | None:
-    """Find the first part of a split ROS 1 bag, if the log is a later one without /tf_static."""
+    """Find the first part of a split recording, if the log is a later one without /tf_static."""
     held = {last_part(each.topic) for each in log.streams if each.count}
     prefix, is_part = PART.subn("", log.path.name)
     if not is_part or "tf_static" in held:
         return None
-    firsts = (each for each in log.path.parent.glob("*_0.bag") if each.name < log.path.name)
+    firsts = (
+        each for each in log.path.parent.glob(f"*_0{log.path.suffix}") if each.name < log.path.name
+    )
     return max((each for each in firsts if PART.sub("", each.name) == prefix), default=None)
 
 

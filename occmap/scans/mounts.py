@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.sources import gather
 from occmap.readers import Log, open_log
 from occmap.scans import make_engine
-from occmap.scans.logs import count_scans, look_ahead, read_poser, refuse_part
+from occmap.scans.logs import count_scans, look_ahead, read_poser
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor import ReturnOptions, interpret
@@ -177,41 +177,32 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
     Raises
     ------
     PoseError, LogError
-        The trajectory that the user chose cannot be used, or the log is only part of a recording.
+        The trajectory that the user chose cannot be used.
     """
     poser = read_poser(log, options.posing, [scan.topic for scan in first])
     frames = {scan.frame for scan in first if scan.pose is None or options.posing.poses}
     faults = poser.find_chains(frames)
-    if faults and poser.fixed is None:
-        refuse_part(log.path)
     if not faults or len(frames) > 1 or options.posing.sensor_pose is not None:
         return Posing(poser, faults)
     at_body = Poser(poser.sources, replace(options.posing, sensor_pose=IDENTITY))
     if at_body.find_chains(frames):  # more than the mount is missing
         return Posing(poser, faults)
     # Read the scans as if the sensor were the body, and find the mount that suits them best.
-    guess = guess_place(at_body, sample_scans(Drive(log, at_body, options)), options)
+    guess = guess_place(sample_scans(Drive(log, at_body, options)), options)
     ((frame, fault),) = faults.items()
+    mount, why = guess or (IDENTITY, "")
     if guess and isinstance(fault, MountError):
-        faults = {frame: fault.named(format_mount(guess.mount), guess.why)}
-    mount = guess.mount if guess else IDENTITY
+        faults = {frame: fault.named(format_mount(mount), why)}
     posing = replace(options.posing, sensor_pose=mount)
     return Posing(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
 
 
-class Guess(NamedTuple):
-    """Where a laser may sit."""
-
-    mount: Pose
-    why: str
-    """What speaks for it, and how well the scans then fit each other"""
+Guess: TypeAlias = tuple[Pose, str]
+"""Where a laser may sit; and what speaks for it, and how well the scans then fit each other"""
 
 
-def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
-    """Guess where the only laser of a log sits.
-
-    That is where tf mounts some frame that no scan is in, or else at the body's origin, turned in
-    one of eight ways.
+def guess_place(parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
+    """Guess how the only laser of a log sits at its body's origin: turned in one of eight ways.
 
     Parameters
     ----------
@@ -225,20 +216,13 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
     """
     if parts and parts[0].batch.clouds is not None:
         return guess_by_floor(parts)
-    marked = [count_marked(parts, turn, options.returns) for turn in TURNS]
-    leaves = list_leaves(poser, parts[0].batch.frame) if parts else {}
-    by_leaf = {leaf: count_marked(parts, leaves[leaf], options.returns) for leaf in leaves}
-    leaf = min(by_leaf, key=by_leaf.__getitem__, default="")
-    known = bool(leaf) and by_leaf[leaf] < CLEAR_WIN * min(marked)
-    mount = leaves[leaf] if known else choose_turn(marked)
+    mount = choose_turn(parts, options.returns)
     if mount is None:
         return None
     agreement = estimate_agreement([mount_scans(part, mount) for part in parts], options)
     share = "" if agreement is None else f": {agreement:.0%} of the hits of a sample agree"
-    if known:
-        return Guess(mount, f"where tf has {leaf!r}, a frame that no scan is in{share}")
     place = "measure x and y, or walls are doubled"
-    return Guess(mount, f"which suits the scans best of all turns{share}; {place}")
+    return mount, f"which suits the scans best of all turns{share}; {place}"
 
 
 def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
@@ -248,17 +232,7 @@ def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
         return None
     found = f"by the floor {seat.height:.2f} m below it"
     by_walls = ", and by walls; measure x and y" if seat.has_yaw else "; measure x, y and yaw"
-    return Guess(seat.mount, f"{found}{by_walls}, or walls are doubled")
-
-
-def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
-    """List where frames are mounted on the body of a sensor, if no other frame is below them."""
-    tree = poser.sources.tree
-    base = poser.options.base_frame or tree.find_base(frame)
-    uppers = {base, *(edge.parent for edge in tree.edges)}
-    ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
-    places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
-    return {leaf: place for leaf, place in places.items() if place}
+    return seat.mount, f"{found}{by_walls}, or walls are doubled"
 
 
 def list_misfits(
@@ -295,7 +269,7 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     str
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
+    turn = choose_turn(parts, options)
     if turn is None or turn == IDENTITY:
         return ""
     mount = find_mount(poser, parts[0].batch.frame)
@@ -315,14 +289,14 @@ class Mount(NamedTuple):
     """How a sensor is mounted, and how another mount is given in its place."""
 
     pose: Pose
-    option: str
     frames: tuple[str, str] | None = None
-    """Of the transform, where that is the option"""
+    """Of the transform by which it is given; None: by `sensor_pose`"""
 
     def write(self, pose: Pose) -> dict[str, str]:
         """The option, with its value, for a mount."""
-        value = format_static(*self.frames, pose) if self.frames else format_mount(pose)
-        return {self.option: value}
+        if self.frames:
+            return {"static_transforms": format_static(*self.frames, pose)}
+        return {"sensor_pose": format_mount(pose)}
 
 
 def find_mount(poser: Poser, frame: str, *, in_3d: bool = False) -> Mount | None:
@@ -333,19 +307,17 @@ def find_mount(poser: Poser, frame: str, *, in_3d: bool = False) -> Mount | None
     """
     given, chain = poser.options.sensor_pose, poser.chains.get(frame)
     if given or chain is None:  # None: the poses stand beside the scans
-        return Mount(given or IDENTITY, "sensor_pose")
+        return Mount(given or IDENTITY)
     tree, is_alone = poser.sources.tree, len(poser.chains) == 1
     base = poser.options.base_frame or tree.find_base(frame)
     if frame not in tree:  # the poses were taken as the sensor's own
-        if is_alone:
-            return Mount(IDENTITY, "sensor_pose")
-        return Mount(IDENTITY, "static_transforms", (base or BASE_NAMES[0], frame))
+        return Mount(IDENTITY, None if is_alone else (base or BASE_NAMES[0], frame))
     steps = tree.find_path(base, frame)
     if steps and is_alone and not in_3d and (mount := place_on(steps)):
-        return Mount(mount, "sensor_pose")
+        return Mount(mount)
     if not chain.steps or (mount := place_on(chain.steps[-1:])) is None:
         return None
-    return Mount(mount, "static_transforms", (chain.steps[-1].parent, frame))
+    return Mount(mount, (chain.steps[-1].parent, frame))
 
 
 def place_on(steps: Sequence[Edge]) -> Pose | None:
@@ -360,8 +332,9 @@ def turn_mount(mount: Pose, turn: Pose) -> Pose:
     return Transforms.fixed(mount).then(Transforms.fixed(turn)).first
 
 
-def choose_turn(marked: Sequence[int]) -> Pose | None:
+def choose_turn(parts: Sequence[PosedScans], options: ReturnOptions) -> Pose | None:
     """Choose the turn by which the fewest cells have a hit, if it is clearly better."""
+    marked = [count_marked(parts, turn, options) for turn in TURNS]
     (best, at), (second, _) = sorted(zip(marked, range(len(TURNS)), strict=True))[:2]
     return TURNS[at] if FEWEST_MARKED <= best < CLEAR_WIN * second else None
 

@@ -16,8 +16,7 @@ from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
 from occmap.sensor.bands import RangeLimits
-from occmap.sensor.models import RadialModel
-from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun, Update
+from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun
 
 
 def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
@@ -164,17 +163,14 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
     return ScanBatch(*shape, times, ranges, step, pose, first.topic, clouds=tuple(clouds))
 
 
-def find_oddity(batch: ScanBatch, options: BuildOptions) -> str:
-    """Say what is odd about angles, or if the update frees no cell by them; "" where nothing is."""
+def find_oddity(batch: ScanBatch) -> str:
+    """Say what is odd about the angles of scans; "" where nothing is."""
     beams, step = batch.ranges.shape[1], batch.angle_increment
     turns = abs(step) * (beams - 1) / math.tau
     if MOST_TURNS < turns < math.inf:
         return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"
     if beams > 1 and step == 0:
         return f"{beams} beams all point the same way: angle_increment is 0"
-    fills = options.update is Update.POLYGON and not isinstance(options.model, RadialModel)
-    if fills and beams == 1:
-        return "scans of one beam have no inside, and polygon frees no cell: choose another update"
     return ""
 
 
@@ -270,7 +266,7 @@ class Drive:
         for batch in tally.time_each("read", limited):
             selector.look(batch)
             self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
-            if oddity := find_oddity(batch, self.options):
+            if oddity := find_oddity(batch):
                 self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):
                 yield drop_own_points(posed, self.options.returns) if batch.clouds else posed

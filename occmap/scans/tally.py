@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
-from threading import Lock, local
+from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar
 
@@ -14,46 +14,12 @@ from occmap.errors import LogError, MapError, PoseError
 from occmap.posing import DropReason
 from occmap.report import Count, write_counts, write_unused
 from occmap.sensor import ReturnCounts
-from occmap.types import Journey, Kind, Rays, ScanHits, Trajectory
+from occmap.types import Kind, Rays, ScanHits, Trajectory
 
 SHOWN_SCANS = 400
 """How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
 SHOWN_HITS = 400
 """How many hits of a scan are shown: enough to draw its walls, however many beams it has."""
-
-
-class JourneyRecorder:
-    """Keeps where lasers went, and the hits of some scans; one thread at a time may call it."""
-
-    def __init__(self, every: int) -> None:
-        """Keep the hits of every n-th scan."""
-        self._every = every
-        self._seen = 0
-        self.trajectories: list[Trajectory] = []
-        self.scans: list[ScanHits] = []
-
-    def start_over(self) -> "JourneyRecorder":
-        """Make an empty recorder with the same settings."""
-        return JourneyRecorder(self._every)
-
-    def add(self, other: "JourneyRecorder") -> None:
-        """Add what another recorder took."""
-        self.trajectories += other.trajectories
-        self.scans += other.scans
-
-    def sample(self, rays: Rays) -> None:
-        """Keep the hits of every n-th scan."""
-        some = rays.take(slice(-self._seen % self._every, None, self._every))
-        self._seen += len(rays.kind)
-        columns = some.stamp_ns.tolist(), some.origin[:, 0].tolist(), some.end, some.kind
-        for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
-            hits = end[kind == Kind.HIT].astype(np.float32)
-            hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
-            self.scans.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
-
-    def finish(self) -> Journey:
-        """Return what was kept, in the order in which it was recorded."""
-        return Journey(tuple(self.trajectories), tuple(self.scans))
 
 
 Item = TypeVar("Item")
@@ -80,8 +46,6 @@ def count_wanted(read: int, unused: Mapping[str, int]) -> int:
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
 """Why scans are not used, in the order in which reports list it"""
 _LOCK = Lock()
-_WITHIN = local()
-"""How long the stages within the running one took so far, thread by thread (s)"""
 
 
 def ignore_advance(_scans: int) -> None:  # no lambda: workers give their tallies as pickles
@@ -119,8 +83,11 @@ class Tally:
 
     tell: Callable[[int], None] = ignore_advance
     """Called now and then with the scans read since the last call"""
-    recorder: JourneyRecorder | None = None
-    """Learns where the scans were taken, where an output wants that"""
+    shown_every: int = 0
+    """The hits of every n-th used scan are kept, to be shown; 0: an output wants none"""
+    trajectories: list[Trajectory] = field(default_factory=list)
+    """Where lasers went, if an output wants that"""
+    shown: list[ScanHits] = field(default_factory=list)
     advanced: int = 0
     """Scans that were reported so far"""
     seconds: dict[str, float] = field(default_factory=dict)
@@ -147,7 +114,7 @@ class Tally:
 
     def start_over(self) -> "Tally":
         """Make an empty tally with the same listeners, to read the logs once more."""
-        return Tally(self.tell, self.recorder and self.recorder.start_over())
+        return Tally(self.tell, self.shown_every)
 
     def advance(self, scans: int) -> None:
         """Report that so many more scans were read; a negative number takes some back."""
@@ -156,8 +123,8 @@ class Tally:
 
     def add(self, other: "Tally") -> None:
         """Add the counts and times of another tally."""
-        if self.recorder and other.recorder:
-            self.recorder.add(other.recorder)
+        self.trajectories += other.trajectories
+        self.shown += other.shown
         self.frames |= other.frames
         self.lasers = max(self.lasers, other.lasers)
         self.scans_read += other.scans_read
@@ -178,6 +145,17 @@ class Tally:
         self.scans_used += scans
         self.beams += beams
 
+    def show(self, rays: Rays) -> None:
+        """Keep the hits of some scans that are used next."""
+        if not self.shown_every:
+            return
+        some = rays.take(slice(-self.scans_used % self.shown_every, None, self.shown_every))
+        columns = some.stamp_ns.tolist(), some.origin[:, 0].tolist(), some.end, some.kind
+        for stamp_ns, (x, y), end, kind in zip(*columns, strict=True):
+            hits = end[kind == Kind.HIT].astype(np.float32)
+            hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
+            self.shown.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
+
     def count_points(self, kinds: Mapping[str, int]) -> None:
         """Count what became of points."""
         self.points = {kind: self.points.get(kind, 0) + many for kind, many in kinds.items()}
@@ -192,16 +170,14 @@ class Tally:
 
     @contextmanager
     def time(self, stage: str) -> Iterator[None]:
-        """Add the time of a block to a stage, without that of stages within it. Threads add up."""
-        start, outer = perf_counter(), getattr(_WITHIN, "seconds", 0.0)
-        _WITHIN.seconds = 0.0
+        """Add the time of a block to a stage; no stage lies within another. Threads add up."""
+        start = perf_counter()
         try:
             yield
         finally:
             seconds = perf_counter() - start
-            own, _WITHIN.seconds = seconds - _WITHIN.seconds, outer + seconds
             with _LOCK:
-                self.seconds[stage] = self.seconds.get(stage, 0.0) + own
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
     def time_each(self, stage: str, items: Iterator[Item]) -> Iterator[Item]:
         """Pass items on, and add the time that each takes to come to a stage."""

@@ -19,11 +19,11 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
 from occmap.report import Note, join_names
-from occmap.scans import make_grid, plan_grid
+from occmap.scans import make_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import encode_cells, open_drive
 from occmap.scans.stream import Drive
-from occmap.scans.tally import SHOWN_SCANS, JourneyRecorder, Tally, refuse_unused
+from occmap.scans.tally import SHOWN_SCANS, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.types import Float64, PosedScans, Rays, Update
 from occmap.workers import Workers
@@ -63,26 +63,21 @@ def trace_drive(drive: Drive, begin: Callable[[], Taker], tally: Tally) -> Taker
     """
     for _ in range(2):
         counts, taker = tally.start_over(), begin()
-        if trace(drive, taker, counts):
-            break
+        try:
+            trace_stream(drive, taker, counts)
+        except MapError as error:
+            # Without scans that leap away the map may be small enough.
+            if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
+                doubts = "; ".join(map(": ".join, drive.list_doubts()))
+                raise MapError(error.found, where=error.where, fix=doubts or error.fix) from None
+        else:
+            if drive.settle():
+                break
         counts.advance(-counts.advanced)  # the same scans are read once more
-    if counts.recorder:
-        counts.recorder.trajectories += drive.poser.list_trajectories(str(drive.log.path))
+    if counts.shown_every:
+        counts.trajectories += drive.poser.list_trajectories(str(drive.log.path))
     tally.add(counts)
     return taker
-
-
-def trace(drive: Drive, taker: TakesRays, tally: Tally) -> bool:
-    """Trace the scans of a log; say whether they were read as all of it says they should be."""
-    try:
-        trace_stream(drive, taker, tally)
-    except MapError as error:
-        # Without scans that leap away the map may be small enough.
-        if drive.is_settled or not drive.poser.may_leap() or drive.foresee():
-            doubts = "; ".join(map(": ".join, drive.list_doubts()))
-            raise MapError(error.found, where=error.where, fix=doubts or error.fix) from None
-        return False
-    return drive.settle()
 
 
 LEAST_LEAN_DEG = 1.0
@@ -223,27 +218,40 @@ def count_ground(drive: Drive, finder: "GroundFinder") -> None:
 
 def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:
     """Trace the scans of a log as a stream."""
-    options = drive.options
-    reach = Reach(Lattice(options.resolution), options.max_cells)
 
     def work(seen: Rays | PosedScans) -> None:
         with tally.time("trace"):
             taker.add(seen)
 
-    with name_log(drive.log.path), Workers(work, options.jobs) as workers:
-        # Here, not in a worker: each of many short NumPy calls would wait for the GIL.
-        for posed in drive.read(tally):
-            if posed.batch.clouds:
-                tally.use(len(posed.batch.stamp_ns), ReturnCounts())
-                workers.give(posed)
-                continue
-            with tally.time("interpret"):
-                rays, beams = interpret(posed, options.returns)
-            tally.use(len(rays.kind), beams)
-            reach.stretch(rays)
-            if tally.recorder:
-                tally.recorder.sample(rays)
-            (workers.give if rays.kind.size >= HANDED_BEAMS else work)(rays)
+    with name_log(drive.log.path), Workers(work, drive.options.jobs) as workers:
+        for seen in read_seen(drive, tally):
+            is_short = isinstance(seen, Rays) and seen.kind.size < HANDED_BEAMS
+            (work if is_short else workers.give)(seen)
+
+
+def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
+    """Read what the usable scans of a drive saw, batch by batch: as rays, or as posed clouds.
+
+    It belongs to one thread: each of many short NumPy calls of a worker would wait for the GIL.
+
+    Raises
+    ------
+    MapError
+        The map would be too large.
+    """
+    options = drive.options
+    reach = Reach(Lattice(options.resolution), options.max_cells)
+    for posed in drive.read(tally):
+        if posed.batch.clouds:
+            tally.use(len(posed.batch.stamp_ns), ReturnCounts())
+            yield posed
+            continue
+        with tally.time("interpret"):
+            rays, beams = interpret(posed, options.returns)
+        tally.show(rays)
+        tally.use(len(rays.kind), beams)
+        reach.stretch(rays)
+        yield rays
 
 
 Progress: TypeAlias = Callable[[int, int], None]
@@ -264,9 +272,9 @@ class Keep(NamedTuple):
     ground: Ground | None = None
     """What clouds are traced over, if it is known, or what it grows from"""
 
-    def make_recorder(self, scans: int, logs: int) -> JourneyRecorder | None:
-        """Make a recorder for a log of `scans` scans, one of `logs`; None where none is wanted."""
-        return JourneyRecorder(max(scans * logs // SHOWN_SCANS, 1)) if self.journey else None
+    def choose_shown(self, scans: int) -> int:
+        """Choose n, where the hits of every n-th of so many scans are shown; 0: of none."""
+        return max(scans // SHOWN_SCANS, 1) if self.journey else 0
 
 
 @dataclass
@@ -311,13 +319,10 @@ class Reading:
             As a build, also where no scan can be used.
         """
         for drive in self.list_drives():
-            reach = Reach(Lattice(self.options.resolution), self.options.max_cells)
-            for posed in drive.read(self.tally):
-                rays, beams = interpret(posed, self.options.returns)
-                self.tally.use(len(rays.kind), beams)
-                with name_log(drive.log.path):
-                    reach.stretch(rays)
-                yield rays
+            with name_log(drive.log.path):
+                for seen in read_seen(drive, self.tally):
+                    assert isinstance(seen, Rays)  # `open_scans` refuses clouds
+                    yield seen
         refuse_unused(self.remarks.logs, self.tally)
 
 
@@ -332,9 +337,7 @@ def choose_engine(
         band = make_band(options.clouds, options.returns)
         over = Lattice(options.resolution), band, keep.ground
         return CloudEngine(*over, options.max_cells, slice_ns)
-    from occmap.grid.engine import GridEngine  # noqa: PLC0415  likewise
-
-    return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
+    return make_engine(options, window_cells, slice_ns)
 
 
 class Observed(NamedTuple):
@@ -365,8 +368,7 @@ def observe(
     OccmapError
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
-    # It records nothing itself; it gathers the recorders of the logs.
-    tally = Tally(recorder=keep.make_recorder(0, 1))
+    tally = Tally()
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     options = settle_update(logs, options)
@@ -384,7 +386,7 @@ def observe(
     slices: list[Slices] = []
     begin = partial(choose_engine, options, keep._replace(ground=ground))
     for log, scans in zip(logs, counts, strict=True):
-        of_log = Tally(tally.tell, keep.make_recorder(scans, len(logs)))
+        of_log = Tally(tally.tell, keep.choose_shown(scans * len(logs)))
         with of_log.time("poses"):
             drive = (  # of what is known, poses are let go once they are traced
                 known.pop(log.path).renew(options)

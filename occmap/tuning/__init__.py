@@ -125,6 +125,7 @@ def tune(
     best, before = findings["together"].correction, scorer.score(Correction())
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
+    told = after if best.is_any else leading
     tuning = Tuning(
         **vars(remarks),
         scans=KeptScans(
@@ -140,7 +141,10 @@ def tune(
             TriedCorrection(**vars(correction), share=trial.score.share)
             for correction, trial in scorer.tried.items()
         ],
-        by_log=list(list_gains(remarks.logs, before, after if best.is_any else leading)),
+        by_log=[
+            TunedLog(**improve(old, new), log=log, agreement=new.agreement)
+            for log, old, new in zip(remarks.logs, before.parts, told.parts, strict=True)
+        ],
         command=(),
         agreement=after.agreement,
     )
@@ -194,12 +198,6 @@ def improve(before: Trial, after: Trial) -> dict[str, Any]:
     gain = Gain.measure(before.predicted, after.predicted)
     old, new = before.score, after.score
     return {"beams": old.beams, "share_before": old.share, "share": new.share, **vars(gain)}
-
-
-def list_gains(logs: Sequence[str], before: Trial, after: Trial) -> Iterator[TunedLog]:
-    """List how the maps of single logs fare, before and after."""
-    for log, old, new in zip(logs, before.parts, after.parts, strict=True):
-        yield TunedLog(**improve(old, new), log=log, agreement=new.agreement)
 
 
 def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:

@@ -145,7 +145,7 @@ def find_mount(logs: Sequence[KeptLog]) -> Pose | None:
         for log in logs
         for frame in sorted({batch.frame for batch in log.batches})
     ]
-    places = [it.pose._replace(z=0.0) for it in found if it and it.option == "sensor_pose"]
+    places = [it.pose._replace(z=0.0) for it in found if it and not it.frames]
     is_one = len(places) == len(found) and np.ptp(places, axis=0).max() < ALIKE
     return places[0] if is_one else None
 

@@ -240,15 +240,6 @@ def test_where_nothing_can_be_deskewed_it_is_said() -> None:
     assert unasked.notes == []
 
 
-def test_a_map_frame_that_the_laser_never_leaves_is_noted() -> None:
-    log = [*drive("odom", "base_link"), MOUNT]
-    carried, fixed = build(*log, map_frame="base_link"), build(*log)
-    for poser in (carried, fixed):
-        poser.find_chains(["laser"])
-    assert carried.notes == ["'laser' never moves in 'base_link', though other frames do"]
-    assert fixed.notes == []
-
-
 def test_the_mount_of_one_laser_of_two_is_given_by_a_transform() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT)
     poser.find_chains(["bumper", "laser"])  # in any order

@@ -52,17 +52,17 @@ JUMPS: dict[str, tuple[Callable[[int], Pose], str, dict[str, str]]] = {
     ),
     "two, and the longest part between them": (
         lambda second: turned(0, 0.0 if second < 20 else 5.0 if second < 90 else 50.0),
-        "by 45 m and 0 deg 90.000 s after the first scan: ",
+        "by 45 m and 0 deg 90.000 s after the first scan, the largest of 2 jumps: ",
         {"start_s": "20", "end_s": "90"},
     ),
     "a plateau": (
         lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE,
-        " 60.000 s after the first scan, and back at 65.000 s: ",
+        " 65.000 s after the first scan, the largest of 2 jumps: ",
         {"end_s": "60"},
     ),
     "a single wrong one": (
         lambda second: turned(10) if second == 30 else NOWHERE,
-        " 30.000 s after the first scan, and back at 31.000 s: ",
+        " 31.000 s after the first scan, the largest of 2 jumps: ",
         {"start_s": "31"},
     ),
 }

@@ -1,5 +1,6 @@
 """Poses of another recording: of a robot's own topics, or what a SLAM exports after the drive."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -137,17 +138,25 @@ def test_transforms_of_a_recording_stand_in_place_of_those_of_the_log(
     assert not any("set back" in note for note in made.report.notes)
 
 
-@pytest.mark.parametrize("names", ["day_{}.bag", "day_2026-01-02-03-04-0{}_{}.bag"])
-def test_a_later_part_of_a_split_bag_takes_what_never_changes_from_the_first(
-    names: str, whole: str
+@pytest.mark.parametrize(
+    ("names", "write", "version"),
+    [
+        ("day_{}.bag", write_bag1, ROS1),
+        ("day_2026-01-02-03-04-0{}_{}.bag", write_bag1, ROS1),
+        ("day_{}.mcap", write_mcap, ROS2),
+    ],
+)
+def test_a_later_part_of_a_split_recording_takes_what_never_changes_from_the_first(
+    names: str, write: Callable[..., Path], version: Any, whole: str
 ) -> None:
-    messages = drive(ROS1)
+    messages = drive(version)
     parts = [Path("day", names.format(n, n)) for n in range(2)]
     parts[0].parent.mkdir()
     for part, some in zip(parts, (messages[:7], messages[7:]), strict=True):
-        write_bag1(part, some)
-    write_bag1(Path("day/other_0.bag"), messages[1:])  # another recording, and a broken one
-    Path("day/day_1999-01-01-00-00-00_0.bag").write_bytes(b"no bag")
+        write(part, some)
+    suffix = parts[0].suffix
+    write(Path("day", f"other_0{suffix}"), messages[1:])  # another recording, and a broken one
+    Path("day", f"day_1999-01-01-00-00-00_0{suffix}").write_bytes(b"no bag")
     made = build_map(*parts)
     assert name_evidence(made) == whole
     assert f"{parts[1]}: transforms are taken from {parts[0]}:/tf_static, too" in made.report.notes

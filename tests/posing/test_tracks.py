@@ -134,23 +134,3 @@ def test_steps_and_intervals_lie_between_samples() -> None:
     assert track.interval_s.tolist() == [2]
     assert track.step_m.tolist() == [5]
     np.testing.assert_allclose(track.step_rad, [math.pi / 2])
-
-
-TURNED = HERE._replace(qx=1)
-
-
-@pytest.mark.parametrize(
-    ("other", "changes"),
-    [
-        (TURNED, False),
-        (TURNED._replace(x=1.01), True),
-        (HERE, True),
-        (TURNED._replace(qx=2, qw=2), False),
-        (TURNED._replace(x=math.nan), False),
-    ],
-)
-def test_whether_samples_of_one_stamp_differ(other: Pose, changes: bool) -> None:
-    builder = TrackBuilder()
-    for pose in (TURNED, other):
-        builder.add(*sample(10, pose))
-    assert builder.changes is changes

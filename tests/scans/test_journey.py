@@ -1,7 +1,8 @@
 import numpy as np
 
 from occmap.posing import DropReason
-from occmap.scans.tally import JourneyRecorder
+from occmap.scans.tally import Tally
+from occmap.sensor import ReturnCounts
 from occmap.types import Float64, Kind, Rays
 from tests.posing.scenes import SECOND, attach, batch_at, bolted, build, drive, turned
 
@@ -44,28 +45,28 @@ def test_a_laser_whose_log_names_no_frames_gets_names() -> None:
 
 
 def test_hits_are_kept_where_they_lie() -> None:
-    recorder = JourneyRecorder(1)
-    recorder.sample(see(range(2, 3), x=5.0))
-    (scan,) = recorder.finish().scans
+    tally = Tally(shown_every=1)
+    tally.show(see(range(2, 3), x=5.0))
+    (scan,) = tally.shown
     assert (scan.stamp_ns, scan.origin) == (2, (5.0, 1.0))
     np.testing.assert_allclose(scan.x, [7, 5, 3], atol=1e-6)
     np.testing.assert_allclose(scan.y, [1, 3, 1], atol=1e-6)
 
 
 def test_a_sample_is_spread_over_all_scans_and_their_beams() -> None:
-    recorder = JourneyRecorder(10)
+    tally = Tally(shown_every=10)
     for start in range(0, 4000, 250):
-        recorder.sample(see(range(start, start + 250), beams=1200))
-    scans = recorder.finish().scans
-    assert [scan.stamp_ns for scan in scans] == list(range(0, 4000, 10))
-    assert {len(scan.x) for scan in scans} == {400}
+        tally.show(see(range(start, start + 250), beams=1200))
+        tally.use(250, ReturnCounts())
+    assert [scan.stamp_ns for scan in tally.shown] == list(range(0, 4000, 10))
+    assert {len(scan.x) for scan in tally.shown} == {400}
 
 
 def test_logs_add_up_and_a_second_reading_forgets_the_first() -> None:
-    first = JourneyRecorder(1)
-    first.sample(see(range(1)))
+    first = Tally(shown_every=1)
+    first.show(see(range(1)))
     second = first.start_over()
-    assert second.finish().scans == ()
-    second.sample(see(range(1, 2)))
+    assert second.shown == []
+    second.show(see(range(1, 2)))
     first.add(second)
-    assert [scan.stamp_ns for scan in first.finish().scans] == [0, 1]
+    assert [scan.stamp_ns for scan in first.shown] == [0, 1]

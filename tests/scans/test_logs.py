@@ -1,16 +1,13 @@
 """A folder or a pattern stands for the recordings in it, in the order of their time."""
 
-import re
 import shutil
 from pathlib import Path
 
 import pytest
 
 import occmap
-from occmap.errors import PoseError
 from occmap.readers import ReaderOptions
 from occmap.scans.logs import find_inputs
-from tests.readers.ros import ROS1, ROS2, drive, write_bag1, write_mcap
 from tests.samples import SAMPLE_LOGS, write_csv
 
 
@@ -103,21 +100,3 @@ def test_a_notebook_may_give_a_folder(day: Path) -> None:
     assert made.report.scans.used == 9
     assert "3 recordings, in the order of their time" in made.report.notes[0]
     assert [Path(log.path).name for log in occmap.check(day).logs] == ["c.csv", "a.csv", "b.csv"]
-
-
-def test_a_part_of_a_recording_that_lacks_poses_names_the_folder(tmp_path: Path) -> None:
-    whole = tmp_path / "drive"
-    whole.mkdir()
-    (whole / "metadata.yaml").touch()
-    parts = drive(ROS2)
-    write_mcap(whole / "drive_0.mcap", [each for each in parts if "tf" in each.topic])
-    part = write_mcap(whole / "drive_1.mcap", [each for each in parts if "tf" not in each.topic])
-    told = f"it is one of 2 files of a recording; give the folder: {whole}"
-    with pytest.raises(PoseError, match=re.escape(told)):
-        occmap.build_map(part)
-    assert told in occmap.check(part).problems[0]
-    alone = shutil.copy(part, tmp_path / "alone.mcap")
-    beside = write_bag1(whole / "other.bag", [each for each in drive(ROS1) if each.topic != "/tf"])
-    for path in (alone, beside):
-        with pytest.raises(PoseError, match="the scans have no poses"):
-            occmap.build_map(path)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,16 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.options import BuildOptions, Selection
-from occmap.pipeline import build
+from occmap.options import Selection
 from occmap.posing import Stamps
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
 from occmap.sensor import ReturnOptions
 from occmap.sensor.bands import RangeLimits
-from occmap.types import Scan, ScanBatch, ScanRun, Update
+from occmap.types import Scan, ScanBatch, ScanRun
 from tests.readers.runs import flatten
-from tests.samples import write_csv
 
 SECOND = 10**9
 RUN = ScanRun(
@@ -130,16 +127,3 @@ def test_a_range_limit_that_none_can_be_is_none(range_max: float, single: bool) 
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     (note,) = limits.list_notes()
     assert note.startswith("/scan states no usable range limit")
-
-
-@pytest.mark.parametrize(
-    ("update", "beams", "told"),
-    [(Update.POLYGON, 1, True), (Update.POLYGON, 2, False), (Update.BEAM, 1, False)],
-)
-def test_a_scan_of_one_beam_has_no_inside(
-    tmp_path: Path, update: Update, beams: int, told: bool
-) -> None:
-    log = write_csv(tmp_path / "one.csv", [(0.0, 0.0, 0.0)] * 3, [1.0] * beams, 0.1)
-    made = build([log], BuildOptions(update=update))
-    assert any("frees no cell" in note for note in made.report.notes) == told
-    assert bool(made.map.free.any()) != told
