@@ -398,7 +398,7 @@ def test_logs_that_cannot_be_read_are_problems_and_left_out_of_the_line(tmp_path
             {"echo": "last", "footprint": (-0.4, -0.3, 0.2, 0.3), "min_height": 0.2},
             "--echo last --footprint -0.4,-0.3,0.2,0.3 --min-height 0.2",
         ),
-        ({"max_pose_gap_s": None, "align": None}, "--max-pose-gap inf --align auto"),
+        ({"max_pose_gap_s": None}, "--max-pose-gap inf"),
     ],
 )
 def test_options_come_back_as_flags_and_lose_no_digit(options: dict[str, Any], words: str) -> None:

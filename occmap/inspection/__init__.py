@@ -295,9 +295,7 @@ def list_odd_ranges(ranges: findings.RangeFindings) -> Iterator[Concern]:
             share = f"{item.value:g} m is {item.share:.0%} of the ranges"
             yield Concern(f"{share} and may mean no return")
     if ranges.body is not None:
-        box = ",".join(f"{edge:g}" for edge in ranges.body)
-        found = "the robot is in its own scans: some of it is at the same place wherever it goes"
-        yield Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
+        yield poses.warn_of_body(ranges.body)
     if ranges.measured:
         return
     if any(special.name == BEYOND for special in ranges.specials):
@@ -364,8 +362,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         against = list(poses.list_floor_concerns(some, level, posed, below))
         if below is not None:
             box = poses.enclose_clouds(log, level, posed, below)
-            # That mounts or floor are wrong would be a reason for contradictions.
-            against += [] if against else poses.list_cloud_contradictions(some, posed, below)
+            against += poses.list_other_concerns(some, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))

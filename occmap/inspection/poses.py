@@ -11,14 +11,14 @@ from itertools import islice
 
 import numpy as np
 
-from occmap.cells import Ground
+from occmap.cells import Box, Ground
 from occmap.choices import format_mount, list_values, take
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
-from occmap.inspection.survey import TopicSurvey
+from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
 from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
@@ -308,20 +308,65 @@ def list_floor_concerns(
         yield topic, Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
 
 
-def list_cloud_contradictions(
-    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground
+SEEN_M = 10.0
+BEARINGS, OWN_SPREAD_M = 180, 0.1
+"""Of a turn, in which clouds are looked through for the robot: the nearest of its points in each
+keeps its range less well than a beam does (m)"""
+
+
+def list_other_concerns(
+    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground, is_right: bool
 ) -> Iterator[tuple[str, Concern]]:
-    """Say where some clouds contradict each other, with their topics."""
+    """List what else some clouds show: the robot, and that they contradict each other.
+
+    Parameters
+    ----------
+    is_right
+        Nothing is wrong with mounts and floor, which would be a reason to do so.
+    """
     from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
 
     band, lattice = make_band(options.clouds, options.returns), Lattice(options.resolution)
     for topic, clouds in sorted(some.items()):
+        rows = [stack_scans(posed, see_around(posed, ground, options)) for posed in clouds]
+        shape = -math.pi, math.tau / BEARINGS, BEARINGS
+        body = find_body(np.concatenate(rows), shape, OWN_SPREAD_M)
+        if body is not None:
+            yield topic, warn_of_body(body)
+        if not is_right:
+            continue
         engine = CloudEngine(lattice, band, ground, options.max_cells)
         with suppress(MapError):  # it gets too large, which is a problem by itself
             for posed in clouds:
                 engine.add(posed)
             found = list_contradictions(engine.finish())
             yield from ((topic, Concern(text)) for text in found)
+
+
+def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
+    """(S, 180) how far obstacles are by their bearing in the sensor's frame, up to 10 m."""
+    ranges = np.full((len(posed.batch.stamp_ns), BEARINGS), NO_HIT_M)
+    if posed.origin is not None:  # nothing is known of how the sensor saw them
+        return ranges
+    clouds = zip(posed.batch.clouds or (), *posed.at_first_beam, ranges, strict=True)
+    for cloud, position, rotation, nearest in clouds:
+        points = cloud.points[:, :3].astype(np.float64)
+        distance = np.hypot(points[:, 0], points[:, 1])
+        is_near = (distance > options.returns.min_range) & (distance < SEEN_M)
+        points, distance = points[is_near], distance[is_near]
+        place = points @ rotation.T + position
+        stands = place[:, 2] - ground.find_heights(place) >= options.clouds.min_height
+        bearing = np.arctan2(points[:, 1], points[:, 0]) + math.pi
+        beam = (bearing * (BEARINGS / math.tau)).astype(np.int64) % BEARINGS
+        np.minimum.at(nearest, beam[stands], distance[stands])
+    return ranges
+
+
+def warn_of_body(body: Box) -> Concern:
+    """Say that the robot stands in a box around the sensor (m), and what leaves it out."""
+    box = ",".join(f"{edge:g}" for edge in body)
+    found = "the robot is in its own scans: some of it is at the same place wherever it goes"
+    return Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
 
 
 def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> Concern | None:

@@ -240,7 +240,7 @@ OWN_MARGIN_M = 0.05
 Form: TypeAlias = tuple[float, float, int]
 """Bearing of the first beam, the angle from one to the next (rad), and how many there are"""
 Stacked: TypeAlias = dict[Form, Float64]
-"""By the form of the scans of a sample: (S, 13 + B) their stamps (s), poses and ranges"""
+"""A sample of scans by their form, as `stack_scans` makes them"""
 
 
 def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked:
@@ -249,14 +249,19 @@ def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked
     for part in parts:
         batch, (kind, reach, _) = part.batch, sensor.classify(part.batch, options)
         ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
-        position, rotation = part.at_first_beam
-        poses = position, rotation.reshape(-1, 9)
         form = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[form].append(np.column_stack([batch.stamp_ns / 1e9, *poses, ranges]))
+        seen[form].append(stack_scans(part, ranges))
     return {form: np.concatenate(scans) for form, scans in seen.items()}
 
 
-def find_body(rows: Float64, form: Form) -> Box | None:
+def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
+    """(S, 13 + B) the stamps (s), poses and ranges (S, B) of scans."""
+    position, rotation = posed.at_first_beam
+    poses = position, rotation.reshape(-1, 9)
+    return np.column_stack([posed.batch.stamp_ns / 1e9, *poses, ranges])
+
+
+def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | None:
     """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
 
     It is in the sensor's frame (m); None where there is no such thing.
@@ -264,7 +269,9 @@ def find_body(rows: Float64, form: Form) -> Box | None:
     Parameters
     ----------
     rows
-        Scans of one form, as in `Stacked`.
+        Scans of one form, as `stack_scans` makes them.
+    spread
+        Parts of the robot keep their range so well (m).
     """
     _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
     place, turn = rows[first, 1:3], rows[first, 4:13].reshape(-1, 3, 3)[:, :2, :2]
@@ -272,7 +279,7 @@ def find_body(rows: Float64, form: Form) -> Box | None:
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
-    stays = (np.abs(ranges - middle) <= OWN_SPREAD_M).mean(axis=0) >= OWN_SHARE
+    stays = (np.abs(ranges - middle) <= spread).mean(axis=0) >= OWN_SHARE
     own = stays & (middle < OWN_RANGE_M)
     if own.sum() < MIN_OWN_BEAMS:
         return None

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
@@ -188,21 +188,28 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
     if at_body.find_chains(frames):  # more than the mount is missing
         return Posing(poser, faults)
     # Read the scans as if the sensor were the body, and find the mount that suits them best.
-    guess = guess_place(sample_scans(Drive(log, at_body, options)), options)
+    guess = guess_place(at_body, sample_scans(Drive(log, at_body, options)), options)
     ((frame, fault),) = faults.items()
-    mount, why = guess or (IDENTITY, "")
     if guess and isinstance(fault, MountError):
-        faults = {frame: fault.named(format_mount(mount), why)}
+        faults = {frame: fault.named(format_mount(guess.mount), guess.why)}
+    mount = guess.mount if guess else IDENTITY
     posing = replace(options.posing, sensor_pose=mount)
     return Posing(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
 
 
-Guess: TypeAlias = tuple[Pose, str]
-"""Where a laser may sit; and what speaks for it, and how well the scans then fit each other"""
+class Guess(NamedTuple):
+    """Where a laser may sit."""
+
+    mount: Pose
+    why: str
+    """What speaks for it, and how well the scans then fit each other"""
 
 
-def guess_place(parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
-    """Guess how the only laser of a log sits at its body's origin: turned in one of eight ways.
+def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
+    """Guess where the only laser of a log sits.
+
+    That is where tf mounts some frame that no scan is in, or else at the body's origin, turned in
+    one of eight ways.
 
     Parameters
     ----------
@@ -216,13 +223,20 @@ def guess_place(parts: Sequence[PosedScans], options: BuildOptions) -> Guess | N
     """
     if parts and parts[0].batch.clouds is not None:
         return guess_by_floor(parts)
-    mount = choose_turn(parts, options.returns)
+    marked = [count_marked(parts, turn, options.returns) for turn in TURNS]
+    leaves = list_leaves(poser, parts[0].batch.frame) if parts else {}
+    by_leaf = {leaf: count_marked(parts, leaves[leaf], options.returns) for leaf in leaves}
+    leaf = min(by_leaf, key=by_leaf.__getitem__, default="")
+    known = bool(leaf) and by_leaf[leaf] < CLEAR_WIN * min(marked)
+    mount = leaves[leaf] if known else choose_turn(marked)
     if mount is None:
         return None
     agreement = estimate_agreement([mount_scans(part, mount) for part in parts], options)
     share = "" if agreement is None else f": {agreement:.0%} of the hits of a sample agree"
+    if known:
+        return Guess(mount, f"where tf has {leaf!r}, a frame that no scan is in{share}")
     place = "measure x and y, or walls are doubled"
-    return mount, f"which suits the scans best of all turns{share}; {place}"
+    return Guess(mount, f"which suits the scans best of all turns{share}; {place}")
 
 
 def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
@@ -232,7 +246,17 @@ def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
         return None
     found = f"by the floor {seat.height:.2f} m below it"
     by_walls = ", and by walls; measure x and y" if seat.has_yaw else "; measure x, y and yaw"
-    return seat.mount, f"{found}{by_walls}, or walls are doubled"
+    return Guess(seat.mount, f"{found}{by_walls}, or walls are doubled")
+
+
+def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:
+    """List where frames are mounted on the body of a sensor, if no other frame is below them."""
+    tree = poser.sources.tree
+    base = poser.options.base_frame or tree.find_base(frame)
+    uppers = {base, *(edge.parent for edge in tree.edges)}
+    ways = {leaf: tree.find_path(base, leaf) for leaf in tree.frames if leaf not in uppers}
+    places = {leaf: place_on(steps) for leaf, steps in ways.items() if steps}
+    return {leaf: place for leaf, place in places.items() if place}
 
 
 def list_misfits(
@@ -269,7 +293,7 @@ def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOption
     str
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    turn = choose_turn(parts, options)
+    turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
     if turn is None or turn == IDENTITY:
         return ""
     mount = find_mount(poser, parts[0].batch.frame)
@@ -332,9 +356,8 @@ def turn_mount(mount: Pose, turn: Pose) -> Pose:
     return Transforms.fixed(mount).then(Transforms.fixed(turn)).first
 
 
-def choose_turn(parts: Sequence[PosedScans], options: ReturnOptions) -> Pose | None:
+def choose_turn(marked: Sequence[int]) -> Pose | None:
     """Choose the turn by which the fewest cells have a hit, if it is clearly better."""
-    marked = [count_marked(parts, turn, options) for turn in TURNS]
     (best, at), (second, _) = sorted(zip(marked, range(len(TURNS)), strict=True))[:2]
     return TURNS[at] if FEWEST_MARKED <= best < CLEAR_WIN * second else None
 
