@@ -16,7 +16,7 @@ import numpy as np
 
 from occmap.errors import DamageError
 from occmap.readers import Echo, Fix, Role, cloud_messages
-from occmap.readers.containers import Channel, Messages
+from occmap.readers.containers import Channel
 from occmap.readers.fields import (
     get,
     get_bytes,
@@ -27,17 +27,17 @@ from occmap.readers.fields import (
     get_whole,
     look,
 )
-from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
-from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
+from occmap.readers.messages import Fields, FromBytes, Locate, Parser, Stack, read_scan_run
+from occmap.types import IDENTITY, Bool, Cloud, Pose, PoseBatch, PoseSample, Scan
 from occmap.values import as_float32, as_number
 
 ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
 """From a decoded message, its topic and its record time in ns"""
 
 
-ReadMany: TypeAlias = Callable[[Messages, Locate, FromBytes[Any]], tuple[Sequence[Any], Messages]]
+ReadMany: TypeAlias = Callable[[Stack, Locate, FromBytes[Any]], tuple[Sequence[Any], Bool]]
 """From messages of one length, what finds numbers in one, and what reads one, to what is read many
-at once, and the messages that are left to be read one by one; raises DamageError"""
+at once, and which messages (M,) are left to be read one by one; raises DamageError"""
 
 
 class MessageType(NamedTuple):
@@ -98,28 +98,31 @@ class PoseFields(NamedTuple):
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
 
     def read_many(
-        self, rows: Messages, locate: Locate, read: FromBytes[list[PoseSample]]
-    ) -> tuple[list[PoseBatch], Messages]:
-        """Read messages of one length: the samples of each pose, and the messages left over."""
+        self, stack: Stack, locate: Locate, read: FromBytes[list[PoseSample]]
+    ) -> tuple[list[PoseBatch], Bool]:
+        """Read messages of one length: the samples of each pose, and which messages are left."""
         batches: list[PoseBatch] = []
+        left = np.ones(len(stack.data), np.bool_)
         for _ in range(MOST_GROUPS):
-            if len(rows.key) < 2:
+            if np.count_nonzero(left) < 2:
                 break
+            rest = stack.take(left)
             # Decoded first: that it could be says that all its parts lie within the message.
-            record_ns, data = rows.first
-            samples, fields = read(data, record_ns), Fields(rows, locate(data))
+            first = rest.data[0].data
+            samples = read(first, int(rest.record_ns[0]))
+            fields = Fields(rest.data, locate(first))
             alike = fields.find_alike()
-            fields = fields._replace(rows=rows.take(alike))
+            fields, record_ns = fields._replace(rows=rest.data[alike]), rest.record_ns[alike]
             for at, sample in enumerate(samples):
-                _, parent, child, first, static, topic, _ = sample
+                _, parent, child, expected, static, topic, _ = sample
                 item = f"{self.items}.{at}." if self.items else ""
                 pose = fields.read(f"{item}{self.position}.x", f"{item}{self.rotation}.w")
-                if not np.array_equal(pose[0], first, equal_nan=True):
+                if not np.array_equal(pose[0], expected, equal_nan=True):
                     raise DamageError("has its numbers in another order")
-                times = fields.read_stamps(f"{item}{self.stamp}"), fields.rows.record_ns
+                times = fields.read_stamps(f"{item}{self.stamp}"), record_ns
                 batches.append(PoseBatch(*times, pose, parent, child, static, topic))
-            rows = rows.take(~alike)
-        return batches, rows
+            left[left] = ~alike
+        return batches, left
 
 
 def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:

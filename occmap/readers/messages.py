@@ -9,7 +9,7 @@ import json
 import struct
 from collections.abc import Callable, Collection, Mapping
 from functools import cache, lru_cache, partial
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.containers import Channel, Messages, normalise_type
-from occmap.types import Bool, Int64, Scan, ScanRun
+from occmap.readers.containers import Channel, normalise_type
+from occmap.types import Bool, Int64, Scan, ScanRun, UInt8
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -284,23 +284,33 @@ def _locate(types: Typesdict, name: str, is_cdr: bool, message: memoryview) -> M
     return finder.places
 
 
+class Stack(NamedTuple):
+    """Messages of one length as rows of bytes, so that a number of all of them is one slice."""
+
+    data: UInt8
+    """(M, L)"""
+    record_ns: Int64
+    """(M,) when each was recorded"""
+
+    def take(self, some: Bool | Int64) -> Self:
+        """Select some."""
+        return self._replace(data=self.data[some], record_ns=self.record_ns[some])
+
+
 class Fields(NamedTuple):
     """The numbers of messages of one length, which lie where the first has its own."""
 
-    rows: Messages
+    rows: UInt8
+    """(M, L)"""
     places: Mapping[str, Place]
 
     def find_alike(self, same: Collection[str] = ()) -> Bool:
         """Say which messages (M,) are as the first but for their numbers, save some."""
-        fixed = np.ones(self.rows.length, np.bool_)
+        fixed = np.ones(self.rows.shape[1], np.bool_)
         for name, place in self.places.items():
             fixed[place.start : place.end] = name in same
-        alike = np.ones(len(self.rows.key), np.bool_)
-        edges = np.flatnonzero(np.diff(fixed, prepend=False, append=False))
-        for start, end in edges.reshape(-1, 2).tolist():
-            part = self.rows.read(start, end)
-            alike &= (part == part[0]).all(axis=1)
-        return alike
+        rest = self.rows[:, fixed]
+        return np.asarray((rest == rest[0]).all(axis=1))
 
     def read(self, first: str, last: str = "") -> NDArray[Any]:
         """Read a number, a list, or numbers that lie side by side, in each message (M, B).
@@ -313,7 +323,7 @@ class Fields(NamedTuple):
         start, end = self.places.get(first), self.places.get(last or first)
         if not start or not end or (end.end - start.start) % start.kind.itemsize:
             raise DamageError(f"has no numbers {first}")
-        return self.rows.read(start.start, end.end).view(start.kind)
+        return np.ascontiguousarray(self.rows[:, start.start : end.end]).view(start.kind)
 
     def read_stamps(self, name: str) -> Int64:
         """Read times (M,) in ns; raises DamageError."""
@@ -324,8 +334,8 @@ class Fields(NamedTuple):
 
 
 def read_scan_run(
-    rows: Messages, locate: Locate, read: FromBytes[list[Scan]]
-) -> tuple[list[ScanRun], Messages]:
+    stack: Stack, locate: Locate, read: FromBytes[list[Scan]]
+) -> tuple[list[ScanRun], Bool]:
     """Read scans of one length that follow one another.
 
     Parameters
@@ -335,8 +345,9 @@ def read_scan_run(
 
     Returns
     -------
-    runs, others
-        One run, or all messages where they are not alike but for times and ranges.
+    runs, left
+        One run, or none where messages differ in more than times and ranges; and which messages
+        (M,) are still to be read.
 
     Raises
     ------
@@ -344,12 +355,12 @@ def read_scan_run(
         The first message is damaged, or its numbers cannot be found.
     """
     # Decoded first: that it could be says that all its parts lie within the message.
-    record_ns, data = rows.first
-    (first,) = read(data, record_ns)
-    fields = Fields(rows, locate(data))
-    if not fields.find_alike(_OF_ALL).all():
-        return [], rows
+    (first,) = read(stack.data[0].data, int(stack.record_ns[0]))
+    fields = Fields(stack.data, locate(stack.data[0].data))
+    left = np.full(len(stack.data), not fields.find_alike(_OF_ALL).all())
+    if left.any():
+        return [], left
     ranges = fields.read("ranges").astype(np.float32, copy=False)
     increments = fields.read("time_increment")[:, 0].astype(np.float64)
-    times = fields.read_stamps("header.stamp"), rows.record_ns
-    return [ScanRun(first, *times, ranges, increments)], rows.take(slice(0))
+    times = fields.read_stamps("header.stamp"), stack.record_ns
+    return [ScanRun(first, *times, ranges, increments)], left

@@ -20,7 +20,7 @@ from ruamel.yaml.error import YAMLError
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import ZSTD_MAGIC, NoteList, Probe, probe_path
 from occmap.readers.bag1 import Bag1Source
-from occmap.readers.containers import Channel, Messages, Source, inflate_message, pack, unzip_file
+from occmap.readers.containers import Channel, RawMessage, Source, inflate_message, unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.ros_log import RosReader
 from occmap.readers.sqlite import SqliteSource
@@ -85,12 +85,12 @@ class Bag2Source:
         """Every channel of every storage file."""
         return [channel for part in self._parts for channel in part.channels]
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, one storage file after the other."""
         for part in self._parts:
             if inner := [channel for channel in part.channels if channel in wanted]:
-                for some in part.messages(inner):
-                    yield from _inflate(some) if self._zipped else (some,)
+                for channel, at, data in part.messages(inner):
+                    yield channel, at, inflate_message(data) if self._zipped else data
             self._gather_notes()
 
     def _find_files(self, names: Sequence[str]) -> list[Path]:
@@ -155,12 +155,6 @@ class Bag2Source:
         for part in self._parts:
             for note in part.notes:
                 self.notes.add_damage(f"{part.path.name}: {note.text}")
-
-
-def _inflate(messages: Messages) -> Iterator[Messages]:
-    """Decompress messages each of which was compressed on its own."""
-    inflated = ((key, at, inflate_message(data)) for key, at, data in messages.list_raw())
-    return pack(messages.channels, inflated)
 
 
 def _parse_metadata(path: Path) -> _Metadata:

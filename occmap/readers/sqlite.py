@@ -16,7 +16,7 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import NoteList
-from occmap.readers.containers import Channel, Messages, pack
+from occmap.readers.containers import Channel, RawMessage
 from occmap.report import count
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
@@ -60,12 +60,12 @@ class SqliteSource:
         if lost := counts.total() - sum(channel.count for channel in self.channels):
             self.notes.add_damage(f"the file names no topic for {count(lost, 'message')}")
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
-            rows = self._read_rows(database, "data", by_id, self.notes)
-            yield from pack(by_id, (row[1:] for row in rows))
+            for _, key, record_ns, data in self._read_rows(database, "data", by_id, self.notes):
+                yield by_id[key], record_ns, data
 
     def _read_rows(
         self, database: apsw.Connection, what: str, topics: Collection[int], notes: NoteList

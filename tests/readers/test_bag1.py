@@ -194,17 +194,6 @@ def test_a_record_that_is_damaged_takes_no_other_chunk(path: Path, packed: str) 
         assert set(read(path, damaged)[1]) >= beside, at - head
 
 
-@pytest.mark.parametrize("damaged", [b"sensor_msgs/LaserScam", b"float33 angle_min"])
-def test_a_connection_that_is_described_in_two_ways_is_told_of(path: Path, damaged: bytes) -> None:
-    data = write(path)
-    at = data.rindex(damaged.replace(b"Scam", b"Scan").replace(b"33", b"32"))
-    data[at : at + len(damaged)] = damaged
-
-    notes, _ = read_damaged(path, data)
-
-    assert any("connection 2 is described in two ways" in note for note in notes)
-
-
 def test_an_index_that_counts_messages_of_a_connection_that_it_lacks_is_not_used(
     path: Path,
 ) -> None:
