@@ -28,9 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers import Probe, Role, Stream, decimals, text_log
+from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
-from occmap.readers.text_log import POSE_NAMES, Block, Line, LineTally, Pattern, TextLog
+from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_number, parse_seconds, shorten
@@ -159,8 +159,6 @@ KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
 """How a line begins; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
 """By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
-WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?![-+.\d])\S+\s+[-+.e\d]+\s*")
-"""A keyword, two words or more, the name of a host, and a time."""
 
 
 class CarmenReader:
@@ -245,12 +243,7 @@ class CarmenLog(TextLog):
             yield self._front_offset
         if not self._words["ODOM"]:
             return
-        tally = LineTally()
-        for block in text_log.read_blocks(self.path, self.notes):
-            lines = {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
-            for some in self._parse_block(block, lines, tally):
-                yield make_poses(some)
-        tally.judge(self.path, self.notes, self.fix)
+        yield from map(make_poses, self._parse_all(pick_odometry))
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of scans by their keywords; count all others when the log is opened."""
@@ -290,23 +283,18 @@ class CarmenLog(TextLog):
 
     def _survey_others(self, block: Block, lines: Mapping[str, Sequence[int]]) -> None:
         """Count the lines that hold no scan, and find the offset of the front laser."""
-        if not block.ended and _is_cut(block.get_line(0)):
-            self._note_cut(block)
-            return
         for word, rows in lines.items():
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
                 self._words[word[:40] if known else "other"] += len(rows)
-        faults = {}
         for row in () if self._front_offset else lines.get("PARAM", ()):
             try:
                 found = parse_front_offset(block.get_line(row).raw.split())
                 self._front_offset = self._front_offset or found
             except ValueError as error:
-                faults[row] = str(error)
-        self._tally.add(block, len(faults), faults)
+                self.notes.add_damage(f"line {block.number + row} is not used: {error}")
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
         topic, beams = some.first.topic, some.first.ranges.size
@@ -322,6 +310,11 @@ class CarmenLog(TextLog):
             more = ", ..." if len(others) > 5 else ""
             lines = count(others.total(), "line")
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
+
+
+def pick_odometry(block: Block) -> Mapping[str, Sequence[int]]:
+    """Find the lines of odometry."""
+    return {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
 
 
 def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
@@ -351,9 +344,3 @@ def _count_lines(word: str, lines: int) -> str:
     if word == "#":
         return count(lines, "comment")
     return f"{lines:,} {word if word.isascii() and word.isprintable() else shorten(word)}"
-
-
-def _is_cut(line: Line) -> bool:
-    """Whether a last line without its end is cut; for a scan, parsing it tells."""
-    word = "".join(line.text.split(None, 1)[:1])
-    return word not in {"", *SCAN_LINES} and WHOLE_MESSAGE.fullmatch(line.text) is None

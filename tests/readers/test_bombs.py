@@ -73,7 +73,7 @@ def test_a_gzip_bomb(tmp_path: Path, filler: bytes, monkeypatch: pytest.MonkeyPa
     path = tmp_path / "bomb.log.gz"
     path.write_bytes(b"".join([*packed, deflater.flush()]))
 
-    refuse(path, "grows more than 100-fold|no end of line within")
+    refuse(path, "more than it has bytes|no end of line within")
 
 
 def test_a_zstd_bomb_in_an_mcap_chunk(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ Blocks = list[tuple[int, list[str]]]
 
 
 def read(folder: Path, content: bytes | bytearray) -> tuple[Blocks, list[str]]:
-    """The blocks of a text, and the notes, all of which must be of damage."""
+    """The blocks of a text, and the notes of damage."""
     path = folder / "log"
     path.write_bytes(content)
     notes = NoteList()
@@ -22,8 +22,7 @@ def read(folder: Path, content: bytes | bytearray) -> tuple[Blocks, list[str]]:
         (block.number, [block.get_line(at).text for at in range(len(block))])
         for block in read_blocks(path, notes)
     ]
-    assert all(note.damage for note in notes)
-    return blocks, [note.text for note in notes]
+    return blocks, [note.text for note in notes if note.damage]
 
 
 def read_lines(folder: Path, content: bytes | bytearray) -> tuple[list[str], list[str]]:
