@@ -8,7 +8,6 @@ import struct
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from occmap.errors import LogError
 from occmap.readers import records
 from occmap.readers.containers import Buffer, Channel, inflate
 from occmap.readers.records import Bytes, Descriptions, FileBytes, Record, RecordSource, Summary
@@ -127,12 +126,6 @@ class Bag1Source(RecordSource):
         """Read the index at the end, which is there if the bag was closed."""
         start = len(self.magic)
         bag = parse_header(file[start : start + _LONGEST_HEADER])
-        if encryptor := bag.text(b"encryptor"):
-            raise LogError(
-                f"the bag is encrypted with {encryptor}",
-                where=self.path,
-                fix="decrypt it with `rosbag decrypt` first",
-            )
         if not (start := bag.number(b"index_pos")):
             raise ValueError("the bag was not closed")
         summary, chunks = Summary(is_whole=True), 0

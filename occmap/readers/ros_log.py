@@ -10,10 +10,9 @@ The way of a message:
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -25,7 +24,7 @@ from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, ReaderOptions, Role, Stre
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.fields import MissingFieldError
-from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, convert_fix, find_type
+from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import PARSERS, Stack
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
@@ -77,12 +76,11 @@ class RosLog:
             if channel.count and (node := PACKETS.get(channel.kind)):
                 found = f"{name} are packets of a lidar"
                 self.notes.add(f"{found}: record the clouds that {node} makes of them")
-            if kind.convert and kind.needs is Echo:
-                kind = kind._replace(convert=partial(kind.convert, options.echo))
-            if kind.convert and kind.needs is Camera:
+            if kind.needs is Echo:
+                kind = kind.bind(options.echo)
+            elif kind.needs is Camera:
                 camera = self._find_camera(channel)
-                convert = partial(kind.convert, camera)
-                kind = kind._replace(convert=convert) if camera else UNUSED
+                kind = kind.bind(camera) if camera else UNUSED
             self._types[channel] = kind
 
     @property
@@ -95,29 +93,28 @@ class RosLog:
 
     def poses(self) -> Iterator[PoseSample]:
         """Every sample of every pose topic, in file order."""
-        return self._read(self._make_pose_readers())
+        return self._read(self._make_readers(Role.POSE))
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as from `poses`, but many at once where messages are laid out alike."""
-        return self._read_stacked(self._make_pose_readers())
+        return self._read_stacked(self._make_readers(Role.POSE))
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
-        return self._read(self._make_sensor_readers(Role.SCAN, topics))
+        return self._read(self._make_readers(Role.SCAN, topics))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        return self._read_in_order(self._make_sensor_readers(Role.SCAN, topics))
+        return self._read_in_order(self._make_readers(Role.SCAN, topics))
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
-        clouds = self._read(self._make_sensor_readers(Role.CLOUD, topics))
+        clouds = self._read(self._make_readers(Role.CLOUD, topics))
         return tell_clouds(clouds, self.path, self.notes)
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes of satellites, in file order."""
-        known = ((channel, kind.convert) for channel, kind in self._types.items())
-        return self._read(self._make_readers(each for each in known if each[1] is convert_fix))
+        return self._read(self._make_readers(Role.OTHER))
 
     def _find_camera(self, channel: Channel) -> Camera | None:
         """Find the camera of images; None where they are not depths, or of no known camera."""
@@ -142,24 +139,18 @@ class RosLog:
                     return cast(T, found)
         return None
 
-    def _make_pose_readers(self) -> "_Readers":
-        return self._make_readers((of, kind.to_poses) for of, kind in self._types.items())
+    def _make_readers(self, role: Role, topics: Collection[str] | None = None) -> "_Readers":
+        """Build a reader for each channel that has values of a role, on some topics or on all.
 
-    def _make_sensor_readers(self, role: Role, topics: Collection[str]) -> "_Readers":
-        return self._make_readers(
-            (channel, kind.convert)
-            for channel, kind in self._types.items()
-            if kind.role is role and channel.topic in topics
-        )
-
-    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert | None]]) -> "_Readers":
-        """Build a reader for each channel; note and leave out what cannot be understood."""
+        What cannot be understood is noted and left out.
+        """
         readers = {}
-        for channel, convert in wanted:
-            if convert is None:
+        for channel, kind in self._types.items():
+            convert = kind.converts.get(role)
+            if convert is None or (topics is not None and channel.topic not in topics):
                 continue
             try:
-                readers[channel] = _ChannelReader(channel, self._types[channel], convert)
+                readers[channel] = _ChannelReader(channel, kind, convert)
             except LogError as error:
                 found = error.placed(channel.topic)
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")

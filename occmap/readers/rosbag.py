@@ -26,7 +26,6 @@ from occmap.readers.ros_log import RosReader
 from occmap.readers.sqlite import SqliteSource
 
 METADATA = "metadata.yaml"
-OLD_MAGICS = (b"#ROSRECORD V", b"#ROSBAG V1")
 _MOST_METADATA = 1 << 20
 """Characters of metadata.yaml that are read: a hundred times what recorders write."""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
@@ -185,12 +184,6 @@ def open_file(path: Path) -> Source:
     for source in (McapSource, SqliteSource, Bag1Source):
         if start.startswith(source.magic):
             return source(path)
-    if start.startswith(OLD_MAGICS):
-        raise LogError(
-            f"a bag of the old format {start[:15].decode('ascii', 'replace')!r}",
-            where=path,
-            fix="convert it with ROS 1's `rosbag fix old.bag new.bag` (or `rosbag migrate`)",
-        )
     raise LogError("neither SQLite nor MCAP", where=path)
 
 
@@ -206,7 +199,7 @@ class RosbagReader(RosReader):
             with suppress(PermissionError):
                 return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
             return False
-        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *OLD_MAGICS))
+        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic))
 
     def open_source(self, path: Path) -> Source:
         """Open a folder or a file."""

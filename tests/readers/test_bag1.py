@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from occmap.errors import LogError
 from occmap.readers import Log, Note, Role, Stream, open_log
 from occmap.readers.bag1 import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE
 from tests.readers import ros
@@ -90,19 +89,6 @@ def test_where_a_definition_is_old_or_damaged_the_standard_one_is_used(
     for note, what in zip(log.notes, damaged, strict=True):
         assert note.damage
         assert f"{what} is damaged; the standard one is used" in note.text
-
-
-@pytest.mark.parametrize("magic", [b"#ROSRECORD V1.2\n", b"#ROSBAG V1.1\n"])
-def test_formats_before_2_are_named(path: Path, magic: bytes) -> None:
-    with pytest.raises(LogError, match=r"old format .*rosbag fix"):
-        read(path, magic + bytes(100))
-
-
-def test_an_encrypted_bag_is_named(path: Path) -> None:
-    head = bag1_record(b"", op=b"\x03", encryptor=b"rosbag/AesCbcEncryptor")
-
-    with pytest.raises(LogError, match="encrypted with rosbag/AesCbcEncryptor"):
-        read(path, b"#ROSBAG V2.0\n" + head)
 
 
 @pytest.mark.parametrize(

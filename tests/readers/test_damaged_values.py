@@ -124,7 +124,8 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     def convert(*given: Any) -> Any:
         return given[0].anlge_min
 
-    faulty = message_types.TYPES[kind]._replace(convert=convert, to_poses=convert)
+    known = message_types.TYPES[kind]
+    faulty = known._replace(converts={known.role: convert})
     monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
