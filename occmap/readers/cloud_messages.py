@@ -72,6 +72,13 @@ def read_fields(
     return fields
 
 
+def view_packed(message: Any) -> dict[str, NDArray[Any]]:
+    """See the fields of the points of a foxglove.PointCloud."""
+    data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
+    fields = read_fields(message, "type", FOXGLOVE_KINDS)
+    return view_columns(data, fields, (1, len(data) // max(step, 1)), (len(data), step))
+
+
 def view_columns(
     data: UInt8,
     fields: Mapping[str, tuple[str, int]],

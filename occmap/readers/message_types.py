@@ -17,24 +17,15 @@ import numpy as np
 from occmap.errors import DamageError
 from occmap.readers import Echo, Fix, Role, cloud_messages
 from occmap.readers.containers import Channel
-from occmap.readers.fields import (
-    get,
-    get_bytes,
-    get_frame,
-    get_header,
-    get_list,
-    get_row,
-    get_stamp,
-    get_whole,
-    look,
-)
-from occmap.readers.messages import Fields, FromBytes, Locate, Parser, Stack, read_scan_run
-from occmap.types import IDENTITY, Bool, Cloud, Pose, PoseBatch, PoseSample, Scan
+from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
+from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
+from occmap.types import IDENTITY, Bool, Cloud, Int64, Pose, PoseBatch, PoseSample, Scan, UInt8
 from occmap.values import as_float32, as_number
 
-ReadMany: TypeAlias = Callable[[Stack, Locate, FromBytes[Any]], tuple[Sequence[Any], Bool]]
-"""From messages of one length, what finds numbers in one, and what reads one, to what is read many
-at once, and which messages (M,) are left to be read one by one; raises DamageError"""
+ReadMany: TypeAlias = Callable[[UInt8, Int64, Locate, FromBytes[Any]], tuple[Sequence[Any], Bool]]
+"""From messages of one length (M, L), when they were recorded (M,), what finds numbers in one, and
+what reads one, to what is read many at once, and which messages (M,) are left to be read one by
+one; raises DamageError"""
 
 
 class MessageType(NamedTuple):
@@ -104,28 +95,27 @@ class PoseFields(NamedTuple):
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
 
     def read_many(
-        self, stack: Stack, locate: Locate, read: FromBytes[list[PoseSample]]
+        self, rows: UInt8, record_ns: Int64, locate: Locate, read: FromBytes[list[PoseSample]]
     ) -> tuple[list[PoseBatch], Bool]:
         """Read messages of one length: the samples of each pose, and which messages are left."""
         batches: list[PoseBatch] = []
-        left = np.ones(len(stack.data), np.bool_)
+        left = np.ones(len(rows), np.bool_)
         for _ in range(MOST_GROUPS):
             if np.count_nonzero(left) < 2:
                 break
-            rest = stack.take(left)
+            rest, recorded = rows[left], record_ns[left]
             # Decoded first: that it could be says that all its parts lie within the message.
-            first = rest.data[0].data
-            samples = read(first, int(rest.record_ns[0]))
-            fields = Fields(rest.data, locate(first))
-            alike = fields.find_alike()
-            fields, record_ns = fields._replace(rows=rest.data[alike]), rest.record_ns[alike]
+            samples = read(rest[0].data, int(recorded[0]))
+            places = locate(rest[0].data)
+            alike = Fields(rest, places).find_alike()
+            fields = Fields(rest[alike], places)
             for at, sample in enumerate(samples):
                 _, parent, child, expected, static, topic, _ = sample
                 item = f"{self.items}.{at}." if self.items else ""
                 pose = fields.read(f"{item}{self.position}.x", f"{item}{self.rotation}.w")
                 if not np.array_equal(pose[0], expected, equal_nan=True):
                     raise DamageError("has its numbers in another order")
-                times = fields.read_stamps(f"{item}{self.stamp}"), record_ns
+                times = fields.read_stamps(f"{item}{self.stamp}"), recorded[alike]
                 batches.append(PoseBatch(*times, pose, parent, child, static, topic))
             left[left] = ~alike
         return batches, left
@@ -184,19 +174,15 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
 
 def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert a foxglove.PointCloud, whose origin is stated as that of a scan."""
+    columns = cloud_messages.view_packed(message)
     stamp_ns, frame = _find_frame(message, topic, record_ns)
-    data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
-    fields = cloud_messages.read_fields(message, "type", cloud_messages.FOXGLOVE_KINDS)
-    columns = cloud_messages.view_columns(
-        data, fields, (1, len(data) // max(step, 1)), (len(data), step)
-    )
     return cloud_messages.make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
 def convert_fix(message: Any, _topic: str, _record_ns: int) -> list[Fix]:
     """Convert a sensor_msgs/NavSatFix; without satellites it says nothing."""
     place = as_number(get(message, "latitude")), as_number(get(message, "longitude"))
-    if get_whole(message, "status.status") < 0 or not all(map(math.isfinite, place)):
+    if as_number(get(message, "status.status")) < 0 or not all(map(math.isfinite, place)):
         return []
     return [Fix(*get_header(message), *place)]
 

@@ -9,7 +9,7 @@ import json
 import struct
 from collections.abc import Callable, Collection, Mapping
 from functools import cache, lru_cache, partial
-from typing import Any, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,25 +181,18 @@ def _make_protobuf_parser(channel: Channel) -> Parser:
         The protobuf package is not installed, or the descriptors are damaged.
     """
     try:
-        from google.protobuf.message import DecodeError  # noqa: PLC0415  an extra
+        from google.protobuf import descriptor_pb2, message, message_factory  # noqa: PLC0415  extra
     except ImportError:
         fix = "install what reads it: pip install '.[foxglove]'"
         raise LogError(f"{channel.type} is written in protobuf", fix=fix) from None
     try:
-        message_class = _load_message(channel)
-    except (DecodeError, KeyError, TypeError, ValueError) as error:
+        files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
+        if len(files) > MAX_FILES:
+            raise ValueError(f"{len(files)} files make one type")
+        message_class = message_factory.GetMessages(files)[channel.type]
+    except (message.DecodeError, KeyError, TypeError, ValueError) as error:
         raise _refuse(channel.type, error) from error
-    return Parser(lambda data: message_class.FromString(bytes(data)), (DecodeError,))
-
-
-def _load_message(channel: Channel) -> Any:
-    """Load the message class from the files of its schema."""
-    from google.protobuf import descriptor_pb2, message_factory  # noqa: PLC0415  as above
-
-    files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
-    if len(files) > MAX_FILES:
-        raise ValueError(f"{len(files)} files make one type")
-    return message_factory.GetMessages(files)[channel.type]
+    return Parser(lambda data: message_class.FromString(bytes(data)), (message.DecodeError,))
 
 
 PARSERS: Mapping[str, Callable[[Channel], Parser]] = {
@@ -284,24 +277,11 @@ def _locate(types: Typesdict, name: str, is_cdr: bool, message: memoryview) -> M
     return finder.places
 
 
-class Stack(NamedTuple):
-    """Messages of one length as rows of bytes, so that a number of all of them is one slice."""
-
-    data: UInt8
-    """(M, L)"""
-    record_ns: Int64
-    """(M,) when each was recorded"""
-
-    def take(self, some: Bool | Int64) -> Self:
-        """Select some."""
-        return self._replace(data=self.data[some], record_ns=self.record_ns[some])
-
-
 class Fields(NamedTuple):
     """The numbers of messages of one length, which lie where the first has its own."""
 
     rows: UInt8
-    """(M, L)"""
+    """(M, L) the messages, so that a number of all of them is one slice"""
     places: Mapping[str, Place]
 
     def find_alike(self, same: Collection[str] = ()) -> Bool:
@@ -334,12 +314,14 @@ class Fields(NamedTuple):
 
 
 def read_scan_run(
-    stack: Stack, locate: Locate, read: FromBytes[list[Scan]]
+    rows: UInt8, record_ns: Int64, locate: Locate, read: FromBytes[list[Scan]]
 ) -> tuple[list[ScanRun], Bool]:
     """Read scans of one length that follow one another.
 
     Parameters
     ----------
+    rows, record_ns
+        The messages (M, L), and when each was recorded (M,).
     read
         Reads a single message: it tells what is the same in all of them.
 
@@ -355,12 +337,12 @@ def read_scan_run(
         The first message is damaged, or its numbers cannot be found.
     """
     # Decoded first: that it could be says that all its parts lie within the message.
-    (first,) = read(stack.data[0].data, int(stack.record_ns[0]))
-    fields = Fields(stack.data, locate(stack.data[0].data))
-    left = np.full(len(stack.data), not fields.find_alike(_OF_ALL).all())
+    (first,) = read(rows[0].data, int(record_ns[0]))
+    fields = Fields(rows, locate(rows[0].data))
+    left = np.full(len(rows), not fields.find_alike(_OF_ALL).all())
     if left.any():
         return [], left
     ranges = fields.read("ranges").astype(np.float32, copy=False)
     increments = fields.read("time_increment")[:, 0].astype(np.float64)
-    times = fields.read_stamps("header.stamp"), stack.record_ns
+    times = fields.read_stamps("header.stamp"), record_ns
     return [ScanRun(first, *times, ranges, increments)], left

@@ -25,7 +25,7 @@ from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_cl
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.fields import MissingFieldError
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
-from occmap.readers.messages import PARSERS, Stack
+from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
 T = TypeVar("T")
@@ -281,8 +281,8 @@ class _ChannelReader:
             _, record_ns, texts = zip(*held, strict=True)
             rows = np.frombuffer(b"".join(texts), np.uint8).reshape(len(held), -1)
             with suppress(DamageError):  # of the first; one by one it is counted
-                stack = Stack(rows, np.array(record_ns))
-                read, left = self._many(stack, self._parser.locate, self.decode)
+                recorded, locate = np.array(record_ns), self._parser.locate
+                read, left = self._many(rows, recorded, locate, self.decode)
                 return read, [held[at] for at in np.flatnonzero(left).tolist()]
         return (), held
 

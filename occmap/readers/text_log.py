@@ -133,35 +133,6 @@ def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
             damage.append(f"corrupt: {error}")
 
 
-class LineTally:
-    """Counts the malformed ones among lines of one kind."""
-
-    def __init__(self) -> None:
-        self.total = 0
-        self.malformed = 0
-        self._first = 0, ""
-
-    def add(self, block: Block, lines: int, faults: Mapping[int, str]) -> None:
-        """Count lines of a block, of which some have faults."""
-        if faults and not self.malformed:
-            row = min(faults)
-            self._first = block.number + row, faults[row]
-        self.total += lines
-        self.malformed += len(faults)
-
-    def judge(self, path: Path, notes: NoteList, fix: str) -> None:
-        """Note that some lines are malformed; raises LogError where all are."""
-        if not self.malformed:
-            return
-        number, fault = self._first
-        if self.malformed == self.total:
-            count = f" ({self.malformed:,} of {self.total:,} lines are malformed)"
-            found = fault + (count if self.malformed > 1 else "")
-            raise LogError(found, where=f"{path}:{number}", fix=fix)
-        count = f"{self.malformed} of {self.total} lines are malformed and left out"
-        notes.add_damage(f"{count}, the first is line {number}: {fault}")
-
-
 class Pattern(NamedTuple):
     """What lines that are parsed together have in common."""
 
@@ -268,22 +239,36 @@ class TextLog(ABC):
         LogError
             All of them are malformed.
         """
-        tally = LineTally()
+        total = malformed = 0
+        first = 0, ""
         for block in read_blocks(self.path, self.notes, self.table):
-            yield from self._parse_block(block, pick(block), tally)
-        tally.judge(self.path, self.notes, self.fix)
+            lines = pick(block)
+            faults: dict[int, str] = {}
+            yield from self._parse_block(block, lines, faults)
+            total += sum(map(len, lines.values()))
+            if faults and not malformed:
+                first = block.number + min(faults), faults[min(faults)]
+            malformed += len(faults)
+        if malformed:
+            self._tell_malformed(malformed, total, *first)
+
+    def _tell_malformed(self, malformed: int, total: int, number: int, fault: str) -> None:
+        """Note that some lines are malformed, of which the first is told; refuse a log of such."""
+        if malformed == total:
+            many = f" ({malformed:,} of {total:,} lines are malformed)" if malformed > 1 else ""
+            raise LogError(fault + many, where=f"{self.path}:{number}", fix=self.fix)
+        found = f"{malformed} of {total} lines are malformed and left out"
+        self.notes.add_damage(f"{found}, the first is line {number}: {fault}")
 
     def _parse_block(
-        self, block: Block, lines: Mapping[str, Sequence[int]], tally: LineTally
+        self, block: Block, lines: Mapping[str, Sequence[int]], faults: dict[int, str]
     ) -> Sequence[Scan | ScanRun]:
         """Parse some lines, given by kind: the scans in file order, without damaged ones.
 
-        Where all lines are alike they are one run, else single scans.
+        Where all lines are alike they are one run, else single scans. What is malformed is added
+        to `faults`.
         """
-        faults: dict[int, str] = {}
         runs = [run for rows in lines.values() for run in self._parse_kind(block, rows, faults)]
-        rows = sorted(row for rows in lines.values() for row in rows)
-        tally.add(block, len(rows), faults)
         if len(runs) == 1:
             return [runs[0][1]]
         scans = {

@@ -72,21 +72,6 @@ def test_every_number_is_the_nearest_float(separator: str, words: list[str], hea
 FORMS = st.sampled_from(["{:.2f}", "{:.2f}", "{:.3f}", "{:.0f}", "{:.6f}", "{:g}", "{}"])
 
 
-@given(st.lists(st.tuples(st.floats(0, 100), FORMS), min_size=2, max_size=60), st.booleans())
-@settings(max_examples=300)
-def test_ranges_of_changing_forms_are_the_nearest_float32(
-    written: list[tuple[float, str]], by_commas: bool
-) -> None:
-    words = [form.format(value) for value, form in written]
-    separator = "," if by_commas else " "
-    lines = [separator.join(each).encode() for each in (words, words[::-1], words)]
-
-    ranges = parse(lines, separator.encode(), [RANGE] * len(words))[0].ranges
-
-    np.testing.assert_array_equal(ranges[0], np.array([float(w) for w in words], np.float32))
-    np.testing.assert_array_equal(ranges, [ranges[0], ranges[0][::-1], ranges[0]])
-
-
 @pytest.mark.parametrize(
     "word",
     ["-", "1_0", "one", "1 2", "1.2.3", "--1", "1-2", "0x10", "\u0661", "3:25", "p.25", "\x10.25"],
@@ -189,16 +174,3 @@ def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]
             assert expected is None
         else:
             assert read.times[[0, 2], row].tolist() == [expected, int(each)]
-
-
-@given(st.decimals(-(10**9), 10**10, allow_nan=False, places=12), st.integers(0, 12))
-@example(Decimal("9223372037"), 0)
-def test_a_stamp_is_exact_to_the_nanosecond(seconds: object, places: int) -> None:
-    text = f"{seconds:.{places}f}"
-    digits, _, part = text.lstrip("-").partition(".")
-    nanoseconds = int(digits + part[:9].ljust(9, "0"))
-    if nanoseconds >= 2**63 - 1:
-        with pytest.raises(ValueError, match="not a time"):
-            parse_seconds(text)
-        return
-    assert abs(abs(parse_seconds(text)) - nanoseconds) <= (places > 9)

@@ -154,19 +154,6 @@ def test_a_wrong_checksum_is_noted_once_and_the_messages_used(tmp_path: Path) ->
     assert "wrong checksum" in note
 
 
-def test_two_chunks_of_which_nothing_can_be_read_are_not_one_that_is_there_twice(
-    tmp_path: Path,
-) -> None:
-    data = write(FULL - {"statistics"}, "zstd")
-    for at, _ in list_records(data, Opcode.CHUNK)[2:4]:
-        data[data.index(zstandard.FRAME_HEADER, at)] ^= 1
-
-    notes, stamps = read_damaged(tmp_path, data)
-
-    assert set(stamps) < set(STAMPS)
-    assert len([note for note in notes if ": 0 of its" in note]) == 2
-
-
 @pytest.mark.parametrize("has", [FULL, UNCHECKED, FULL - {"statistics"}], ids=len)
 def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path, has: set[str]) -> None:
     data = write(has, "zstd")

@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 from occmap.readers import ros_log
 from occmap.readers.containers import Channel, RawMessage
 from occmap.readers.ros_log import RosLog
-from occmap.types import PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import PoseBatch, PoseSample, ScanRun
 from tests.readers import ros
 from tests.readers.ros import ROS2, SCAN, TF, Memory, both, make_channel, scan, serialise
 from tests.readers.runs import bounded_memory, flatten, list_fields
@@ -124,30 +124,6 @@ def test_what_nobody_uses_may_differ_within_a_run(
     assert run.ranges.tolist() == [[k, 0.5] for k in range(5, 10)]
 
 
-@both
-def test_each_scan_of_a_run_has_its_own_time_between_beams(
-    store: Typestore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 3)
-
-    (run,) = RosLog(Memory(list_scans(["", "time_increment", ""], store))).stacked_scans(["/scan"])
-
-    assert isinstance(run, ScanRun)
-    assert run.time_increment.tolist() == [0.125, 0.5, 0.125]
-
-
-@both
-@pytest.mark.parametrize("change", ["angle_min", "angle_increment", "range_max"])
-def test_scans_of_another_geometry_are_no_run(
-    store: Typestore, change: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ros_log, "SHORTEST_RUN", 2)
-
-    items = RosLog(Memory(list_scans([*[""] * 7, change, ""], store))).stacked_scans(["/scan"])
-
-    assert [type(item) for item in items] == [Scan] * 9
-
-
 def test_messages_of_an_own_definition_are_read_by_it(monkeypatch: pytest.MonkeyPatch) -> None:
     definition = ROS2.generate_msgdef(SCAN)[0].replace("float32 scan_time", "float32 scan_times")
     channel = Channel("/scan", SCAN, "cdr", definition, 9)
@@ -233,16 +209,6 @@ def test_a_log_whose_messages_all_differ_in_length_holds_only_some_of_them(
 
     counts = [len(item.pose) if isinstance(item, PoseBatch) else 1 for item in [first, *items]]
     assert sum(counts) == sum(range(30))
-
-
-def test_messages_longer_than_what_is_read_together_are_read(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    channel = make_channel("/tf", TF, 3)
-    messages = [(channel, i, write_poses(ROS2, i, [("odom", "base", 1.0 * i)])) for i in range(3)]
-    monkeypatch.setattr(ros_log, "STACK_BYTES", 1)
-    (samples,) = by_key(RosLog(Memory(messages)).stacked_poses()).values()
-    assert [sample.record_ns for sample in samples] == [0, 1, 2]
 
 
 def test_a_message_of_very_many_transforms_is_held_once() -> None:
