@@ -205,13 +205,11 @@ class CarmenLog(TextLog):
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
         self._front_offset: PoseSample | None = None
-        self._is_surveyed = False
         stamps: set[int] = set()
-        for some in self._survey():
+        for some in self._survey(self._survey_block):
             self._count_scans(some)
             if len(stamps) < 2:
                 stamps.update(np.atleast_1d(some.stamp_ns).tolist())
-        self._is_surveyed = True
         self._words = +self._words  # drops keywords of which no line was a scan
         if len(stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
             self.notes.add("all scans have one time: they are taken in their order")
@@ -246,11 +244,8 @@ class CarmenLog(TextLog):
         yield from map(make_poses, self._parse_all(pick_odometry))
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the lines of scans by their keywords; count all others when the log is opened."""
-        lines = sort_lines(block)
-        if not self._is_surveyed:
-            self._survey_others(block, lines)
-        return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
+        """Find the lines of scans by their keywords."""
+        return {word: rows for word, rows in sort_lines(block).items() if word in SCAN_LINES}
 
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common: all but times, ranges and poses.
@@ -276,13 +271,12 @@ class CarmenLog(TextLog):
         ranges = lists[0] if lists else slice(0, 0)
         beams = ranges.stop - ranges.start
         kinds[ranges] = decimals.RANGE + np.arange(beams)
-        if keyword == "ODOM":
-            kinds[1:4] = decimals.FINITE
         scan = state_geometry(keyword, words, beams)
         return Pattern(b" ", kinds, [""] * len(words), columns, {"time_increment": 0.0}, scan)
 
-    def _survey_others(self, block: Block, lines: Mapping[str, Sequence[int]]) -> None:
-        """Count the lines that hold no scan, and find the offset of the front laser."""
+    def _survey_block(self, block: Block) -> Mapping[str, Sequence[int]]:
+        """Find the lines of scans; count all others, and find the offset of the front laser."""
+        lines = sort_lines(block)
         for word, rows in lines.items():
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
@@ -295,6 +289,7 @@ class CarmenLog(TextLog):
                 self._front_offset = self._front_offset or found
             except ValueError as error:
                 self.notes.add_damage(f"line {block.number + row} is not used: {error}")
+        return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
         topic, beams = some.first.topic, some.first.ranges.size

@@ -30,9 +30,9 @@ REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": 0.0, "range_max": math.inf, "time_increment": 0.0, "frame": "laser"}
 FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
-MEASURED = dict.fromkeys(POSE_NAMES, decimals.NUMBER) | {
+MEASURED = {
+    **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
     "stamp": decimals.SECONDS,
-    "time_increment": decimals.FINITE,
 }
 """What differs between the scans of one laser, as ranges do"""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
@@ -185,7 +185,7 @@ class CsvLog(TextLog):
         self._places = [_name_place(name) for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
-        self._rows = sum(some.scans for some in self._survey())
+        self._rows = sum(some.scans for some in self._survey(self.pick_scans))
 
     @property
     def streams(self) -> Sequence[Stream]:

@@ -51,13 +51,9 @@ class Parser(NamedTuple):
 
 
 # What rosbags raises on definitions and on bytes that are not well formed.
-_DEFINITION_ERRORS = (
-    TypesysError, AssertionError, LookupError, MemoryError, NameError, RecursionError, SyntaxError,
-    TypeError, ValueError,
-)  # fmt: skip
-_DECODE_ERRORS = (
-    SerdeError, struct.error, ArithmeticError, AssertionError, LookupError, MemoryError,
-    RecursionError, TypeError, ValueError,
+_ERRORS = (
+    SerdeError, TypesysError, struct.error, ArithmeticError, AssertionError, LookupError,
+    MemoryError, NameError, RecursionError, SyntaxError, TypeError, ValueError,
 )  # fmt: skip
 
 MAX_DEFINITION = 1 << 15
@@ -90,11 +86,11 @@ def _make_ros_parser(text: str, kind: str, encoding: str) -> Parser:
     try:
         store = _make_store(text, name) if text else _load_standard(encoding)
         store.get_msgdef(name)
-    except _DEFINITION_ERRORS as error:
+    except _ERRORS as error:
         raise _refuse(kind, error) from error
     locate = partial(_locate, store.fielddefs, name, encoding == "cdr")
     deserialise = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-    return Parser(lambda data: deserialise(data, name), _DECODE_ERRORS, locate)
+    return Parser(lambda data: deserialise(data, name), _ERRORS, locate)
 
 
 def _refuse(kind: str, why: Exception) -> LogError:
@@ -118,7 +114,7 @@ def _make_store(text: str, name: str) -> Typestore:
 
     Raises
     ------
-    _DEFINITION_ERRORS
+    _ERRORS
         The definition is damaged, or asks for too much.
     """
     if len(text) > MAX_DEFINITION:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -133,6 +133,10 @@ def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
             damage.append(f"corrupt: {error}")
 
 
+PickLines: TypeAlias = Callable[[Block], Mapping[str, Sequence[int]]]
+"""Finds lines of a block, by their kind"""
+
+
 class Pattern(NamedTuple):
     """What lines that are parsed together have in common."""
 
@@ -201,7 +205,7 @@ class TextLog(ABC):
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common; raises ValueError where it is malformed."""
 
-    def _survey(self) -> Iterator[Scan | ScanRun]:
+    def _survey(self, pick: PickLines) -> Iterator[Scan | ScanRun]:
         """Give all scans for the first time, and keep them if they are few.
 
         Raises
@@ -210,7 +214,7 @@ class TextLog(ABC):
             All lines are malformed.
         """
         size = 0
-        for some in self._parse_all(self.pick_scans):
+        for some in self._parse_all(pick):
             size += SCAN_BYTES * some.scans + some.ranges.nbytes
             if self._kept is not None:
                 self._kept.append(some)
@@ -229,9 +233,7 @@ class TextLog(ABC):
             if some.first.topic in topics and some.first.ranges.size:
                 yield some
 
-    def _parse_all(
-        self, pick: Callable[[Block], Mapping[str, Sequence[int]]]
-    ) -> Iterator[Scan | ScanRun]:
+    def _parse_all(self, pick: PickLines) -> Iterator[Scan | ScanRun]:
         """Parse the lines that are picked from each block, given by kind.
 
         Raises
