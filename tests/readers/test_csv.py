@@ -1,6 +1,5 @@
 """occmap's CSV: files written by hand, good and bad."""
 
-import csv
 import gzip
 import itertools
 import math
@@ -8,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Stream, probe_path
@@ -235,25 +232,6 @@ def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
         assert told.startswith("line 6, the last, has no line end")
         assert has_all_cells or "1 of 3 lines are malformed" in damage[0]
         assert log.streams[0].count == len(stamps)
-
-
-@settings(max_examples=30)
-@given(
-    ranges=st.lists(st.lists(st.floats(width=32), min_size=3, max_size=3), min_size=1, max_size=4),
-    stamps=st.integers(0, 2**62),
-)
-def test_what_is_written_is_read(
-    tmp_path_factory: pytest.TempPathFactory, ranges: list[list[float]], stamps: int
-) -> None:
-    path = tmp_path_factory.mktemp("csv") / "log.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["stamp", "angle_min", "angle_increment", "r0", "r1", "r2"])
-        for row in ranges:
-            writer.writerow([f"{stamps // 10**9}.{stamps % 10**9:09}", -math.pi, 0.1, *row])
-    scans = list(CsvReader().open(path).scans(["scan"]))
-    assert [scan.stamp_ns for scan in scans] == [stamps] * len(ranges)
-    np.testing.assert_array_equal([scan.ranges for scan in scans], np.array(ranges, np.float32))
 
 
 @pytest.mark.parametrize(

@@ -94,11 +94,6 @@ def test_a_line_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
         read(tmp_path, b"1 " * 51)
 
 
-def test_a_missing_file_is_a_log_error(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"log: cannot be read"):
-        list(read_blocks(tmp_path / "log", NoteList()))
-
-
 def test_a_block_of_lines_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text_log, "BLOCK_BYTES", 10)
     blocks, _ = read(tmp_path, b"one\ntwo\nthree\na longer line\nlast")
