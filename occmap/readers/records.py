@@ -206,8 +206,7 @@ class RecordSource(ABC):
         """Give the records of a file or a chunk one by one.
 
         Where none follows one, its length may be wrong. So it ends where the next one begins that
-        is found behind its start; what may lie in a chunk does not follow it. `tell` takes the
-        place of the damage and that of the next record.
+        is found behind its start. `tell` takes the place of the damage and that of the next record.
         """
         size, parse = len(block), self._parse
         record: Record = OTHER, 0, at, at, at
@@ -219,8 +218,7 @@ class RecordSource(ABC):
                 or following[0] not in kinds
                 or (following[4] > size and following[0] != CHUNK)
             ):
-                within = _FRAME if record[0] == CHUNK else kinds
-                following = self._find(block, record[2] + 1, within)
+                following = self._find_following(block, record, kinds)
                 place = following[2] if following else None
                 until = size if place is None else place
                 tell(end if end <= until else record[2], place)
@@ -232,23 +230,31 @@ class RecordSource(ABC):
             record = following
         yield record
 
-    def _find(self, block: Bytes, at: int, kinds: Container[int]) -> Record | None:
-        """Find where records of some kinds go on."""
-        size = len(block)
-        while at < size:
+    def _find_following(self, block: Bytes, record: Record, kinds: Container[int]) -> Record | None:
+        """Find the next record behind the start of one; what lies in a chunk does not follow it."""
+        kind, _, at, _, end = record
+        if kind != CHUNK:
+            return self._find(block, at + 1, len(block), kinds)
+        found = self._find(block, at + 1, len(block), _FRAME)
+        # Before it may lie the messages of a chunk that lost its head.
+        return self._find(block, end, found[2] if found else len(block), _PLAIN) or found
+
+    def _find(self, block: Bytes, at: int, until: int, kinds: Container[int]) -> Record | None:
+        """Find where records of some kinds go on, which end at a position at the latest."""
+        while at < until:
             for match in self.head.finditer(block[at : at + _WINDOW]):
                 record = self._parse(block, at + match.start())
-                if record is None or record[0] not in kinds or record[4] > size:
+                if record is None or record[0] not in kinds or record[4] > until:
                     continue
-                if self.is_unmistakable or self._leads_on(block, record[4]):
+                if self.is_unmistakable or self._leads_on(block, record[4], until):
                     return record
             at += _WINDOW - _LONGEST_MATCH
         return None
 
-    def _leads_on(self, block: Bytes, at: int) -> bool:
+    def _leads_on(self, block: Bytes, at: int, until: int) -> bool:
         """Say whether a record, or the end, is at a position."""
         record = self._parse(block, at)
-        return at == len(block) if record is None else record[4] <= len(block)
+        return at == until if record is None else record[4] <= until
 
     def _tell(self, file: FileBytes, at: int, following: int | None) -> None:
         """Note that a file is damaged at a byte, and where it is read on."""
