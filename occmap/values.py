@@ -183,6 +183,14 @@ OTHER_FILES = {
         "take its poses out: cartographer_dev_pbstream_trajectories_to_rosbag -input PATH -output "
         "poses.bag",
     ),
+    b"#ROS(RECORD|BAG) V": (
+        "a bag of a format before 2.0",
+        "convert it with ROS 1's `rosbag fix PATH NEW.bag`",
+    ),
+    b"\0": (
+        "a file that begins with zeros, as a power cut leaves one",
+        "take the log from where it was copied from",
+    ),
     b"VERTEX": ("a pose graph, whose poses have no times", "let the SLAM write TUM"),
 }
 """By a pattern of how a file begins: what it is, and how to make of it what is read; "" where that

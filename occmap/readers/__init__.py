@@ -107,9 +107,6 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
         found = _describe_folder(probe.path)
     elif not raw:
         found = "the file is empty"
-    elif zeros := len(raw) - len(raw.lstrip(b"\0")):
-        found = f"the first {zeros:,} bytes are zero, as a power cut leaves a file"
-        fix = "take the log from where it was copied from"
     elif not content:
         found = "a gzip file with nothing in it that can be read"
     elif (other := name_other(probe.path, content))[0]:

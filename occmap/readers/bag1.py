@@ -5,10 +5,9 @@ http://wiki.ros.org/Bags/Format/2.0 says what their records are.
 
 import re
 import struct
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from occmap.errors import LogError
 from occmap.readers import records
 from occmap.readers.containers import Buffer, Channel, inflate
 from occmap.readers.records import Bytes, Descriptions, FileBytes, Record, RecordSource, Summary
@@ -105,7 +104,8 @@ class Bag1Source(RecordSource):
             self._note(position, problem)
         return block
 
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
+        found: dict[int, Channel] = {}
         for record, position in descriptions.items():
             try:
                 header = parse_header(record)
@@ -113,26 +113,19 @@ class Bag1Source(RecordSource):
             except self.errors:
                 self._note(position, "holds a connection that cannot be read")
                 continue
-            yield (
-                header.number(b"conn"),
-                Channel(
-                    topic=header.text(b"topic"),
-                    type=fields.text(b"type"),
-                    encoding="ros1",
-                    definition=fields.text(b"message_definition"),
-                ),
+            described = Channel(
+                topic=header.text(b"topic"),
+                type=fields.text(b"type"),
+                encoding="ros1",
+                definition=fields.text(b"message_definition"),
             )
+            found.setdefault(header.number(b"conn"), described)
+        return found
 
     def _read_summary(self, file: FileBytes) -> Summary:
         """Read the index at the end, which is there if the bag was closed."""
         start = len(self.magic)
         bag = parse_header(file[start : start + _LONGEST_HEADER])
-        if encryptor := bag.text(b"encryptor"):
-            raise LogError(
-                f"the bag is encrypted with {encryptor}",
-                where=self.path,
-                fix="decrypt it with `rosbag decrypt` first",
-            )
         if not (start := bag.number(b"index_pos")):
             raise ValueError("the bag was not closed")
         summary, chunks = Summary(is_whole=True), 0
@@ -145,7 +138,7 @@ class Bag1Source(RecordSource):
                 chunks += 1
                 for key, messages in _INFO_ENTRY.iter_unpack(record[header.size :]):
                     summary.counts[key] += messages
-        summary.channels.update(self._describe(descriptions))
+        summary.channels = self._describe(descriptions)
         announced = bag.number(b"conn_count"), bag.number(b"chunk_count")
         if announced != (len(summary.channels), chunks) or summary.counts.keys() - summary.channels:
             raise ValueError("it has not what the start of the bag says")

@@ -28,9 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.readers import Probe, Role, Stream, decimals, text_log
+from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
-from occmap.readers.text_log import POSE_NAMES, Block, Line, LineTally, Pattern, TextLog
+from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_number, parse_seconds, shorten
@@ -159,8 +159,6 @@ KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
 """How a line begins; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
 """By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
-WHOLE_MESSAGE = re.compile(r"\S+\s+\S+\s+\S.*\s(?![-+.\d])\S+\s+[-+.e\d]+\s*")
-"""A keyword, two words or more, the name of a host, and a time."""
 
 
 class CarmenReader:
@@ -207,13 +205,11 @@ class CarmenLog(TextLog):
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
         self._front_offset: PoseSample | None = None
-        self._is_surveyed = False
         stamps: set[int] = set()
-        for some in self._survey():
+        for some in self._survey(self._survey_block):
             self._count_scans(some)
             if len(stamps) < 2:
                 stamps.update(np.atleast_1d(some.stamp_ns).tolist())
-        self._is_surveyed = True
         self._words = +self._words  # drops keywords of which no line was a scan
         if len(stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
             self.notes.add("all scans have one time: they are taken in their order")
@@ -245,19 +241,11 @@ class CarmenLog(TextLog):
             yield self._front_offset
         if not self._words["ODOM"]:
             return
-        tally = LineTally()
-        for block in text_log.read_blocks(self.path, self.notes):
-            lines = {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
-            for some in self._parse_block(block, lines, tally):
-                yield make_poses(some)
-        tally.judge(self.path, self.notes, self.fix)
+        yield from map(make_poses, self._parse_all(pick_odometry))
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the lines of scans by their keywords; count all others when the log is opened."""
-        lines = sort_lines(block)
-        if not self._is_surveyed:
-            self._survey_others(block, lines)
-        return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
+        """Find the lines of scans by their keywords."""
+        return {word: rows for word, rows in sort_lines(block).items() if word in SCAN_LINES}
 
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common: all but times, ranges and poses.
@@ -283,30 +271,25 @@ class CarmenLog(TextLog):
         ranges = lists[0] if lists else slice(0, 0)
         beams = ranges.stop - ranges.start
         kinds[ranges] = decimals.RANGE + np.arange(beams)
-        if keyword == "ODOM":
-            kinds[1:4] = decimals.FINITE
         scan = state_geometry(keyword, words, beams)
         return Pattern(b" ", kinds, [""] * len(words), columns, {"time_increment": 0.0}, scan)
 
-    def _survey_others(self, block: Block, lines: Mapping[str, Sequence[int]]) -> None:
-        """Count the lines that hold no scan, and find the offset of the front laser."""
-        if not block.ended and _is_cut(block.get_line(0)):
-            self._note_cut(block)
-            return
+    def _survey_block(self, block: Block) -> Mapping[str, Sequence[int]]:
+        """Find the lines of scans; count all others, and find the offset of the front laser."""
+        lines = sort_lines(block)
         for word, rows in lines.items():
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
             elif word:
                 known = word in self._words or len(self._words) < MAX_WORDS
                 self._words[word[:40] if known else "other"] += len(rows)
-        faults = {}
         for row in () if self._front_offset else lines.get("PARAM", ()):
             try:
                 found = parse_front_offset(block.get_line(row).raw.split())
                 self._front_offset = self._front_offset or found
             except ValueError as error:
-                faults[row] = str(error)
-        self._tally.add(block, len(faults), faults)
+                self.notes.add_damage(f"line {block.number + row} is not used: {error}")
+        return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
         topic, beams = some.first.topic, some.first.ranges.size
@@ -322,6 +305,11 @@ class CarmenLog(TextLog):
             more = ", ..." if len(others) > 5 else ""
             lines = count(others.total(), "line")
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
+
+
+def pick_odometry(block: Block) -> Mapping[str, Sequence[int]]:
+    """Find the lines of odometry."""
+    return {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
 
 
 def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
@@ -351,9 +339,3 @@ def _count_lines(word: str, lines: int) -> str:
     if word == "#":
         return count(lines, "comment")
     return f"{lines:,} {word if word.isascii() and word.isprintable() else shorten(word)}"
-
-
-def _is_cut(line: Line) -> bool:
-    """Whether a last line without its end is cut; for a scan, parsing it tells."""
-    word = "".join(line.text.split(None, 1)[:1])
-    return word not in {"", *SCAN_LINES} and WHOLE_MESSAGE.fullmatch(line.text) is None

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.jit import kernel, step
+from occmap.jit import kernel
 from occmap.readers import NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.report import count
@@ -39,8 +39,10 @@ class Points(NamedTuple):
 
 Read: TypeAlias = Callable[[bytes], Points]
 
-_LZF_SHORT = 32
-"""Bytes that stand for themselves come in runs of at most so many; what is above is a copy."""
+_LZF_SHORT, _LZF_LONGEST = 32, 34
+"""Bytes that stand for themselves come in runs of at most so many; what is above is a copy. Behind
+the packed bytes lie so many zeros, so that the last head need not be looked at before it is read.
+"""
 _PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
 _PLY_KINDS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -71,13 +73,9 @@ def read_cloud(path: Path) -> Points:
 
 def read_pcd(data: bytes) -> Points:
     """Read a PCD: ascii, binary or binary_compressed."""
-    header: dict[str, list[str]] = {}
-    at = 0
+    lines, at = _read_header(data, "DATA")
     with _refuse_header():
-        while "DATA" not in header:
-            line, at = _take_line(data, at)
-            word, *values = line.split() or [""]
-            header[word.upper()] = values
+        header = {word.upper(): values for word, *values in lines}
         names, points = header["FIELDS"], _read_count(header["POINTS"][0])
         counts = map(int, header.get("COUNT", ["1"] * len(names)))
         sizes = zip(header["TYPE"], header["SIZE"], strict=True)
@@ -99,52 +97,44 @@ def read_pcd(data: bytes) -> Points:
     return Points(columns, points)
 
 
-def _unpack_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
+def _unpack_lzf(data: bytes, size: int) -> UInt8:
     packed_size, stated = np.frombuffer(data[:8].ljust(8, b"\0"), "<u4").tolist()
     if len(data) - 8 < packed_size or stated != size or not 0 <= size < MOST_BYTES:
         found = f"holds {max(len(data) - 8, 0)} of {packed_size} bytes of compressed points"
         raise DamageError(f"is cut short or damaged: it {found}")
+    packed = np.zeros(packed_size + _LZF_LONGEST, np.uint8)
+    packed[:packed_size] = np.frombuffer(data, np.uint8, packed_size, 8)
     out = np.empty(size, np.uint8)
-    if inflate_lzf(np.frombuffer(data, np.uint8, packed_size, 8), out) != size:
+    if inflate_lzf(packed, packed_size, out) != size:
         raise DamageError("holds compressed points that are damaged")
     return out
 
 
-@step
-def copy_bytes(source: UInt8, start: int, out: UInt8, end: int, size: int) -> None:
-    """Copy bytes one by one, since they may be those that were just written."""
-    for each in range(size):
-        out[end + each] = source[start + each]
-
-
 @kernel
-def inflate_lzf(packed: UInt8, out: UInt8) -> int:
-    """Unpack LZF (P,) into an array of the size that it should have; say how many bytes come.
+def inflate_lzf(packed: UInt8, packed_size: int, out: UInt8) -> int:
+    """Unpack LZF into an array of the size that it should have; say how many bytes come.
 
-    PCL compresses clouds with it: http://oldhome.schmorp.de/marc/liblzf.html.
+    PCL compresses clouds with it: http://oldhome.schmorp.de/marc/liblzf.html. A head stands before
+    bytes that are copied from behind it, or from what is already unpacked.
     """
     at, end = 0, 0
-    while at < len(packed):
+    while at < packed_size:
         head = int(packed[at])
         at += 1
+        source, start, size = packed, at, head + 1
         if head < _LZF_SHORT:
-            size = head + 1
-            if at + size > len(packed) or end + size > len(out):
-                return end
-            copy_bytes(packed, at, out, end, size)
             at += size
         else:
-            size, far = head >> 5, (head & 31) << 8
-            if at + 1 + (size == 7) > len(packed):
-                return end
-            if size == 7:
+            size = (head >> 5) + 2
+            if size == 9:
                 size += int(packed[at])
                 at += 1
-            start = end - far - int(packed[at]) - 1
-            at, size = at + 1, size + 2
-            if start < 0 or end + size > len(out):
-                return end
-            copy_bytes(out, start, out, end, size)
+            source, start = out, end - ((head & 31) << 8) - int(packed[at]) - 1
+            at += 1
+        if start < 0 or at > packed_size or end + size > len(out):
+            return end
+        for each in range(size):  # one by one, since they may be those that were just written
+            out[end + each] = source[start + each]
         end += size
     return end
 
@@ -152,11 +142,10 @@ def inflate_lzf(packed: UInt8, out: UInt8) -> int:
 def read_ply(data: bytes) -> Points:
     """Read the vertices of a PLY, ascii or binary; they are the first of its elements."""
     elements: list[tuple[list[str], list[list[str]]]] = []
-    form, word, at = "", "", 0
+    form = ""
+    lines, at = _read_header(data, "END_HEADER")
     with _refuse_header():
-        while word != "end_header":
-            line, at = _take_line(data, at)
-            word, *values = line.split() or [""]
+        for word, *values in lines:
             if word == "format":
                 form = values[0]
             elif word == "element":
@@ -209,12 +198,16 @@ def read_npy(data: bytes) -> Points:
     return Points(dict(zip("xyz", array.T, strict=False)), len(array))
 
 
-def _take_line(data: bytes, at: int) -> tuple[str, int]:
-    """Take a line of a header, and find where the next one begins."""
-    end = data.find(b"\n", at, at + 4096)
-    if end < 0:
-        raise DamageError(f"ends within its header, at byte {min(at, len(data))}")
-    return data[at:end].decode("ascii", "replace"), end + 1
+def _read_header(data: bytes, last: str) -> tuple[list[list[str]], int]:
+    """Read the words of each line up to one with a keyword, and find where the next one begins."""
+    lines, at = [[""]], 0
+    while lines[-1][0].upper() != last:
+        end = data.find(b"\n", at, at + 4096)
+        if end < 0:
+            raise DamageError(f"ends within its header, at byte {min(at, len(data))}")
+        lines.append(data[at:end].decode("ascii", "replace").split() or [""])
+        at = end + 1
+    return lines, at
 
 
 def _make_layout(fields: Iterable[tuple[str, str, int]]) -> np.dtype[Any]:

@@ -14,16 +14,7 @@ from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError
 from occmap.readers import NoteList
-from occmap.readers.fields import (
-    get,
-    get_bytes,
-    get_frame,
-    get_list,
-    get_row,
-    get_stamp,
-    get_whole,
-    look,
-)
+from occmap.readers.fields import get, get_bytes, get_header, get_list, get_row, get_whole, look
 from occmap.types import Cloud, Float32, Int64, UInt8
 from occmap.values import as_text, shorten
 
@@ -65,7 +56,7 @@ def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     steps = row_step if rows > 1 else width * step, step
     fields = read_fields(message, "datatype", ROS_KINDS)
     columns = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)
-    stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+    stamp_ns, frame = get_header(message)
     return make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
@@ -79,6 +70,13 @@ def read_fields(
         if kind and name in (*"xyz", *TIME_FIELDS):
             fields[name] = kind, get_whole(field, "offset")
     return fields
+
+
+def view_packed(message: Any) -> dict[str, NDArray[Any]]:
+    """See the fields of the points of a foxglove.PointCloud."""
+    data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
+    fields = read_fields(message, "type", FOXGLOVE_KINDS)
+    return view_columns(data, fields, (1, len(data) // max(step, 1)), (len(data), step))
 
 
 def view_columns(
@@ -244,7 +242,7 @@ def parse_livox(encoding: str, data: memoryview) -> Mapping[str, Any]:
 
 def convert_livox(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert what `parse_livox` gives."""
-    stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+    stamp_ns, frame = get_header(message)
     return make_cloud(message["points"], frame, stamp_ns, topic, record_ns)
 
 
@@ -317,5 +315,5 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
     columns = {"x": x, "y": y, "z": z}
-    stamp_ns, frame = get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+    stamp_ns, frame = get_header(message)
     return make_cloud(columns, frame, stamp_ns, topic, record_ns)

@@ -30,9 +30,9 @@ REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": 0.0, "range_max": math.inf, "time_increment": 0.0, "frame": "laser"}
 FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
-MEASURED = dict.fromkeys(POSE_NAMES, decimals.NUMBER) | {
+MEASURED = {
+    **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
     "stamp": decimals.SECONDS,
-    "time_increment": decimals.FINITE,
 }
 """What differs between the scans of one laser, as ranges do"""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
@@ -185,7 +185,7 @@ class CsvLog(TextLog):
         self._places = [_name_place(name) for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
-        self._rows = sum(some.scans for some in self._survey())
+        self._rows = sum(some.scans for some in self._survey(self.pick_scans))
 
     @property
     def streams(self) -> Sequence[Stream]:
@@ -218,20 +218,8 @@ class CsvLog(TextLog):
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the rows behind the header; refuse a constant that comes too late for those before.
-
-        Raises
-        ------
-        LogError
-            A comment states what neither a column nor a comment at the top of the file states.
-        """
-        rows, headings = _sort_lines(block)
-        for line in headings:
-            name, _ = split_comment(line.text)
-            if name in NAMES and name not in self._stated:
-                found = f"the comment states {name} for all rows, too far behind the header"
-                fix = "move it to the top of the file"
-                raise LogError(found, where=f"{self.path}:{line.number}", fix=fix)
+        """Find the rows behind the header."""
+        rows, _ = _sort_lines(block)
         rows = [row for row in rows if row > self._header_line - block.number]
         return {TOPIC: rows} if rows else {}
 

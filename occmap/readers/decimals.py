@@ -7,7 +7,6 @@ written in another way are left to Python.
 Offsets are unsigned: numba need not look whether one of them counts from the end of an array.
 """
 
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -18,9 +17,9 @@ from occmap.jit import kernel, step
 from occmap.types import Float32, Float64, Int64, UInt8
 from occmap.values import as_float32, parse_nanoseconds, parse_number, parse_seconds
 
-OTHER, SAME, NUMBER, FINITE, SECONDS, NANOSECONDS, RANGE = range(7)
-"""What a word is: passed over, the same in all lines that are alike, a number, one that is neither
-infinite nor NaN, a time, or the range of a beam, whose index is added to RANGE"""
+OTHER, SAME, NUMBER, SECONDS, NANOSECONDS, RANGE = range(6)
+"""What a word is: passed over, the same in all lines that are alike, a number, a time, or the range
+of a beam, whose index is added to RANGE"""
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
 MOST_WHOLE_DIGITS = 19
@@ -127,10 +126,7 @@ def _parse_word(word: bytes, kind: int) -> float | int:
     text = unquote(word)
     if kind in {SECONDS, NANOSECONDS}:
         return parse_seconds(text) if kind == SECONDS else parse_nanoseconds(text)
-    number = parse_number(text or "nan") if kind != FINITE else parse_number(text)
-    if kind == FINITE and not math.isfinite(number):
-        raise ValueError(f"{number} where a finite number belongs")
-    return number
+    return parse_number(text or "nan")
 
 
 def unquote(word: bytes) -> str:
@@ -201,9 +197,8 @@ def _read_word(text: UInt8, word: Word, kind: int, place: tuple[int, int], words
     is_read = True
     if kind >= RANGE:
         is_read, words.ranges[row, kind - RANGE] = _to_float(text, word)
-    elif kind in (NUMBER, FINITE):
+    elif kind == NUMBER:
         is_read, words.numbers[col, row] = _to_float(text, word)
-        is_read &= kind == NUMBER or math.isfinite(words.numbers[col, row])
     elif kind in (SECONDS, NANOSECONDS):
         is_read, words.times[col, row] = _to_time(text, word, 9 if kind == SECONDS else 0)
     elif kind == SAME:

@@ -65,6 +65,11 @@ def get_frame(message: Any, path: str) -> str:
     return as_text(get(message, path)).lstrip("/")
 
 
+def get_header(message: Any) -> tuple[int, str]:
+    """Get the time in ns, and the frame, of a ROS message."""
+    return get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id")
+
+
 def get_row(message: Any, path: str) -> Float64:
     """Get a list of numbers (B,).
 

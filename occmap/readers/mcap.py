@@ -6,12 +6,11 @@ https://mcap.dev/spec says what their records are.
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -19,16 +18,8 @@ from mcap.records import Channel as McapChannel
 from mcap.records import ChunkIndex, Footer, Schema, Statistics
 
 from occmap.readers import Probe, records
-from occmap.readers.containers import Buffer, Channel, gather, inflate
-from occmap.readers.records import (
-    Bytes,
-    Descriptions,
-    FileBytes,
-    Record,
-    Records,
-    RecordSource,
-    Summary,
-)
+from occmap.readers.containers import Buffer, Channel, inflate
+from occmap.readers.records import Bytes, Descriptions, FileBytes, Record, RecordSource, Summary
 from occmap.readers.ros_log import RosReader
 from occmap.report import count
 
@@ -36,21 +27,11 @@ _HEAD = struct.Struct("<BQ")
 """What every record starts with: opcode and length of the body."""
 _MESSAGE_HEAD = struct.Struct("<BQHIQ")
 """Opcode, length, channel, sequence number, record time; a second time follows."""
-_SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack
+_SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_HEAD.unpack_from
 """By names of their own, since a log has tens of thousands of messages"""
-_MESSAGE_FIELDS = np.dtype(
-    [("opcode", "u1"), ("length", "<u8"), ("key", "<u2"), ("sequence", "<u4"), ("record_ns", "<u8")]
-)
-"""The same, for many at once"""
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
-_CHUNK_HEAD = re.compile(
-    rb".{16}(.{8}).{4}(?:\x00{4}(?=\1)|\x03\x00{3}lz4|\x04\x00{3}zstd)(.{8})", re.DOTALL
-)
-"""Before the records of a chunk: times, size, checksum, compression, and how long they are, which
-is the size where they are not compressed"""
-_LONGEST_HEAD = 44
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_HEAD = 1 << 10
@@ -95,16 +76,21 @@ class McapSource(RecordSource):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:
             return None
-        kind = _KINDS.get(opcode, records.OTHER)
-        start = at + _SHORT
-        chunk = kind == records.OTHER and _CHUNK_HEAD.match(block[start : start + _LONGEST_HEAD])
-        if chunk and 0 < int.from_bytes(chunk[2], "little") <= length - chunk.end():
-            kind = records.CHUNK  # whatever its opcode says
-        return kind, 0, at, at, end
+        return _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
-    def _list_records(self, position: int, block: memoryview) -> Records:
-        found = _list_messages(block)
-        return super()._list_records(position, block) if found is None else found
+    def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
+        """List the records of a chunk; quickly if all are messages, as they are in most."""
+        found: list[Record] = []
+        at, size = 0, len(block)
+        with suppress(struct.error):
+            while at < size:
+                opcode, length, key, _, record_ns = _unpack_message_head(block, at)
+                start, end = at + _MESSAGE_DATA, at + _SHORT + length
+                if opcode != _MESSAGE or end < start or record_ns > _LATEST_NS:
+                    break
+                found.append((key, record_ns, at, start, end))
+                at = end
+        return found if at == size else super()._list_records(position, block)
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
@@ -117,8 +103,6 @@ class McapSource(RecordSource):
             return b""
         data = record[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
-        if not problem and record[0] != Opcode.CHUNK:
-            problem = "is marked as another kind of record, and is used"
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
             problem = f"has {count(left, 'byte')} that it does not state"
         if not problem and position not in self._verified:
@@ -129,7 +113,7 @@ class McapSource(RecordSource):
             self._note(position, problem)
         return block
 
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
         schemas: dict[int, Schema] = {}
         channels: list[McapChannel] = []
         for record, position in descriptions.items():
@@ -141,19 +125,19 @@ class McapSource(RecordSource):
                 schemas.setdefault(schema.id, schema)
             except self.errors:
                 self._note(position, "holds a channel that cannot be read")
+        found: dict[int, Channel] = {}
         for channel in channels:  # only now, as a schema may come after its channel after damage
             schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
             is_text = schema.encoding in {"ros1msg", "ros2msg"}
-            yield (
-                channel.id,
-                Channel(
-                    topic=channel.topic,
-                    type=schema.name,
-                    encoding=channel.message_encoding,
-                    definition=schema.data.decode(errors="replace") if is_text else "",
-                    descriptors=schema.data if schema.encoding == "protobuf" else b"",
-                ),
+            described = Channel(
+                topic=channel.topic,
+                type=schema.name,
+                encoding=channel.message_encoding,
+                definition=schema.data.decode(errors="replace") if is_text else "",
+                descriptors=schema.data if schema.encoding == "protobuf" else b"",
             )
+            found.setdefault(channel.id, described)
+        return found
 
     def _read_summary(self, file: FileBytes) -> Summary:
         """Read the records at the end of the file, which may have none."""
@@ -184,7 +168,7 @@ class McapSource(RecordSource):
                 summary.chunks[index.chunk_start_offset] = index.message_index_offsets
             elif record[0] == Opcode.STATISTICS:
                 statistics = Statistics.read(_open_body(record))
-        summary.channels.update(self._describe(descriptions))
+        summary.channels = self._describe(descriptions)
         if statistics is not None:
             summary.counts.update(statistics.channel_message_counts)
             if summary.counts.total() != statistics.message_count:
@@ -192,27 +176,6 @@ class McapSource(RecordSource):
             described = {key for key, channel in summary.channels.items() if channel.type}
             summary.is_whole = summary.counts.keys() <= described
         return summary
-
-
-def _list_messages(block: memoryview) -> Records | None:
-    """List the records of a chunk if all are messages, as they are in most; None where not."""
-    starts, at = [], 0
-    with suppress(struct.error):
-        while at < len(block):
-            starts.append(at)
-            at += _SHORT + _HEAD.unpack_from(block, at)[1]
-    if at != len(block) or not starts:
-        return None
-    start = np.array([*starts, at], np.int64)
-    if np.diff(start).min() < _MESSAGE_DATA:
-        return None
-    raw = gather(np.frombuffer(block, np.uint8), start[:-1], _LONG)
-    heads = raw.view(_MESSAGE_FIELDS)[:, 0]
-    if (heads["opcode"] != Opcode.MESSAGE).any():
-        return None
-    record_ns = np.minimum(heads["record_ns"], _LATEST_NS)
-    data = start[:-1] + _MESSAGE_DATA
-    return np.array([heads["key"], record_ns, start[:-1], data, start[1:]], np.int64).T
 
 
 def _open_body(record: bytes) -> ReadDataStream:

@@ -8,50 +8,47 @@ Fields are checked before anything is computed of them; `Scan` and `PoseSample` 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 
 from occmap.errors import DamageError
 from occmap.readers import Echo, Fix, Role, cloud_messages
-from occmap.readers.containers import Channel, Messages
-from occmap.readers.fields import (
-    get,
-    get_bytes,
-    get_frame,
-    get_list,
-    get_row,
-    get_stamp,
-    get_whole,
-    look,
-)
+from occmap.readers.containers import Channel
+from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
 from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
-from occmap.types import IDENTITY, Cloud, Pose, PoseBatch, PoseSample, Scan
+from occmap.types import IDENTITY, Bool, Cloud, Int64, Pose, PoseBatch, PoseSample, Scan, UInt8
 from occmap.values import as_float32, as_number
 
-ToPoses: TypeAlias = Callable[[Any, str, int], list[PoseSample]]
-"""From a decoded message, its topic and its record time in ns"""
-
-
-ReadMany: TypeAlias = Callable[[Messages, Locate, FromBytes[Any]], tuple[Sequence[Any], Messages]]
-"""From messages of one length, what finds numbers in one, and what reads one, to what is read many
-at once, and the messages that are left to be read one by one; raises DamageError"""
+ReadMany: TypeAlias = Callable[[UInt8, Int64, Locate, FromBytes[Any]], tuple[Sequence[Any], Bool]]
+"""From messages of one length (M, L), when they were recorded (M,), what finds numbers in one, and
+what reads one, to what is read many at once, and which messages (M,) are left to be read one by
+one; raises DamageError"""
 
 
 class MessageType(NamedTuple):
     """What messages of a type are for, and what reads them."""
 
-    role: Role
-    convert: Callable[..., Any] | None = None
-    """Makes a scan or a cloud of what `needs` says, and of what `to_poses` takes"""
-    to_poses: ToPoses | None = None
+    converts: Mapping[Role, Callable[..., Any]] = {}
+    """What makes values of a message, by what they are for; the first is what its topic is for. It
+    takes what `needs` says, the decoded message, its topic and its record time in ns"""
     parser: Callable[[Channel], Parser] | None = None
     """Makes what reads a channel's messages, where a library takes too long"""
     needs: type[Echo | cloud_messages.Camera] | None = None
     many: ReadMany | None = None
     """Reads many messages that are laid out alike"""
+
+    @property
+    def role(self) -> Role:
+        """What a topic of such messages can be used for."""
+        return next(iter(self.converts), Role.OTHER)
+
+    def bind(self, needed: Echo | cloud_messages.Camera) -> Self:
+        """Give it what it needs."""
+        converts = {role: partial(convert, needed) for role, convert in self.converts.items()}
+        return self._replace(converts=converts)
 
 
 MOST_GROUPS = 16
@@ -98,28 +95,30 @@ class PoseFields(NamedTuple):
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
 
     def read_many(
-        self, rows: Messages, locate: Locate, read: FromBytes[list[PoseSample]]
-    ) -> tuple[list[PoseBatch], Messages]:
-        """Read messages of one length: the samples of each pose, and the messages left over."""
+        self, rows: UInt8, record_ns: Int64, locate: Locate, read: FromBytes[list[PoseSample]]
+    ) -> tuple[list[PoseBatch], Bool]:
+        """Read messages of one length: the samples of each pose, and which messages are left."""
         batches: list[PoseBatch] = []
+        left = np.ones(len(rows), np.bool_)
         for _ in range(MOST_GROUPS):
-            if len(rows.key) < 2:
+            if np.count_nonzero(left) < 2:
                 break
+            rest, recorded = rows[left], record_ns[left]
             # Decoded first: that it could be says that all its parts lie within the message.
-            record_ns, data = rows.first
-            samples, fields = read(data, record_ns), Fields(rows, locate(data))
-            alike = fields.find_alike()
-            fields = fields._replace(rows=rows.take(alike))
+            samples = read(rest[0].data, int(recorded[0]))
+            places = locate(rest[0].data)
+            alike = Fields(rest, places).find_alike()
+            fields = Fields(rest[alike], places)
             for at, sample in enumerate(samples):
-                _, parent, child, first, static, topic, _ = sample
+                _, parent, child, expected, static, topic, _ = sample
                 item = f"{self.items}.{at}." if self.items else ""
                 pose = fields.read(f"{item}{self.position}.x", f"{item}{self.rotation}.w")
-                if not np.array_equal(pose[0], first, equal_nan=True):
+                if not np.array_equal(pose[0], expected, equal_nan=True):
                     raise DamageError("has its numbers in another order")
-                times = fields.read_stamps(f"{item}{self.stamp}"), fields.rows.record_ns
+                times = fields.read_stamps(f"{item}{self.stamp}"), recorded[alike]
                 batches.append(PoseBatch(*times, pose, parent, child, static, topic))
-            rows = rows.take(~alike)
-        return batches, rows
+            left[left] = ~alike
+        return batches, left
 
 
 def convert_laser_scan(message: Any, topic: str, record_ns: int) -> Scan:
@@ -139,18 +138,10 @@ def convert_multi_echo(echo: Echo, message: Any, topic: str, record_ns: int) -> 
 
 
 def _make_scan(message: Any, ranges: Any, topic: str, record_ns: int) -> Scan:
-    return Scan(
-        stamp_ns=get_stamp(message, "header.stamp"),
-        frame=get_frame(message, "header.frame_id"),
-        angle_min=get(message, "angle_min"),
-        angle_increment=get(message, "angle_increment"),
-        ranges=ranges,
-        range_min=get(message, "range_min"),
-        range_max=get(message, "range_max"),
-        time_increment=get(message, "time_increment"),
-        topic=topic,
-        record_ns=record_ns,
-    )
+    angles = get(message, "angle_min"), get(message, "angle_increment")
+    limits = get(message, "range_min"), get(message, "range_max")
+    increment = get(message, "time_increment")
+    return Scan(*get_header(message), *angles, ranges, *limits, increment, None, topic, record_ns)
 
 
 def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:
@@ -161,18 +152,17 @@ def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:
     """
     ranges = as_float32(get_row(message, "ranges"))
     start, end = (as_number(get(message, name)) for name in ("start_angle", "end_angle"))
+    angles = start, (end - start) / max(len(ranges) - 1, 1)
+    stamp_ns, frame = _find_frame(message, topic, record_ns)
+    limits = 0.0, math.inf
+    return Scan(stamp_ns, frame, *angles, ranges, *limits, topic=topic, record_ns=record_ns)
+
+
+def _find_frame(message: Any, topic: str, record_ns: int) -> tuple[int, str]:
+    """Find when a message of Foxglove's was recorded, and in which frame: its own if it has one."""
     origin = convert_origin(message, topic, record_ns)
-    return Scan(
-        stamp_ns=get_stamp(message, "timestamp"),
-        frame=origin[0].child if origin else get_frame(message, "frame_id"),
-        angle_min=start,
-        angle_increment=(end - start) / max(len(ranges) - 1, 1),
-        ranges=ranges,
-        range_min=0.0,
-        range_max=math.inf,
-        topic=topic,
-        record_ns=record_ns,
-    )
+    frame = origin[0].child if origin else get_frame(message, "frame_id")
+    return get_stamp(message, "timestamp"), frame
 
 
 def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
@@ -184,23 +174,17 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
 
 def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert a foxglove.PointCloud, whose origin is stated as that of a scan."""
-    stamp_ns = get_stamp(message, "timestamp")
-    origin = convert_origin(message, topic, record_ns)
-    frame = origin[0].child if origin else get_frame(message, "frame_id")
-    data, step = get_bytes(message, "data"), get_whole(message, "point_stride")
-    fields = cloud_messages.read_fields(message, "type", cloud_messages.FOXGLOVE_KINDS)
-    columns = cloud_messages.view_columns(
-        data, fields, (1, len(data) // max(step, 1)), (len(data), step)
-    )
+    columns = cloud_messages.view_packed(message)
+    stamp_ns, frame = _find_frame(message, topic, record_ns)
     return cloud_messages.make_cloud(columns, frame, stamp_ns, topic, record_ns)
 
 
 def convert_fix(message: Any, _topic: str, _record_ns: int) -> list[Fix]:
     """Convert a sensor_msgs/NavSatFix; without satellites it says nothing."""
     place = as_number(get(message, "latitude")), as_number(get(message, "longitude"))
-    if get_whole(message, "status.status") < 0 or not all(map(math.isfinite, place)):
+    if as_number(get(message, "status.status")) < 0 or not all(map(math.isfinite, place)):
         return []
-    return [Fix(get_stamp(message, "header.stamp"), get_frame(message, "header.frame_id"), *place)]
+    return [Fix(*get_header(message), *place)]
 
 
 FOXGLOVE = PoseFields("timestamp", "frame_id", unset_rotation=IDENTITY[3:])
@@ -218,28 +202,31 @@ _TF = PoseFields(
 )
 
 _LIVOX = MessageType(
-    Role.CLOUD,
-    cloud_messages.convert_livox,
+    {Role.CLOUD: cloud_messages.convert_livox},
     parser=lambda channel: Parser(partial(cloud_messages.parse_livox, channel.encoding)),
 )
 
 TYPES = {
-    "sensor_msgs/msg/LaserScan": MessageType(Role.SCAN, convert_laser_scan, many=read_scan_run),
-    "sensor_msgs/msg/MultiEchoLaserScan": MessageType(Role.SCAN, convert_multi_echo, needs=Echo),
-    "sensor_msgs/msg/PointCloud2": MessageType(Role.CLOUD, cloud_messages.convert_cloud),
+    "sensor_msgs/msg/LaserScan": MessageType({Role.SCAN: convert_laser_scan}, many=read_scan_run),
+    "sensor_msgs/msg/MultiEchoLaserScan": MessageType({Role.SCAN: convert_multi_echo}, needs=Echo),
+    "sensor_msgs/msg/PointCloud2": MessageType({Role.CLOUD: cloud_messages.convert_cloud}),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,
     "sensor_msgs/msg/Image": MessageType(
-        Role.CLOUD, cloud_messages.convert_depth, needs=cloud_messages.Camera
+        {Role.CLOUD: cloud_messages.convert_depth}, needs=cloud_messages.Camera
     ),
     "sensor_msgs/msg/CompressedImage": MessageType(
-        Role.CLOUD, cloud_messages.convert_compressed_depth, needs=cloud_messages.Camera
+        {Role.CLOUD: cloud_messages.convert_compressed_depth}, needs=cloud_messages.Camera
     ),
-    "sensor_msgs/msg/NavSatFix": MessageType(Role.OTHER, convert_fix),
-    "foxglove.LaserScan": MessageType(Role.SCAN, convert_foxglove_scan, convert_origin),
-    "foxglove.PointCloud": MessageType(Role.CLOUD, convert_foxglove_cloud, convert_origin),
+    "sensor_msgs/msg/NavSatFix": MessageType({Role.OTHER: convert_fix}),
+    "foxglove.LaserScan": MessageType(
+        {Role.SCAN: convert_foxglove_scan, Role.POSE: convert_origin}
+    ),
+    "foxglove.PointCloud": MessageType(
+        {Role.CLOUD: convert_foxglove_cloud, Role.POSE: convert_origin}
+    ),
 } | {
-    name: MessageType(Role.POSE, to_poses=fields.read, many=fields.read_many)
+    name: MessageType({Role.POSE: fields.read}, many=fields.read_many)
     for name, fields in {
         "tf2_msgs/msg/TFMessage": _TF,
         "tf/msg/tfMessage": _TF,
@@ -264,7 +251,7 @@ PACKETS = {
 """Types of raw packets, and the node of their driver that makes clouds of them"""
 
 
-UNUSED = MessageType(Role.OTHER)
+UNUSED = MessageType()
 
 
 def find_type(channel: Channel) -> MessageType:

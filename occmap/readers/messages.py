@@ -20,8 +20,8 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
-from occmap.readers.containers import Channel, Messages, normalise_type
-from occmap.types import Bool, Int64, Scan, ScanRun
+from occmap.readers.containers import Channel, normalise_type
+from occmap.types import Bool, Int64, Scan, ScanRun, UInt8
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -51,13 +51,9 @@ class Parser(NamedTuple):
 
 
 # What rosbags raises on definitions and on bytes that are not well formed.
-_DEFINITION_ERRORS = (
-    TypesysError, AssertionError, LookupError, MemoryError, NameError, RecursionError, SyntaxError,
-    TypeError, ValueError,
-)  # fmt: skip
-_DECODE_ERRORS = (
-    SerdeError, struct.error, ArithmeticError, AssertionError, LookupError, MemoryError,
-    RecursionError, TypeError, ValueError,
+_ERRORS = (
+    SerdeError, TypesysError, struct.error, ArithmeticError, AssertionError, LookupError,
+    MemoryError, NameError, RecursionError, SyntaxError, TypeError, ValueError,
 )  # fmt: skip
 
 MAX_DEFINITION = 1 << 15
@@ -90,11 +86,11 @@ def _make_ros_parser(text: str, kind: str, encoding: str) -> Parser:
     try:
         store = _make_store(text, name) if text else _load_standard(encoding)
         store.get_msgdef(name)
-    except _DEFINITION_ERRORS as error:
+    except _ERRORS as error:
         raise _refuse(kind, error) from error
     locate = partial(_locate, store.fielddefs, name, encoding == "cdr")
     deserialise = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
-    return Parser(lambda data: deserialise(data, name), _DECODE_ERRORS, locate)
+    return Parser(lambda data: deserialise(data, name), _ERRORS, locate)
 
 
 def _refuse(kind: str, why: Exception) -> LogError:
@@ -118,7 +114,7 @@ def _make_store(text: str, name: str) -> Typestore:
 
     Raises
     ------
-    _DEFINITION_ERRORS
+    _ERRORS
         The definition is damaged, or asks for too much.
     """
     if len(text) > MAX_DEFINITION:
@@ -181,25 +177,18 @@ def _make_protobuf_parser(channel: Channel) -> Parser:
         The protobuf package is not installed, or the descriptors are damaged.
     """
     try:
-        from google.protobuf.message import DecodeError  # noqa: PLC0415  an extra
+        from google.protobuf import descriptor_pb2, message, message_factory  # noqa: PLC0415  extra
     except ImportError:
         fix = "install what reads it: pip install '.[foxglove]'"
         raise LogError(f"{channel.type} is written in protobuf", fix=fix) from None
     try:
-        message_class = _load_message(channel)
-    except (DecodeError, KeyError, TypeError, ValueError) as error:
+        files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
+        if len(files) > MAX_FILES:
+            raise ValueError(f"{len(files)} files make one type")
+        message_class = message_factory.GetMessages(files)[channel.type]
+    except (message.DecodeError, KeyError, TypeError, ValueError) as error:
         raise _refuse(channel.type, error) from error
-    return Parser(lambda data: message_class.FromString(bytes(data)), (DecodeError,))
-
-
-def _load_message(channel: Channel) -> Any:
-    """Load the message class from the files of its schema."""
-    from google.protobuf import descriptor_pb2, message_factory  # noqa: PLC0415  as above
-
-    files = descriptor_pb2.FileDescriptorSet.FromString(channel.descriptors).file
-    if len(files) > MAX_FILES:
-        raise ValueError(f"{len(files)} files make one type")
-    return message_factory.GetMessages(files)[channel.type]
+    return Parser(lambda data: message_class.FromString(bytes(data)), (message.DecodeError,))
 
 
 PARSERS: Mapping[str, Callable[[Channel], Parser]] = {
@@ -287,20 +276,17 @@ def _locate(types: Typesdict, name: str, is_cdr: bool, message: memoryview) -> M
 class Fields(NamedTuple):
     """The numbers of messages of one length, which lie where the first has its own."""
 
-    rows: Messages
+    rows: UInt8
+    """(M, L) the messages, so that a number of all of them is one slice"""
     places: Mapping[str, Place]
 
     def find_alike(self, same: Collection[str] = ()) -> Bool:
         """Say which messages (M,) are as the first but for their numbers, save some."""
-        fixed = np.ones(self.rows.length, np.bool_)
+        fixed = np.ones(self.rows.shape[1], np.bool_)
         for name, place in self.places.items():
             fixed[place.start : place.end] = name in same
-        alike = np.ones(len(self.rows.key), np.bool_)
-        edges = np.flatnonzero(np.diff(fixed, prepend=False, append=False))
-        for start, end in edges.reshape(-1, 2).tolist():
-            part = self.rows.read(start, end)
-            alike &= (part == part[0]).all(axis=1)
-        return alike
+        rest = self.rows[:, fixed]
+        return np.asarray((rest == rest[0]).all(axis=1))
 
     def read(self, first: str, last: str = "") -> NDArray[Any]:
         """Read a number, a list, or numbers that lie side by side, in each message (M, B).
@@ -313,7 +299,7 @@ class Fields(NamedTuple):
         start, end = self.places.get(first), self.places.get(last or first)
         if not start or not end or (end.end - start.start) % start.kind.itemsize:
             raise DamageError(f"has no numbers {first}")
-        return self.rows.read(start.start, end.end).view(start.kind)
+        return np.ascontiguousarray(self.rows[:, start.start : end.end]).view(start.kind)
 
     def read_stamps(self, name: str) -> Int64:
         """Read times (M,) in ns; raises DamageError."""
@@ -324,19 +310,22 @@ class Fields(NamedTuple):
 
 
 def read_scan_run(
-    rows: Messages, locate: Locate, read: FromBytes[list[Scan]]
-) -> tuple[list[ScanRun], Messages]:
+    rows: UInt8, record_ns: Int64, locate: Locate, read: FromBytes[list[Scan]]
+) -> tuple[list[ScanRun], Bool]:
     """Read scans of one length that follow one another.
 
     Parameters
     ----------
+    rows, record_ns
+        The messages (M, L), and when each was recorded (M,).
     read
         Reads a single message: it tells what is the same in all of them.
 
     Returns
     -------
-    runs, others
-        One run, or all messages where they are not alike but for times and ranges.
+    runs, left
+        One run, or none where messages differ in more than times and ranges; and which messages
+        (M,) are still to be read.
 
     Raises
     ------
@@ -344,12 +333,12 @@ def read_scan_run(
         The first message is damaged, or its numbers cannot be found.
     """
     # Decoded first: that it could be says that all its parts lie within the message.
-    record_ns, data = rows.first
-    (first,) = read(data, record_ns)
-    fields = Fields(rows, locate(data))
-    if not fields.find_alike(_OF_ALL).all():
-        return [], rows
+    (first,) = read(rows[0].data, int(record_ns[0]))
+    fields = Fields(rows, locate(rows[0].data))
+    left = np.full(len(rows), not fields.find_alike(_OF_ALL).all())
+    if left.any():
+        return [], left
     ranges = fields.read("ranges").astype(np.float32, copy=False)
     increments = fields.read("time_increment")[:, 0].astype(np.float64)
-    times = fields.read_stamps("header.stamp"), rows.record_ns
-    return [ScanRun(first, *times, ranges, increments)], rows.take(slice(0))
+    times = fields.read_stamps("header.stamp"), record_ns
+    return [ScanRun(first, *times, ranges, increments)], left

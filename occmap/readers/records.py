@@ -21,13 +21,10 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO, ClassVar, NoReturn, TypeAlias
 
-import numpy as np
-
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
-from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, Messages
+from occmap.readers.containers import MAX_INFLATED, Buffer, Channel, RawMessage
 from occmap.report import count
-from occmap.types import Int64
 
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
@@ -66,9 +63,6 @@ Record: TypeAlias = tuple[int, int, int, int, int]
 message begins, and both end. Any other record is all message. A plain tuple, since a log has tens
 of thousands."""
 
-Records: TypeAlias = Int64
-"""(N, 5) records, one in each row"""
-
 Descriptions: TypeAlias = dict[bytes, int]
 """Records that describe channels, each with the position of the chunk where it first lies."""
 
@@ -85,8 +79,6 @@ class Summary:
     """The channels that have messages in the chunk at a position, where that is certain"""
     is_whole: bool = False
     """Whether it has all of the channels and counts"""
-    problem: str = ""
-    """Why it cannot be used"""
 
 
 class RecordSource(ABC):
@@ -112,14 +104,8 @@ class RecordSource(ABC):
             file = FileBytes(opened)
             if len(file) == len(self.magic):
                 raise LogError("holds nothing behind its first bytes", where=path)
-            try:
-                self._summary = self._read_summary(file)
-            except self.errors as error:
-                text = f"the index at its end cannot be used ({error})"
-                self._summary = Summary(problem=f"{text}: what should be in it is not known")
-            channels, counts = self._summary.channels, self._summary.counts
-            if not self._summary.is_whole:
-                channels, counts = self._survey(file)
+            summary = self._sum_up(file)
+        channels, counts, self._chunks = summary.channels, summary.counts, summary.chunks
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
         self.channels = list(self._by_id.values())
         if lost := sum(messages for key, messages in counts.items() if key not in channels):
@@ -131,19 +117,18 @@ class RecordSource(ABC):
             found = "; ".join(note.text for note in self.notes[:3])
             raise LogError(f"nothing in it can be read: {found}", where=path)
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, in file order."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
-        descriptions: Descriptions = {}
-        with self.path.open("rb") as file:
-            for data, records in self._read(FileBytes(file), by_id, descriptions):
-                key, record_ns, _, start, end = records.T
-                yield Messages(by_id, np.frombuffer(data, np.uint8), key, record_ns, start, end)
-        for key, other in self._describe(descriptions):
-            known = self._by_id.get(key, other)
-            if known.description != other.description:
-                text = f"{self.unit} {key} is described in two ways: {known.topic}"
-                self.notes.add_damage(text)
+        with self.path.open("rb") as opened:
+            file = FileBytes(opened)
+            skipped = {
+                at for at, held in self._chunks.items() if held and by_id.keys().isdisjoint(held)
+            }
+            for _, block, records in self._open_blocks(file, skipped):
+                for key, record_ns, _, start, end in records:
+                    if key in by_id:
+                        yield by_id[key], record_ns, block[start:end]
 
     @abstractmethod
     def _read_summary(self, file: FileBytes) -> Summary:
@@ -158,73 +143,58 @@ class RecordSource(ABC):
         """Decompress the chunk at a position, and note what is wrong with it."""
 
     @abstractmethod
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
-        """Give channels with their numbers; one that is described in two ways comes twice."""
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
+        """Make channels of the records that describe them; of one number, the first counts."""
 
-    def _survey(self, file: FileBytes) -> tuple[dict[int, Channel], Counter[int]]:
-        """Find the channels and count their messages by reading the whole file.
+    def _sum_up(self, file: FileBytes) -> Summary:
+        """Find the channels, and count their messages: from the end of the file, or from all of it.
 
-        Where the summary counts those of a channel, its count stands.
+        Where the end counts those of a channel, its count stands.
         """
+        summary, problem = Summary(), ""
+        try:
+            summary = self._read_summary(file)
+        except self.errors as error:
+            problem = f"the index at its end cannot be used ({error})"
+        if summary.is_whole:
+            return summary
         descriptions: Descriptions = {}
         held = Counter[int]()
-        for _, records in self._read(file, None, descriptions):
-            held.update(records[:, 0].tolist())
-        found: dict[int, Channel] = {}
-        for key, channel in self._describe(descriptions):
-            found.setdefault(key, channel)
-        channels, counts = {**self._summary.channels, **found}, self._summary.counts
-        if self._summary.problem and not self.notes:
-            self.notes.add_damage(self._summary.problem)
-        announced = {key: counts[key] for key in counts.keys() & channels}
-        return channels, Counter({**held, **announced})
-
-    def _read(
-        self, file: FileBytes, wanted: Collection[int] | None, descriptions: Descriptions
-    ) -> Iterator[tuple[memoryview, Records]]:
-        """Give what holds messages of some channels, or of all, and these messages in it.
-
-        The records that describe channels are added to `descriptions`.
-        """
-        for position, data, records in self._open_blocks(file, wanted):
-            for _, _, start, _, end in records[records[:, 0] == DESCRIPTION].tolist():
-                descriptions.setdefault(bytes(data[start:end]), position)
-            keys = records[:, 0]
-            chosen = keys >= 0 if wanted is None else np.isin(keys, list(wanted))
-            if chosen.any():
-                yield data, records[chosen]
+        for position, block, records in self._open_blocks(file):
+            for key, _, start, _, end in records:
+                if key >= 0:
+                    held[key] += 1
+                elif key == DESCRIPTION:
+                    descriptions.setdefault(bytes(block[start:end]), position)
+        if problem and not self.notes:
+            self.notes.add_damage(f"{problem}: what should be in it is not known")
+        summary.channels |= self._describe(descriptions)
+        summary.counts = Counter({**held, **summary.counts})
+        return summary
 
     def _open_blocks(
-        self, file: FileBytes, wanted: Collection[int] | None
-    ) -> Iterator[tuple[int, memoryview, Records]]:
-        """Give what may hold messages of some channels, by its position: its bytes and records.
+        self, file: FileBytes, skipped: Container[int] = ()
+    ) -> Iterator[tuple[int, Bytes, Sequence[Record]]]:
+        """Give what holds records, by its position, with the records in it.
 
-        It is a chunk, or messages that lie in the open one behind another.
+        It is a chunk, but for some that are skipped, or the file itself for a record in the open.
         """
-        run: list[Record] = []
         for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
             kind, _, position, _, end = record
-            if run and (kind < 0 or run[0][0] < 0 or end - run[0][2] > _WINDOW):
-                yield _cut(file, run, wanted)
-                run = []
-            if kind == CHUNK:
-                held = self._summary.chunks.get(position)
-                if not held or wanted is None or any(key in wanted for key in held):
-                    block = memoryview(self._open_chunk(position, file[position:end]))
-                    yield position, block, self._list_records(position, block)
-            elif kind == DESCRIPTION or (kind >= 0 and (wanted is None or kind in wanted)):
-                run.append(record)
-        if run:
-            yield _cut(file, run, wanted)
+            if kind != CHUNK:
+                yield position, file, (record,)
+            elif position not in skipped:
+                block = memoryview(self._open_chunk(position, file[position:end]))
+                yield position, block, self._list_records(position, block)
 
-    def _list_records(self, position: int, block: memoryview) -> Records:
+    def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; note where it is damaged."""
         damaged: list[int] = []
         records = list(self._walk(block, 0, _PLAIN, lambda at, _: damaged.append(at)))
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(position, f"is damaged at byte {min(damaged)}{more}")
-        return np.array(records, np.int64)
+        return records
 
     def _walk(
         self,
@@ -309,18 +279,6 @@ class RecordSource(ABC):
         for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
             if begin < end:
                 yield bytes(block[begin:end])
-
-
-def _cut(
-    file: FileBytes, run: Sequence[Record], wanted: Collection[int] | None
-) -> tuple[int, memoryview, Records]:
-    """Cut records that follow each other out of a file: where they begin, their bytes, and they."""
-    position = run[0][2]
-    is_counted = wanted is None and run[0][0] >= 0  # nobody looks at the bytes
-    data = memoryview(b"") if is_counted else file[position : run[-1][4]]
-    records = np.array(run, np.int64)
-    records[:, 2:] = np.minimum(records[:, 2:] - position, len(data))
-    return position, data, records
 
 
 def _refuse(at: int, _following: int | None) -> NoReturn:

@@ -2,29 +2,29 @@
 
 The way of a message:
 
-1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes, with those of many
-   others that lie in one block.
+1. A source (`mcap`, `bag1`, `sqlite`) gives its channel, record time and bytes.
 2. The channel's `_ChannelReader` decodes the bytes (`messages`) and converts what comes out
    (`message_types`).
 3. Scans of one laser, and poses of one source, are laid out alike. So most are not read one by
-   one, but gathered by channel and length (`Messages.group`) and read many at once.
+   one, but gathered by channel and length and read many at once.
 """
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
+import numpy as np
+
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
-from occmap.readers.containers import MESSAGE_BYTES, Buffer, Channel, Messages, Source, join
+from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.fields import MissingFieldError
-from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, convert_fix, find_type
+from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
 
@@ -32,11 +32,14 @@ T = TypeVar("T")
 Convert: TypeAlias = Callable[[Any, str, int], Any]
 """From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
-STACK_BYTES = 1 << 19
-"""Messages that lie in a block are read where they lie, if they are so long; of one channel at most
-twice as many bytes are read at once."""
+STACK_BYTES = 1 << 20
+"""Messages are gathered until they are so long, and read together."""
+MESSAGE_BYTES = 100
+"""What a message that is held takes in memory beside its own bytes."""
 SHORTEST_RUN = 64
 """Fewer scans are read one by one, to be stacked with others of their kind."""
+_Held: TypeAlias = tuple[int, int, bytes]
+"""The number of a message in its log, when it was recorded (ns), and its bytes"""
 
 
 class RosReader:
@@ -73,12 +76,11 @@ class RosLog:
             if channel.count and (node := PACKETS.get(channel.kind)):
                 found = f"{name} are packets of a lidar"
                 self.notes.add(f"{found}: record the clouds that {node} makes of them")
-            if kind.convert and kind.needs is Echo:
-                kind = kind._replace(convert=partial(kind.convert, options.echo))
-            if kind.convert and kind.needs is Camera:
+            if kind.needs is Echo:
+                kind = kind.bind(options.echo)
+            elif kind.needs is Camera:
                 camera = self._find_camera(channel)
-                convert = partial(kind.convert, camera)
-                kind = kind._replace(convert=convert) if camera else UNUSED
+                kind = kind.bind(camera) if camera else UNUSED
             self._types[channel] = kind
 
     @property
@@ -91,29 +93,28 @@ class RosLog:
 
     def poses(self) -> Iterator[PoseSample]:
         """Every sample of every pose topic, in file order."""
-        return self._read(self._make_pose_readers())
+        return self._read(self._make_readers(Role.POSE))
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample, as from `poses`, but many at once where messages are laid out alike."""
-        return self._read_stacked(self._make_pose_readers())
+        return self._read_stacked(self._make_readers(Role.POSE))
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
-        return self._read(self._make_sensor_readers(Role.SCAN, topics))
+        return self._read(self._make_readers(Role.SCAN, topics))
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        return self._read_in_order(self._make_sensor_readers(Role.SCAN, topics))
+        return self._read_in_order(self._make_readers(Role.SCAN, topics))
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
-        clouds = self._read(self._make_sensor_readers(Role.CLOUD, topics))
+        clouds = self._read(self._make_readers(Role.CLOUD, topics))
         return tell_clouds(clouds, self.path, self.notes)
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes of satellites, in file order."""
-        known = ((channel, kind.convert) for channel, kind in self._types.items())
-        return self._read(self._make_readers(each for each in known if each[1] is convert_fix))
+        return self._read(self._make_readers(Role.OTHER))
 
     def _find_camera(self, channel: Channel) -> Camera | None:
         """Find the camera of images; None where they are not depths, or of no known camera."""
@@ -133,30 +134,23 @@ class RosLog:
         """Read the first message of a channel that can be read."""
         with suppress(LogError), refuse_unreadable(self.path):
             reader = _ChannelReader(channel, UNUSED, lambda message, *_: read(message))
-            for some in self._source.messages({channel}):
-                for _, record_ns, data in some.split():
-                    for found in reader.read(data, record_ns):
-                        return cast(T, found)
+            for _, record_ns, data in self._source.messages({channel}):
+                for found in reader.read(data, record_ns):
+                    return cast(T, found)
         return None
 
-    def _make_pose_readers(self) -> "_Readers":
-        return self._make_readers((of, kind.to_poses) for of, kind in self._types.items())
+    def _make_readers(self, role: Role, topics: Collection[str] | None = None) -> "_Readers":
+        """Build a reader for each channel that has values of a role, on some topics or on all.
 
-    def _make_sensor_readers(self, role: Role, topics: Collection[str]) -> "_Readers":
-        return self._make_readers(
-            (channel, kind.convert)
-            for channel, kind in self._types.items()
-            if kind.role is role and channel.topic in topics
-        )
-
-    def _make_readers(self, wanted: Iterable[tuple[Channel, Convert | None]]) -> "_Readers":
-        """Build a reader for each channel; note and leave out what cannot be understood."""
+        What cannot be understood is noted and left out.
+        """
         readers = {}
-        for channel, convert in wanted:
-            if convert is None:
+        for channel, kind in self._types.items():
+            convert = kind.converts.get(role)
+            if convert is None or (topics is not None and channel.topic not in topics):
                 continue
             try:
-                readers[channel] = _ChannelReader(channel, self._types[channel], convert)
+                readers[channel] = _ChannelReader(channel, kind, convert)
             except LogError as error:
                 found = error.placed(channel.topic)
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
@@ -164,68 +158,54 @@ class RosLog:
 
     def _read(self, readers: "_Readers") -> Iterator[Any]:
         """Read messages one by one, passing over those that are damaged."""
-        for some in self._messages(readers):
-            for channel, record_ns, data in some.split():
-                yield from readers[channel].read(data, record_ns)
+        for channel, record_ns, data in self._messages(readers):
+            yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
     def _read_stacked(self, readers: "_Readers") -> Iterator[Any]:
         """Read messages of one channel and length together, in any order."""
-        for block in self._blocks(readers):
-            for some in block.group(2 * STACK_BYTES):
-                together, rest = readers[some.channel].read_together(some, 2)
+        for groups in self._gather(readers):
+            for (channel, _), held in groups.items():
+                together, left = readers[channel].read_together(held, 2)
                 yield from together
-                for channel, record_ns, data in rest.split():
+                for _, record_ns, data in left:
                     yield from readers[channel].read(data, record_ns)
         self._note_damage(readers)
 
     def _read_in_order(self, readers: "_Readers") -> Iterator[Any]:
         """Read scans of one channel and length together, and split those of several kinds."""
-        for block in self._blocks(readers):
-            groups = list(block.group(2 * STACK_BYTES))
-            is_mixed = len({(some.channel, some.length) for some in groups}) > 1
+        for groups in self._gather(readers):
+            is_mixed = len(groups) > 1
             found: list[tuple[int, Any]] = []
-            for some in groups:
-                reader = readers[some.channel]
-                runs, rest = reader.read_together(some, 2 if is_mixed else SHORTEST_RUN)
+            for (channel, _), held in groups.items():
+                reader = readers[channel]
+                runs, left = reader.read_together(held, 2 if is_mixed else SHORTEST_RUN)
                 for run in runs:
                     scans = run.split() if is_mixed else [run]
-                    found += zip(some.start.tolist(), scans, strict=False)
-                alone = zip(rest.start.tolist(), rest.split(), strict=True)
-                for start, (_, record_ns, data) in alone:
-                    found += ((start, scan) for scan in reader.read(data, record_ns))
+                    found += zip((number for number, _, _ in held), scans, strict=False)
+                for number, record_ns, data in left:
+                    found += ((number, scan) for scan in reader.read(data, record_ns))
             yield from (scans for _, scans in sorted(found, key=itemgetter(0)))
         self._note_damage(readers)
 
-    def _blocks(self, readers: "_Readers") -> Iterator[Messages]:
-        """Give raw messages in blocks of which most can be read together.
+    def _gather(self, readers: "_Readers") -> Iterator[Mapping[tuple[Channel, int], list[_Held]]]:
+        """Gather messages by channel and length; copied, so that no chunk of the file is kept."""
+        groups, size = defaultdict[tuple[Channel, int], list[_Held]](list), 0
+        for number, (channel, record_ns, data) in enumerate(self._messages(readers)):
+            groups[channel, len(data)].append((number, record_ns, bytes(data)))
+            size += len(data) + MESSAGE_BYTES
+            if size >= STACK_BYTES:
+                yield groups
+                groups, size = defaultdict(list), 0
+        yield groups
 
-        Of blocks with few of them these are copied, and put together.
-        """
-        held: list[Messages] = []
-        size = 0
-        for some in self._messages(readers):
-            own = some.size + MESSAGE_BYTES * len(some.key)
-            is_other = bool(held) and some.channels is not held[0].channels
-            if held and (is_other or max(size, own) >= STACK_BYTES):
-                yield join(held)
-                held, size = [], 0
-            if own >= STACK_BYTES:
-                yield some
-            else:
-                held.append(some.copy())
-                size += own
-        if held:
-            yield join(held)
-
-    def _messages(self, readers: "_Readers") -> Iterator[Messages]:
+    def _messages(self, readers: "_Readers") -> Iterator[RawMessage]:
         """Give raw messages, and count them; a disk that fails is an error with the log's name."""
         if readers:
             with refuse_unreadable(self.path):
-                for some in self._source.messages(readers):
-                    for key, many in Counter(some.key.tolist()).items():
-                        readers[some.channels[key]].messages += many
-                    yield some
+                for message in self._source.messages(readers):
+                    readers[message[0]].messages += 1
+                    yield message
 
     def _note_damage(self, readers: "_Readers") -> None:
         """Say what of the messages was lost or damaged."""
@@ -290,15 +270,21 @@ class _ChannelReader:
             self.first_fault = self.first_fault or str(error)
         return ()
 
-    def read_together(self, some: Messages, fewest: int) -> tuple[Sequence[Any], Messages]:
+    def read_together(
+        self, held: Sequence[_Held], fewest: int
+    ) -> tuple[Sequence[Any], Sequence[_Held]]:
         """Read messages of one length; give what was read, and those to be read one by one.
 
         These are damaged or not alike, or there are too few.
         """
-        if self._parser.locate and self._many and len(some.key) >= fewest:
+        if self._parser.locate and self._many and len(held) >= fewest:
+            _, record_ns, texts = zip(*held, strict=True)
+            rows = np.frombuffer(b"".join(texts), np.uint8).reshape(len(held), -1)
             with suppress(DamageError):  # of the first; one by one it is counted
-                return self._many(some, self._parser.locate, self.decode)
-        return (), some
+                recorded, locate = np.array(record_ns), self._parser.locate
+                read, left = self._many(rows, recorded, locate, self.decode)
+                return read, [held[at] for at in np.flatnonzero(left).tolist()]
+        return (), held
 
 
 _Readers: TypeAlias = Mapping[Channel, _ChannelReader]

@@ -20,13 +20,12 @@ from ruamel.yaml.error import YAMLError
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import ZSTD_MAGIC, NoteList, Probe, probe_path
 from occmap.readers.bag1 import Bag1Source
-from occmap.readers.containers import Channel, Messages, Source, inflate_message, pack, unzip_file
+from occmap.readers.containers import Channel, RawMessage, Source, inflate_message, unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.ros_log import RosReader
 from occmap.readers.sqlite import SqliteSource
 
 METADATA = "metadata.yaml"
-OLD_MAGICS = (b"#ROSRECORD V", b"#ROSBAG V1")
 _MOST_METADATA = 1 << 20
 """Characters of metadata.yaml that are read: a hundred times what recorders write."""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
@@ -85,12 +84,12 @@ class Bag2Source:
         """Every channel of every storage file."""
         return [channel for part in self._parts for channel in part.channels]
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some channels, one storage file after the other."""
         for part in self._parts:
             if inner := [channel for channel in part.channels if channel in wanted]:
-                for some in part.messages(inner):
-                    yield from _inflate(some) if self._zipped else (some,)
+                for channel, at, data in part.messages(inner):
+                    yield channel, at, inflate_message(data) if self._zipped else data
             self._gather_notes()
 
     def _find_files(self, names: Sequence[str]) -> list[Path]:
@@ -157,12 +156,6 @@ class Bag2Source:
                 self.notes.add_damage(f"{part.path.name}: {note.text}")
 
 
-def _inflate(messages: Messages) -> Iterator[Messages]:
-    """Decompress messages each of which was compressed on its own."""
-    inflated = ((key, at, inflate_message(data)) for key, at, data in messages.list_raw())
-    return pack(messages.channels, inflated)
-
-
 def _parse_metadata(path: Path) -> _Metadata:
     """Parse metadata.yaml. Every value is taken as text, so nothing in it can unfold.
 
@@ -191,12 +184,6 @@ def open_file(path: Path) -> Source:
     for source in (McapSource, SqliteSource, Bag1Source):
         if start.startswith(source.magic):
             return source(path)
-    if start.startswith(OLD_MAGICS):
-        raise LogError(
-            f"a bag of the old format {start[:15].decode('ascii', 'replace')!r}",
-            where=path,
-            fix="convert it with ROS 1's `rosbag fix old.bag new.bag` (or `rosbag migrate`)",
-        )
     raise LogError("neither SQLite nor MCAP", where=path)
 
 
@@ -212,7 +199,7 @@ class RosbagReader(RosReader):
             with suppress(PermissionError):
                 return (probe.path / METADATA).exists() or bool(list_storage(probe.path))
             return False
-        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic, *OLD_MAGICS))
+        return probe.raw.startswith((Bag1Source.magic, SqliteSource.magic))
 
     def open_source(self, path: Path) -> Source:
         """Open a folder or a file."""

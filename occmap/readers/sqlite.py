@@ -16,8 +16,7 @@ import apsw
 
 from occmap.errors import LogError
 from occmap.readers import NoteList
-from occmap.readers.containers import Channel, Messages, pack
-from occmap.report import count
+from occmap.readers.containers import Channel, RawMessage
 
 _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
@@ -47,8 +46,7 @@ class SqliteSource:
         self._has_wal = self._wal.is_file() and self._wal.stat().st_size > 0
         try:
             with closing(self._connect()) as database:
-                _refuse_imitations(database)
-                topics = _read_topics(database)
+                topics = _read_topics(database, _list_tables(database))
                 counts = self._count_messages(database, topics)
                 self._note_state(database)
         except _ERRORS as error:
@@ -57,15 +55,13 @@ class SqliteSource:
             ) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
         self.channels = list(self._by_id.values())
-        if lost := counts.total() - sum(channel.count for channel in self.channels):
-            self.notes.add_damage(f"the file names no topic for {count(lost, 'message')}")
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
-            rows = self._read_rows(database, "data", by_id, self.notes)
-            yield from pack(by_id, (row[1:] for row in rows))
+            for _, key, record_ns, data in self._read_rows(database, "data", by_id, self.notes):
+                yield by_id[key], record_ns, data
 
     def _read_rows(
         self, database: apsw.Connection, what: str, topics: Collection[int], notes: NoteList
@@ -95,25 +91,23 @@ class SqliteSource:
                 start = min(max(start, 0) + (1 << max(tries - _SINGLE_TRIES, 0)), _GREATEST_ID)
 
     def _count_messages(self, database: apsw.Connection, topics: Collection[int]) -> Counter[int]:
-        """Count the messages of each topic; after damage, those that can be read."""
-        announced: int | None = None
+        """Count the messages of each topic that can be read; the index says how many there are."""
+        announced = None
+        with suppress(*_ERRORS):
+            query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
+            ((announced,),) = database.execute(query)
         try:
-            announced = _count_indexed(database)
-            query = (
-                "SELECT CAST(topic_id AS INTEGER), count(*) FROM messages NOT INDEXED GROUP BY 1"
-            )
+            query = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY 1"
             counts = Counter(dict(database.execute(query)))
-            if announced in {counts.total(), None}:
-                return counts
-            problem = "its table and its index differ"
-        except _ERRORS as error:
-            problem = str(error)
-        rows = self._read_rows(database, "length(data)", topics, NoteList())
-        counts = Counter(topic for _, topic, _, _ in rows)
-        share = f"{counts.total()} of {announced}" if announced else f"{counts.total()}"
-        self.notes.add_damage(
-            f"the storage file is damaged ({problem}): {share} messages are found"
-        )
+        except _ERRORS:
+            rows = self._read_rows(database, "length(data)", topics, self.notes)
+            counts = Counter(topic for _, topic, _, _ in rows)
+        found = sum(counts[key] for key in topics)
+        if announced not in {found, None}:
+            text = f"{found} of {announced} messages are found in the storage file"
+            self.notes.add_damage(
+                f"{text}: others are damaged, or of a topic that it does not name"
+            )
         return counts
 
     def _note_state(self, database: apsw.Connection) -> None:
@@ -162,39 +156,29 @@ class SqliteSource:
         return database
 
 
-def _count_indexed(database: apsw.Connection) -> int | None:
-    """Count the messages by the index on their times; None where there is no such index."""
-    with suppress(apsw.SQLError):
-        query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
-        ((messages,),) = database.execute(query)
-        return int(messages)
-    return None
-
-
-def _refuse_imitations(database: apsw.Connection) -> None:
-    """Refuse what is not a real table: views, virtual tables and generated columns run code.
+def _list_tables(database: apsw.Connection) -> set[str]:
+    """List the real tables: views, virtual tables and generated columns run code.
 
     Raises
     ------
     apsw.SQLError
         A table that a bag has is missing, or is something else.
     """
-    is_table = "SELECT count(*) FROM sqlite_schema WHERE type = 'table' AND rootpage AND name = ?"
-    columns = "SELECT count(*), total(hidden) FROM pragma_table_xinfo(?)"
-    for name in ("topics", "messages", "message_definitions"):
-        ((real,),) = database.execute(is_table, (name,))
-        ((found, hidden),) = database.execute(columns, (name,))
-        if not real and (found or name != "message_definitions"):
-            raise apsw.SQLError(f"no such table: {name}")
-        if hidden:
-            raise apsw.SQLError(f"the table {name} has generated columns")
+    query = (
+        "SELECT name FROM sqlite_schema WHERE type = 'table' AND rootpage"
+        " AND NOT (SELECT total(hidden) FROM pragma_table_xinfo(sqlite_schema.name))"
+    )
+    tables = {name for (name,) in database.execute(query)}
+    if missing := {"topics", "messages"} - tables:
+        raise apsw.SQLError(f"no such table: {max(missing)}")
+    return tables
 
 
-def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
+def _read_topics(database: apsw.Connection, tables: Collection[str]) -> dict[int, Channel]:
     """Read the topics and their types; recorders before ROS 2 Iron stored no definitions."""
     definitions: dict[str, str] = {}
     columns = ("topic_type", "encoding", "encoded_message_definition")
-    with suppress(apsw.SQLError):
+    if "message_definitions" in tables:
         rows = _read_texts(database, "message_definitions", columns)
         definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")

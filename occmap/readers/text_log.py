@@ -5,11 +5,11 @@ import math
 import zlib
 from abc import ABC, abstractmethod
 from codecs import BOM_UTF8
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -21,12 +21,8 @@ from occmap.values import suspect_degrees
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is not of a text log."""
-MAX_EXPANSION = 100
-"""Text logs shrink to a tenth with gzip; what grows a hundredfold is not one."""
-FREE_EXPANSION_BYTES = 1 << 30
-"""Below this size gzip may expand as it likes: a robot that stands still repeats itself."""
 FREE_LINES = 1_000_000
-"""A gzip file of more lines than this, and of more lines than bytes, is a bomb of blank lines."""
+"""A gzip file of more lines than this, and of more lines than bytes, is a bomb."""
 BLOCK_BYTES = 1 << 20
 """How much of a file is read before its lines are parsed together."""
 _PIECE_BYTES = 1 << 12
@@ -62,8 +58,6 @@ class Block:
     """The lines, each with its line end"""
     starts: Int64
     """(S + 1,) where each line begins in the text, and where the last one ends"""
-    ended: bool = True
-    """False for a block of only the last line, where that has no line end: it may be cut"""
 
     def __len__(self) -> int:
         """How many lines there are."""
@@ -75,21 +69,21 @@ class Block:
         return Line(self.number + at, self.text[start : end - 1])
 
 
-def make_block(number: int, text: bytes, ended: bool = True) -> Block:
+def make_block(number: int, text: bytes) -> Block:
     """Find where the lines begin in a text that ends with a line end."""
     if number == 1:
         text = text.removeprefix(BOM_UTF8)
     if b"\r" in text:
         text = text.replace(b"\r\n", b"\n")
     ends = np.flatnonzero(np.frombuffer(text, np.uint8) == ord("\n"))
-    return Block(number, text, np.append(0, ends + 1), ended)
+    return Block(number, text, np.append(0, ends + 1))
 
 
 def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iterator[Block]:
     """Yield the lines of a UTF-8 text file, plain or gzip, in blocks, translated by a table.
 
     Where gzip data is cut or corrupt, the complete lines before the damage are given, and a note
-    says what is lost.
+    says what is lost. A last line without a line end may be cut, so a note names it.
 
     Raises
     ------
@@ -97,13 +91,11 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
         The file cannot be read, has a line beyond reason, or is a gzip bomb.
     """
     with refuse_unreadable(path):
-        size = path.stat().st_size
-    limit, most_lines = max(FREE_EXPANSION_BYTES, MAX_EXPANSION * size), max(FREE_LINES, size)
-    text, number, total = bytearray(), 1, 0
+        most_lines = max(FREE_LINES, path.stat().st_size)
+    text, number = bytearray(), 1
     damage: list[str] = []
     for piece in chain(_read_pieces(path, damage), [b""]):
         text += piece
-        total += len(piece)
         end = text.rfind(b"\n") + 1
         if end and (len(text) >= BLOCK_BYTES or not piece):
             whole = bytes(memoryview(text)[:end])
@@ -113,12 +105,13 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
             del text[:end]
         if not end and len(text) >= MAX_LINE_BYTES:
             raise LogError(f"no end of line within {len(text)} bytes", where=path, fix=NO_LOG)
-        if total > limit or number > most_lines:
-            raise LogError(f"grows more than {MAX_EXPANSION}-fold", where=path, fix=NO_LOG)
+        if number > most_lines:
+            raise LogError(f"{number:,} lines, more than it has bytes", where=path, fix=NO_LOG)
     if damage:
         notes.add_damage(f"the gzip data is {damage[0]}; all after line {number - 1} is lost")
     elif text:
-        yield make_block(number, bytes(text + b"\n").translate(table), ended=False)
+        notes.add(f"line {number}, the last, has no line end: the file may be cut there")
+        yield make_block(number, bytes(text + b"\n").translate(table))
 
 
 def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
@@ -140,33 +133,8 @@ def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
             damage.append(f"corrupt: {error}")
 
 
-class LineTally:
-    """Counts the malformed ones among lines of one kind."""
-
-    def __init__(self) -> None:
-        self.total = 0
-        self.malformed = 0
-        self._first = 0, ""
-
-    def add(self, block: Block, lines: int, faults: Mapping[int, str]) -> None:
-        """Count lines of a block, of which some have faults."""
-        if faults and not self.malformed:
-            row = min(faults)
-            self._first = block.number + row, faults[row]
-        self.total += lines
-        self.malformed += len(faults)
-
-    def judge(self, path: Path, notes: NoteList, fix: str) -> None:
-        """Note that some lines are malformed; raises LogError where all are."""
-        if not self.malformed:
-            return
-        number, fault = self._first
-        if self.malformed == self.total:
-            count = f" ({self.malformed:,} of {self.total:,} lines are malformed)"
-            found = fault + (count if self.malformed > 1 else "")
-            raise LogError(found, where=f"{path}:{number}", fix=fix)
-        count = f"{self.malformed} of {self.total} lines are malformed and left out"
-        notes.add_damage(f"{count}, the first is line {number}: {fault}")
+PickLines: TypeAlias = Callable[[Block], Mapping[str, Sequence[int]]]
+"""Finds lines of a block, by their kind"""
 
 
 class Pattern(NamedTuple):
@@ -226,8 +194,6 @@ class TextLog(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.notes = NoteList()
-        self._tally = LineTally()
-        """Of the lines that are parsed when the log is opened"""
         self._kept: list[Scan | ScanRun] | None = []
         """The scans, where they are few enough to be kept"""
 
@@ -239,7 +205,7 @@ class TextLog(ABC):
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common; raises ValueError where it is malformed."""
 
-    def _survey(self) -> Iterator[Scan | ScanRun]:
+    def _survey(self, pick: PickLines) -> Iterator[Scan | ScanRun]:
         """Give all scans for the first time, and keep them if they are few.
 
         Raises
@@ -247,15 +213,14 @@ class TextLog(ABC):
         LogError
             All lines are malformed.
         """
-        tally, size = self._tally, 0
-        for some in self._parse_all(tally):
+        size = 0
+        for some in self._parse_all(pick):
             size += SCAN_BYTES * some.scans + some.ranges.nbytes
             if self._kept is not None:
                 self._kept.append(some)
             if size > MAX_KEPT_BYTES:
                 self._kept = None
             yield some
-        tally.judge(self.path, self.notes, self.fix)
 
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """The scans of these topics, in file order."""
@@ -264,31 +229,48 @@ class TextLog(ABC):
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The same, with many at once where only times, ranges and poses differ."""
-        for some in self._parse_all(LineTally()) if self._kept is None else self._kept:
+        for some in self._parse_all(self.pick_scans) if self._kept is None else self._kept:
             if some.first.topic in topics and some.first.ranges.size:
                 yield some
 
-    def _parse_all(self, tally: LineTally) -> Iterator[Scan | ScanRun]:
+    def _parse_all(self, pick: PickLines) -> Iterator[Scan | ScanRun]:
+        """Parse the lines that are picked from each block, given by kind.
+
+        Raises
+        ------
+        LogError
+            All of them are malformed.
+        """
+        total = malformed = 0
+        first = 0, ""
         for block in read_blocks(self.path, self.notes, self.table):
-            yield from self._parse_block(block, self.pick_scans(block), tally)
+            lines = pick(block)
+            faults: dict[int, str] = {}
+            yield from self._parse_block(block, lines, faults)
+            total += sum(map(len, lines.values()))
+            if faults and not malformed:
+                first = block.number + min(faults), faults[min(faults)]
+            malformed += len(faults)
+        if malformed:
+            self._tell_malformed(malformed, total, *first)
+
+    def _tell_malformed(self, malformed: int, total: int, number: int, fault: str) -> None:
+        """Note that some lines are malformed, of which the first is told; refuse a log of such."""
+        if malformed == total:
+            many = f" ({malformed:,} of {total:,} lines are malformed)" if malformed > 1 else ""
+            raise LogError(fault + many, where=f"{self.path}:{number}", fix=self.fix)
+        found = f"{malformed} of {total} lines are malformed and left out"
+        self.notes.add_damage(f"{found}, the first is line {number}: {fault}")
 
     def _parse_block(
-        self, block: Block, lines: Mapping[str, Sequence[int]], tally: LineTally
+        self, block: Block, lines: Mapping[str, Sequence[int]], faults: dict[int, str]
     ) -> Sequence[Scan | ScanRun]:
         """Parse some lines, given by kind: the scans in file order, without damaged ones.
 
-        Where all lines are alike they are one run, else single scans.
+        Where all lines are alike they are one run, else single scans. What is malformed is added
+        to `faults`.
         """
-        faults: dict[int, str] = {}
         runs = [run for rows in lines.values() for run in self._parse_kind(block, rows, faults)]
-        rows = sorted(row for rows in lines.values() for row in rows)
-        if faults and not block.ended:
-            self._note_cut(block)
-        else:
-            tally.add(block, len(rows), faults)
-            if rows and not block.ended:
-                text = f"line {block.number}, the last, has no line end; it is taken as whole"
-                self.notes.add(text)
         if len(runs) == 1:
             return [runs[0][1]]
         scans = {
@@ -322,11 +304,6 @@ class TextLog(ABC):
             if sound := [line for line in range(len(alike)) if line not in found]:
                 run = pattern.make_run(words.take(sound) if found else words)
                 yield [alike[line] for line in sound], run
-
-    def _note_cut(self, block: Block) -> None:
-        """Say that the last line is not whole and was not used."""
-        text = f"the file ends in the middle of line {block.number}; this line is lost"
-        self.notes.add_damage(text)
 
 
 def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:

@@ -61,7 +61,7 @@ def test_a_frame_that_the_log_lacks_is_told_with_those_it_has() -> None:
             "decompress it first: gunzip 'a b.mcap.",
         ),
         ("drive.mcap.zst", b"\x28\xb5\x2f\xfd\x04", "decompress it first: unzstd drive.mcap.zst"),
-        ("zeros.mcap", bytes(5000), "the first 4,096 bytes are zero, as a power cut leaves a file"),
+        ("zeros.mcap", bytes(5000), "a file that begins with zeros, as a power cut leaves one"),
         ("map.pgm", "P5\n2 1\n255\nab", "a map, not a log: `occmap diff` compares maps"),
         ("map.yaml", "image: map.pgm\n", "a map, not a log: `occmap diff` compares maps"),
         ("map.png", b"\x89PNG\r\n", "a picture, not a log"),

@@ -16,7 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from occmap.readers import NoteList
-from occmap.readers.containers import Channel, Messages, pack
+from occmap.readers.containers import Channel, RawMessage
 from occmap.types import Float32
 
 ROS1: Typestore = get_typestore(Stores.ROS1_NOETIC)
@@ -61,11 +61,8 @@ class Memory:
     def channels(self) -> Sequence[Channel]:
         return list(dict.fromkeys(channel for channel, _, _ in self._messages))
 
-    def messages(self, wanted: Collection[Channel]) -> Iterator[Messages]:
-        channels = self.channels
-        given = (each for each in self._messages if each[0] in wanted)
-        some = ((channels.index(channel), at, data) for channel, at, data in given)
-        yield from pack(dict(enumerate(channels)), some)
+    def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
+        return (each for each in self._messages if each[0] in wanted)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str) -> Any:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from occmap.errors import LogError
 from occmap.readers import Log, Note, Role, Stream, open_log
 from occmap.readers.bag1 import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE
 from tests.readers import ros
@@ -90,19 +89,6 @@ def test_where_a_definition_is_old_or_damaged_the_standard_one_is_used(
     for note, what in zip(log.notes, damaged, strict=True):
         assert note.damage
         assert f"{what} is damaged; the standard one is used" in note.text
-
-
-@pytest.mark.parametrize("magic", [b"#ROSRECORD V1.2\n", b"#ROSBAG V1.1\n"])
-def test_formats_before_2_are_named(path: Path, magic: bytes) -> None:
-    with pytest.raises(LogError, match=r"old format .*rosbag fix"):
-        read(path, magic + bytes(100))
-
-
-def test_an_encrypted_bag_is_named(path: Path) -> None:
-    head = bag1_record(b"", op=b"\x03", encryptor=b"rosbag/AesCbcEncryptor")
-
-    with pytest.raises(LogError, match="encrypted with rosbag/AesCbcEncryptor"):
-        read(path, b"#ROSBAG V2.0\n" + head)
 
 
 @pytest.mark.parametrize(
@@ -194,17 +180,6 @@ def test_a_record_that_is_damaged_takes_no_other_chunk(path: Path, packed: str) 
         assert set(read(path, damaged)[1]) >= beside, at - head
 
 
-@pytest.mark.parametrize("damaged", [b"sensor_msgs/LaserScam", b"float33 angle_min"])
-def test_a_connection_that_is_described_in_two_ways_is_told_of(path: Path, damaged: bytes) -> None:
-    data = write(path)
-    at = data.rindex(damaged.replace(b"Scam", b"Scan").replace(b"33", b"32"))
-    data[at : at + len(damaged)] = damaged
-
-    notes, _ = read_damaged(path, data)
-
-    assert any("connection 2 is described in two ways" in note for note in notes)
-
-
 def test_an_index_that_counts_messages_of_a_connection_that_it_lacks_is_not_used(
     path: Path,
 ) -> None:
@@ -257,14 +232,6 @@ def test_damage_in_a_record_behind_a_chunk_is_one_note_that_names_its_place(
         assert numbers == list(range(30))
         assert log.notes == [Note(f"damaged at byte {at}, read on from byte {end}", damage=True)]
         assert [stream.count for stream in log.streams] == [1, 30, 30]
-
-
-def test_bytes_that_are_added_to_a_chunk_push_one_message_out_of_it(path: Path) -> None:
-    data = write(path, chunk_size=1 << 20)
-    at = data.index((RANGES + 8).tobytes())
-    data[at:at] = b"\xff\x05" * 20
-
-    assert read_damaged(path, data)[1] >= ALL - {8, 29}  # a chunk ends where it says
 
 
 def test_reading_goes_on_behind_the_place_that_is_said_to_be_damaged(path: Path) -> None:

@@ -8,13 +8,11 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from mcap.opcode import Opcode
 
 from occmap.errors import LogError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import open_log, text_log
-from tests.readers.mcap_variants import list_records
 from tests.readers.ros import ROS1, ROS2, bag1_record, drive, write_bag1, write_mcap
 from tests.readers.runs import bounded_memory, count_scans
 from tests.samples import SAMPLE_LOGS
@@ -73,7 +71,7 @@ def test_a_gzip_bomb(tmp_path: Path, filler: bytes, monkeypatch: pytest.MonkeyPa
     path = tmp_path / "bomb.log.gz"
     path.write_bytes(b"".join([*packed, deflater.flush()]))
 
-    refuse(path, "grows more than 100-fold|no end of line within")
+    refuse(path, "more than it has bytes|no end of line within")
 
 
 def test_a_zstd_bomb_in_an_mcap_chunk(tmp_path: Path) -> None:
@@ -115,34 +113,3 @@ def test_a_message_that_announces_2_to_31_beams(tmp_path: Path) -> None:
             assert count_scans(log) == 0
         assert any("6 of 6 messages on /scan are damaged" in note.text for note in log.notes)
         refuse(path, "no scan that can be read")
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "complaint"),
-    [
-        ("huge.log", f"FLASER {HUGE} 1.5 2.5 0 0 0 0 0 0 1 host 1\n", "huge.log:1: the line ann"),
-        (
-            "huge.csv",
-            f"stamp,angle_min,angle_increment,r0,r{HUGE}\n1,0,0.1,1.5,2.5\n",
-            "no column r1",
-        ),
-    ],
-)
-def test_a_text_that_announces_2_to_31_beams(
-    tmp_path: Path, name: str, text: str, complaint: str
-) -> None:
-    (tmp_path / name).write_text(text)
-
-    refuse(tmp_path / name, complaint)
-
-
-def test_an_mcap_record_longer_than_the_world(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "a.mcap", drive(ROS2))
-    data = bytearray(path.read_bytes())
-    ((at, _),) = list_records(data, Opcode.CHUNK)
-    struct.pack_into("<Q", data, at + 1, 2**63)
-    path.write_bytes(data)
-
-    with bounded_memory():
-        log = open_log(path)
-        assert (len(list(log.poses())), count_scans(log)) == (7, 6)

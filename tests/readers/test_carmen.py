@@ -57,13 +57,6 @@ def test_no_transform_is_invented(tmp_path: Path) -> None:
     assert [sample.topic for sample in log.poses()] == ["ODOM"]
 
 
-def test_only_the_topics_asked_for(tmp_path: Path) -> None:
-    log = open_carmen(tmp_path, flaser(1) + flaser(2, word="RLASER") + flaser(3))
-    assert stamps(log, "RLASER") == [2]
-    assert stamps(log, "FLASER", "RLASER") == [1, 2, 3]
-    assert stamps(log, "scan") == []
-
-
 def test_the_limit_is_what_the_log_states(tmp_path: Path) -> None:
     """FLASER states none, whatever its ranges are; a raw scan has a field for it."""
     ranges = " ".join(f"{1 + beam / 100:.2f}" for beam in range(168)) + " 81.91" * 12
@@ -167,14 +160,6 @@ def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
     assert isinstance(batch, PoseBatch)
     assert batch.split() == list(log.poses())
     assert [sample.stamp_ns for sample in log.poses()] == run.stamp_ns.tolist()
-
-
-def test_odometry_in_rare_ways_of_writing_is_in_file_order(tmp_path: Path) -> None:
-    rare = "ODOM +1 +0 +0 +0 +0 +0 +{0} host +{0}\n"
-    lines = "".join((rare if i % 7 else ODOM).format(i) for i in range(200))
-    poses = list(open_carmen(tmp_path, HEADER + flaser(0) + lines).poses())
-    assert [sample.stamp_ns for sample in poses] == [i * 10**9 for i in range(200)]
-    assert {sample.pose for sample in poses} == {Pose.planar(1, 0, 0)}
 
 
 @pytest.mark.parametrize(

@@ -109,10 +109,10 @@ def test_fields_of_other_types_and_counts_lie_between() -> None:
 
 
 def test_lzf_copies_what_it_has_just_written() -> None:
-    packed = np.frombuffer(bytes([1]) + b"ab" + bytes([(2 << 5) | 0, 1, 7 << 5, 3, 0]), np.uint8)
+    packed = np.array([1, *b"ab", 2 << 5, 1, 7 << 5, 3, 0], np.uint8)
     out = np.empty(2 + 4 + 12, np.uint8)
 
-    assert cloud_folder.inflate_lzf(packed, out) == len(out)
+    assert cloud_folder.inflate_lzf(packed, len(packed), out) == len(out)
     assert out.tobytes() == b"ababab" + b"b" * 12
 
 

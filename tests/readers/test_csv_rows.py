@@ -67,29 +67,10 @@ def test_rows_of_another_geometry_are_read_one_by_one(
     assert [scan.stamp_ns for scan in scans if isinstance(scan, Scan)] == [0, 10**9, 2 * 10**9]
 
 
-def test_the_time_between_beams_may_differ(tmp_path: Path) -> None:
-    header = "stamp,time_increment,angle_min,angle_increment,r0,r1\n"
-    rows = "0,0.001,-1,0.5,2,3\n1,0,-1,0.5,2,3\n2,0.002,-1,0.5,2,3\n"
-    log = open_csv(tmp_path, header + rows)
-    (run,) = log.stacked_scans(["scan"])
-    assert isinstance(run, ScanRun)
-    assert run.time_increment.tolist() == [0.001, 0, 0.002]
-
-
 def test_an_unused_column_may_differ(tmp_path: Path) -> None:
     rows = "".join(f"{i},1,2,0,laser,-1.5,0.25,8,{i},1,2\n" for i in range(3))
     (run,) = open_csv(tmp_path, VARYING + rows).stacked_scans(["scan"])
     assert run.ranges.shape == (3, 2)
-
-
-@pytest.mark.parametrize(
-    "header", ["stamp,r0,r1,angle_min,angle_increment", "stamp,r0,angle_min,r1,angle_increment"]
-)
-def test_columns_behind_the_beams_are_read(tmp_path: Path, header: str) -> None:
-    values = {"stamp": "1", "r0": "2", "r1": "3", "angle_min": "-1", "angle_increment": "0.5"}
-    row = ",".join(values[name] for name in header.split(","))
-    (scan,) = flatten(open_csv(tmp_path, f"{header}\n{row}\n").stacked_scans(["scan"]))
-    assert (scan.angle_min, scan.angle_increment, scan.ranges.tolist()) == (-1, 0.5, [2, 3])
 
 
 def test_beams_may_be_all_that_a_row_has(tmp_path: Path) -> None:

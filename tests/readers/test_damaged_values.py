@@ -14,7 +14,7 @@ from occmap.readers.containers import Channel
 from occmap.readers.fields import get_row
 from occmap.readers.ros_log import RosLog
 from tests.readers.clouds import cloud
-from tests.readers.foxglove_logs import SECOND, Message, drive, scan, write_json
+from tests.readers.foxglove_logs import SECOND, Message, scan, write_json
 from tests.readers.ros import ROS2, SCAN, TF, Memory, serialise, transforms
 from tests.readers.ros import scan as ros_scan
 
@@ -64,31 +64,6 @@ def test_a_value_of_a_wrong_type_damages_its_scan(path: str, value: Any, tmp_pat
     assert note.text.startswith("1 of 3 messages on /scan are damaged and not used: the first ")
 
 
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("transforms.0.rotation.w", "1"),
-        ("transforms.0.translation", None),
-        ("transforms.0.child_frame_id", 3),
-        ("transforms.0.timestamp.sec", 2**62),
-        ("transforms", {}),
-        ("transforms", "none"),
-        ("transforms", [None]),
-    ],
-)
-def test_a_value_of_a_wrong_type_damages_its_transform(
-    path: str, value: Any, tmp_path: Path
-) -> None:
-    whole = drive()
-    log = open_log(
-        write_json(tmp_path / "l.mcap", [*whole[:3], spoil(whole[3], path, value), *whole[4:]])
-    )
-
-    assert [one.record_ns // SECOND for one in log.poses()] == [100, 100, 102, 103, 104]
-    (note,) = log.notes
-    assert note.text.startswith("1 of 5 messages on /tf are damaged and not used: the first ")
-
-
 def test_json_nested_without_end_is_damaged() -> None:
     channel = Channel("/scan", "foxglove.LaserScan", "json", count=2)
     deep = b'{"ranges": ' + b"[" * 200_000
@@ -124,7 +99,8 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     def convert(*given: Any) -> Any:
         return given[0].anlge_min
 
-    faulty = message_types.TYPES[kind]._replace(convert=convert, to_poses=convert)
+    known = message_types.TYPES[kind]
+    faulty = known._replace(converts={known.role: convert})
     monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = ros_scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from occmap.readers import decimals
-from occmap.readers.decimals import FINITE, NUMBER, OTHER, RANGE, SAME, SECONDS, parse_words
+from occmap.readers.decimals import NUMBER, OTHER, RANGE, SAME, SECONDS, parse_words
 from occmap.readers.text_log import make_block
 from occmap.types import Float64
 from occmap.values import as_float32, parse_seconds
@@ -72,27 +72,12 @@ def test_every_number_is_the_nearest_float(separator: str, words: list[str], hea
 FORMS = st.sampled_from(["{:.2f}", "{:.2f}", "{:.3f}", "{:.0f}", "{:.6f}", "{:g}", "{}"])
 
 
-@given(st.lists(st.tuples(st.floats(0, 100), FORMS), min_size=2, max_size=60), st.booleans())
-@settings(max_examples=300)
-def test_ranges_of_changing_forms_are_the_nearest_float32(
-    written: list[tuple[float, str]], by_commas: bool
-) -> None:
-    words = [form.format(value) for value, form in written]
-    separator = "," if by_commas else " "
-    lines = [separator.join(each).encode() for each in (words, words[::-1], words)]
-
-    ranges = parse(lines, separator.encode(), [RANGE] * len(words))[0].ranges
-
-    np.testing.assert_array_equal(ranges[0], np.array([float(w) for w in words], np.float32))
-    np.testing.assert_array_equal(ranges, [ranges[0], ranges[0][::-1], ranges[0]])
-
-
 @pytest.mark.parametrize(
     "word",
     ["-", "1_0", "one", "1 2", "1.2.3", "--1", "1-2", "0x10", "\u0661", "3:25", "p.25", "\x10.25"],
 )
 @pytest.mark.parametrize("at", range(3))
-@pytest.mark.parametrize("kind", [NUMBER, FINITE, RANGE])
+@pytest.mark.parametrize("kind", [NUMBER, RANGE])
 def test_a_line_with_a_word_that_few_programs_write_is_left_out(
     word: str, at: int, kind: int
 ) -> None:
@@ -121,13 +106,9 @@ def test_blanks_behind_a_number_say_nothing(monkeypatch: pytest.MonkeyPatch) -> 
     assert (words.numbers[1, 0], words.times[2, 0]) == (2, 3 * 10**9)
 
 
-@pytest.mark.parametrize(
-    ("kind", "words"),
-    [(FINITE, ["inf", "-inf", "nan", ""]), (SECONDS, ["", "1.2.3", "one", "1 2", "9999999999"])],
-)
-def test_some_words_are_numbers_but_not_finite_ones_or_times(kind: int, words: list[str]) -> None:
-    for word in words:
-        assert find_sound([b"1,2", f"1,{word}".encode()], b",", [SAME, kind]) == [0]
+@pytest.mark.parametrize("word", ["", "1.2.3", "one", "1 2", "9999999999"])
+def test_some_words_are_no_times(word: str) -> None:
+    assert find_sound([b"1,2", f"1,{word}".encode()], b",", [SAME, SECONDS]) == [0]
 
 
 def test_quotes_around_a_word_say_nothing() -> None:
@@ -189,16 +170,3 @@ def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]
             assert expected is None
         else:
             assert read.times[[0, 2], row].tolist() == [expected, int(each)]
-
-
-@given(st.decimals(-(10**9), 10**10, allow_nan=False, places=12), st.integers(0, 12))
-@example(Decimal("9223372037"), 0)
-def test_a_stamp_is_exact_to_the_nanosecond(seconds: object, places: int) -> None:
-    text = f"{seconds:.{places}f}"
-    digits, _, part = text.lstrip("-").partition(".")
-    nanoseconds = int(digits + part[:9].ljust(9, "0"))
-    if nanoseconds >= 2**63 - 1:
-        with pytest.raises(ValueError, match="not a time"):
-            parse_seconds(text)
-        return
-    assert abs(abs(parse_seconds(text)) - nanoseconds) <= (places > 9)

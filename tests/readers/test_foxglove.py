@@ -98,7 +98,7 @@ def test_without_protobuf_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = foxglove.write_protobuf(tmp_path / "drive.mcap", foxglove.drive())
-    monkeypatch.setitem(sys.modules, "google.protobuf.message", None)
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
     log = open_log(path)
 
     assert read(log) == ([], [])

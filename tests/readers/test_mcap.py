@@ -1,4 +1,5 @@
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,7 @@ from mcap.opcode import Opcode
 from occmap.errors import LogError
 from occmap.readers import NoteList, Role, Stream, open_log, probe_path
 from occmap.readers.mcap import McapReader, McapSource
-from occmap.readers.records import RecordSource
-from occmap.types import Int64
+from occmap.readers.records import Record, RecordSource
 from tests.fuzz.__main__ import alarm
 from tests.readers import ros
 from tests.readers.mcap_variants import list_records
@@ -133,8 +133,8 @@ def test_messages_of_a_chunk_are_listed_as_one_by_one(
     source = McapSource.__new__(McapSource)
     source.notes, source._cut_at = NoteList(), -1
 
-    def list_messages(found: Int64) -> list[list[int]]:
-        return [record for record in found.tolist() if record[0] >= 0]
+    def list_messages(found: Iterable[Record]) -> list[Record]:
+        return [record for record in found if record[0] >= 0]
 
     expected = list_messages(RecordSource._list_records(source, 0, memoryview(block)))
     damage = list(source.notes)

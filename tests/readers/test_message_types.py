@@ -24,9 +24,7 @@ HALF_TURN = Pose(1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0)
 
 
 def convert(kind: str, message: Any, topic: str = "/topic") -> list[PoseSample]:
-    to_poses = TYPES[kind].to_poses
-    assert to_poses is not None
-    return to_poses(message, topic, 42)
+    return list(TYPES[kind].converts[Role.POSE](message, topic, 42))
 
 
 @both

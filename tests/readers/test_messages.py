@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from occmap.readers.containers import Channel
@@ -149,16 +149,6 @@ def test_protobuf_files_in_a_chain_beyond_reason_or_in_a_circle_are_noted(
     found, (note, *_) = read_protobuf(make_chain(length, last))
     assert found == 0
     assert "the definition of foxglove.LaserScan cannot be understood" in note
-
-
-def test_a_protobuf_type_that_contains_itself_is_read() -> None:
-    files = make_descriptors()
-    (pose,) = (m for m in files.file[0].message_type if m.name == "Pose")
-    again = pose.field.add(name="again", number=9)
-    again.label = FieldDescriptorProto.LABEL_OPTIONAL
-    again.type, again.type_name = FieldDescriptorProto.TYPE_MESSAGE, ".foxglove.Pose"
-
-    assert read_protobuf(files) == (1, [])
 
 
 LOADED = """

@@ -14,7 +14,6 @@ from rosbags.typesys.store import Typestore
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.types import Pose, PoseSample
 from tests.readers.ros import RANGES, ROS1, ROS2, SECOND, Bag2, Write, drive, write_bag1, write_mcap
-from tests.readers.runs import count_scans
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 FILES, MESSAGES = CompressionMode.FILE, CompressionMode.MESSAGE
@@ -125,17 +124,3 @@ def test_publishers_of_one_topic_are_one_stream(tmp_path: Path) -> None:
 
     assert Stream("/scan", "sensor_msgs/msg/LaserScan", 4, Role.SCAN) in log.streams
     assert len(list(log.scans({"/scan"}))) == 4
-
-
-@pytest.mark.parametrize("name", ["bag", "mcap"])
-def test_what_lies_before_a_cut_is_read(name: str, tmp_path: Path) -> None:
-    store, write = WRITERS[name]
-    data = write(tmp_path / "drive", drive(store)).read_bytes()
-    path = tmp_path / "cut"
-    ends = [data.find((RANGES + k).tobytes()) + 4 * 5 + 4 + 4 * 3 for k in range(6)]
-    for cut in range(ends[0], len(data), 97):
-        path.write_bytes(data[:cut])
-        found = open_log(path)
-        assert count_scans(found) == sum(end <= cut for end in ends), cut
-        assert found.notes
-        assert all(note.damage for note in found.notes)
