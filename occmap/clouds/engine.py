@@ -46,11 +46,11 @@ class Sheet:
         of_tiles, of_cells = FIRST_TILES, FIRST_TILES * TILE * TILE
         base, ground = np.zeros(of_tiles, np.int32), np.zeros(of_cells, np.int16)
         state, counts = np.zeros(of_cells, np.uint8), np.zeros(2 * of_cells, np.int32)
-        used = np.zeros(1, np.int64)
-        self.canvas = Canvas(columns, tiles, base, ground, state, counts, used)
+        used, points = np.zeros(1, np.int64), np.zeros(COUNTS, np.int64)
+        layers = base, ground, state, counts
+        self.canvas = Canvas(columns, tiles, *layers, used, points, lattice.resolution)
         self.number = 0
         """The slice of time of what it holds"""
-        self.counts = np.zeros(COUNTS, np.int64)
         self.room = tracing.make_room(0, 0)
 
     @property
@@ -65,8 +65,7 @@ class Sheet:
         low = np.maximum(np.array(box[:2]) - corner, 0)
         high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
         inside, heights = np.concatenate([low, high]), np.empty(TILE * TILE, np.int32)
-        where = inside, self.lattice.resolution, heights
-        while not tracing.lay_ground(self.canvas, *where):
+        while not tracing.lay_ground(self.canvas, inside, heights):
             names = "base", "ground", "state", "counts"
             layers: dict[str, Any] = {name: double(getattr(self.canvas, name)) for name in names}
             tiles = self.canvas.tiles._replace(places=double(self.canvas.tiles.places))
@@ -82,9 +81,8 @@ class Sheet:
         most_points, most_cells = len(self.room.floor), len(self.room.touched) - 1
         if most_points < points or most_cells < cells:
             self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
-        scale = self.lattice.units_per_metre
         for cloud in clouds:
-            tracing.trace_cloud(cloud, band, self.canvas, scale, self.room, self.counts)
+            tracing.trace_cloud(cloud, band, self.canvas, self.room)
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""
@@ -116,13 +114,13 @@ class Extent:
 
     def __init__(self, lattice: Lattice, ground: Ground, band: Band) -> None:
         self._lattice, self._band = lattice, band
-        self._ground = index_blocks(ground.blocks), ground.height_mm.ravel()
+        self._columns = lay_columns(ground)
         self._edges = np.array([np.inf, np.inf, -np.inf, -np.inf])
         self._place = np.empty((3, SOME))
 
     def add(self, cloud: Cloud) -> None:
         """Take in a cloud."""
-        tracing.widen(self._edges, cloud, self._band, *self._ground, self._place)
+        tracing.widen(self._edges, cloud, self._band, self._columns, self._place)
 
     @property
     def box(self) -> CellBox | None:
@@ -133,9 +131,13 @@ class Extent:
 
 def double(layer: NDArray[Any]) -> NDArray[Any]:
     """Make room for twice as many tiles in a layer of a canvas."""
-    grown = np.zeros((2 * len(layer), *layer.shape[1:]), layer.dtype)
-    grown[: len(layer)] = layer
-    return grown
+    return np.concatenate([layer, np.zeros_like(layer)])
+
+
+def lay_columns(ground: Ground) -> Columns:
+    """Lay out the ground as kernels take it."""
+    blocks = index_blocks(ground.blocks)
+    return Columns(blocks, ground.height_mm.ravel(), ground.measured.ravel())
 
 
 class CloudEngine(Engine):
@@ -159,14 +161,12 @@ class CloudEngine(Engine):
     ) -> None:
         super().__init__(TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT), slice_ns)
         self.ground = ground
-        blocks = index_blocks(ground.blocks)
+        columns = lay_columns(ground)
         # A table of its own for each thread, of tiles around all ground.
-        columns = np.stack([blocks.places.min(axis=0), blocks.places.max(axis=0) + 1])
-        metres = columns[:, ::-1] * (BLOCK * COLUMN_MM / 1000)
-        self._box = lattice.enclose(metres).align(TILE)
-        height = np.ascontiguousarray(ground.height_mm).reshape(-1)
-        floor = Columns(blocks, height, np.ascontiguousarray(ground.measured).reshape(-1))
-        self._make_sheet = partial(Sheet, lattice, floor, self._box.shrink(TILE))
+        places = columns.blocks.places
+        corners = np.stack([places.min(axis=0), places.max(axis=0) + 1])
+        self._box = lattice.enclose(corners[:, ::-1] * (BLOCK * COLUMN_MM / 1000)).align(TILE)
+        self._make_sheet = partial(Sheet, lattice, columns, self._box.shrink(TILE))
         self._band, self._max_cells = band, max_cells
         self._extent = Extent(lattice, ground, band)
 
@@ -206,7 +206,7 @@ class CloudEngine(Engine):
     @property
     def points(self) -> dict[str, int]:
         """As of `Engine`."""
-        counts = sum((sheet.counts for sheet in self._idle), np.zeros(COUNTS, np.int64))
+        counts = sum((sheet.canvas.points for sheet in self._idle), np.zeros(COUNTS, np.int64))
         return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
 
     @property

@@ -179,17 +179,15 @@ class RunWriter:
     def __init__(self, job: Job) -> None:
         self._job = job
         self._runs = 0
-        self.pieces: dict[Block, list[Piece]] = {}
-        self.points: Counter[str] = Counter()
-        self._renew()
+        self.begin()
 
     def begin(self) -> Self:
         """Forget what was observed so far, as the log is read anew.
 
         Names of run files are not used again: another worker may be at the same log.
         """
-        self.pieces.clear()
-        self.points.clear()
+        self.pieces: dict[Block, list[Piece]] = {}
+        self.points: Counter[str] = Counter()
         self._renew()
         return self
 

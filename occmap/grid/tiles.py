@@ -65,30 +65,20 @@ class TileGrid:
         self._reach: CellBox | None = None
 
     def add(self, tiles: Mapping[Key, Tile], bound: int) -> None:
-        """Add what was observed; the tiles now belong to the grid.
+        """Add what was observed to tiles at the same places, wider before a sum overflows 32 bits.
+
+        The tiles now belong to the grid. They may be parts of one large array, which stays in
+        memory while any of them is kept: so where some are not kept, the others are copied. A tile
+        of `add_stack` is 64 bits wide already, and has no bound.
 
         Parameters
         ----------
         bound
             No value in them is larger than this, either way.
         """
-        self._add_tiles(tiles, dict.fromkeys(tiles, bound))
-
-    def merge(self, other: Self) -> None:
-        """Take over the evidence of another grid of the same lattice and kind."""
-        wide = INT32_LIMIT + 1
-        self._add_tiles(other.tiles, {key: other._bounds.get(key, wide) for key in other.tiles})
-
-    def _add_tiles(self, tiles: Mapping[Key, Tile], bounds: Mapping[Key, int]) -> None:
-        """Add tiles to those at the same places, which are widened before a sum overflows 32 bits.
-
-        Tiles may be parts of one large array, which stays in memory while any of them is kept: so
-        where some are not kept, the others are copied. A tile of `add_stack` is 64 bits wide
-        already, and has no bound.
-        """
         kept_whole = self.tiles.keys().isdisjoint(tiles)
         for key, tile in tiles.items():
-            total = self._bounds[key] = self._bounds.get(key, 0) + bounds[key]
+            total = self._bounds[key] = self._bounds.get(key, 0) + bound
             mine = self.tiles.get(key)
             if mine is None:
                 self.tiles[key] = tile if kept_whole else tile.copy()
@@ -100,6 +90,10 @@ class TileGrid:
             rows, cols = zip(*tiles, strict=True)
             reach = CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
             self._reach = reach if self._reach is None else self._reach.join(reach)
+
+    def merge(self, other: Self) -> None:
+        """Take over the evidence of another grid of the same lattice and kind."""
+        self.add(other.tiles, max(other._bounds.values(), default=INT32_LIMIT + 1))
 
     def like(self, tiles: Mapping[Key, Tile]) -> "TileGrid":
         """A grid of these tiles instead, on the same lattice and of the same kind."""

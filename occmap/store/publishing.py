@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, reduce
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -64,14 +64,9 @@ class RenderOptions:
         check_bounds(self)
 
 
-class Piece(NamedTuple):
-    """A piece of a map, as it is painted."""
-
-    window: tuple[slice, slice]
-    """Its rows and columns in the map"""
-    map: OccupancyMap
-    found: Int64
-    """(4,) as `paint_lasting` counts it"""
+Piece: TypeAlias = tuple[tuple[slice, slice], OccupancyMap, Int64]
+"""A piece of a map as it is painted: its rows and columns in the map, what it shows, and (4,) as
+`paint_lasting` counts it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +137,7 @@ class BlockMap:
                 continue
             grids = read_lasting(self.source, area, self.options.min_passes)
             made, found = evidence.paint_lasting(*grids, self.model, own, area)
-            yield Piece(own.within(box), self.options.writing.edit(made), found)
+            yield own.within(box), self.options.writing.edit(made), found
 
 
 def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None = None) -> BlockMap:
@@ -211,8 +206,8 @@ def classify_blocks(made: BlockMap, writing: WriteOptions) -> UInt8:
     refuse_large(made.box, Lattice(made.resolution), made.options.max_cells)
     decision = writing.decide(made.decision)
     classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
-    for piece in made.list_pieces(made.box):
-        classes[piece.window] = replace(piece.map, decision=decision).classes
+    for window, piece, _ in made.list_pieces(made.box):
+        classes[window] = replace(piece, decision=decision).classes
     return classes
 
 
@@ -225,9 +220,9 @@ def survey_blocks(made: BlockMap) -> MapFacts:
         A block cannot be read.
     """
     cells, found = np.zeros(4, np.int64), np.zeros(4, np.int64)
-    for piece in made.list_pieces(made.box):
-        cells += results.count_cells(piece.map, made.options.writing)
-        found += piece.found
+    for _, piece, of_piece in made.list_pieces(made.box):
+        cells += results.count_cells(piece, made.options.writing)
+        found += of_piece
     return MapFacts(made.resolution, made.extent, made.shape, cells, *evidence.sum_up(found))
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, keep_largest, sum_tiles
-from occmap.errors import OutputError
 from occmap.evidence import paint_box, to_grid
 from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, TileGrid, find_unit
@@ -35,7 +34,7 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     Parameters
     ----------
     path
-        A folder that does not exist.
+        A folder that does not exist, as `make_folder` gives it.
     plan
         What the evidence is; its `builds` may be added later.
     blocks
@@ -44,11 +43,9 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
     Raises
     ------
     OutputError
-        The folder exists, or it cannot be written.
+        It cannot be written.
     """
     zarr = layout.import_zarr()
-    if path.exists():
-        raise OutputError("exists already", where=path, fix="give another name, or remove it")
     corners = np.array(list(blocks) or [Block(0, 0)])
     low, high = corners.min(axis=0) * BLOCK, (corners.max(axis=0) + 1) * BLOCK
     shape = tuple((high - low).tolist())

@@ -78,17 +78,23 @@ def test_sick_error_codes_are_no_return_however_few(codes: list[float]) -> None:
     assert band.low == pytest.approx(min(codes), abs=2e-3)
 
 
-def test_a_code_that_was_not_divided_by_a_hundred_hides_no_other() -> None:
-    band = find([*MEASURED, 81.91, 8183.0])
+@pytest.mark.parametrize(
+    ("others", "stated", "limit", "count", "low"),
+    [
+        ([81.91, 8183.0], math.inf, 81.82, 2, 81.91),  # a code that was not divided by a hundred
+        ([*[79.5] * 30, 81.91, 81.91], math.inf, 81.82, 2, 81.91),  # a SICK measures up to 80 m
+        # 38.5 m lies in the 2.5% below 39 m, and 37 m does not: ten times as many are enough.
+        ([40.0] * 100 + [38.5] * 10 + [37.0] * 1000, math.inf, 39, 100, 40),
+        ([51.15] * 50, 60.0, 0.975 * 51.15, 50, 51.15),  # takes the place of what is stated
+    ],
+)
+def test_a_band_beside_other_far_ranges(
+    others: list[float], stated: float, limit: float, count: int, low: float
+) -> None:
+    band = find(MEASURED + others, stated)
     assert band is not None
-    assert (band.limit, band.count, band.values) == (81.82, 2, "81.91 m to 8183 m")
-
-
-def test_far_walls_just_below_the_codes_are_measured() -> None:
-    """79.5 m is within the 2.5% below 81.91 m; the SICK measures up to 80 m."""
-    band = find([*MEASURED, *[79.5] * 30, 81.91, 81.91])
-    assert band is not None
-    assert (band.limit, band.count) == (81.82, 2)
+    assert (band.limit, band.low) == pytest.approx((limit, low), rel=1e-4)
+    assert band.count == count
 
 
 @pytest.mark.parametrize(
@@ -112,13 +118,6 @@ def test_measurements_are_no_band(ranges: list[float]) -> None:
     assert find(ranges) is None
 
 
-def test_ten_times_as_many_as_just_below_are_a_band() -> None:
-    """38.5 m lies in the 2.5% below 39 m; the range of 37 m does not."""
-    band = find(MEASURED + [40.0] * 100 + [38.5] * 10 + [37.0] * 1000)
-    assert band is not None
-    assert band.limit == pytest.approx(39, rel=1e-4)
-
-
 @pytest.mark.parametrize(("different", "found"), [(15, False), (16, True)])
 def test_sixteen_different_ranges_tell_enough(different: int, found: bool) -> None:
     ranges = [1 + number / 10 for number in range(different - 1)]
@@ -130,12 +129,6 @@ def test_a_limit_that_the_scans_state_is_none_of_the_values() -> None:
     assert find(MEASURED + [30.0] * 50, stated=30.0) is None
     above = tally([*MEASURED, *[30.0] * 50, 31.0, math.inf, 77.0], stated=30.0)
     assert (above.above, above.largest, above.find_band()) == (2, 77.0, None)
-
-
-def test_a_band_below_a_stated_limit_takes_its_place() -> None:
-    band = find(MEASURED + [51.15] * 50, stated=60.0)
-    assert band is not None
-    assert band.values == "51.15 m"
 
 
 RANGES = st.lists(

@@ -220,24 +220,17 @@ def grow_ground(
     return grown
 
 
-class Stepped(NamedTuple):
-    """The columns near one that lie a step lower."""
-
-    points: int
-    """How many they hold together"""
-    weighted: int
-    """Their heights (mm) times their points"""
-    up: int
-    right: int
-    """The sum of the ways there (columns)"""
-
-
 @kernel
-def sum_stepped(blocks: Blocks, found: Found, at: int) -> Stepped:
+def sum_stepped(blocks: Blocks, found: Found, at: int) -> tuple[int, int, int, int]:
     """Sum up the columns that are a step lower than one.
 
     They lie within half a metre, and the step is more than 6 cm + 0.12 of the distance, or twice
     that far from the path, and less than 30 cm.
+
+    Returns
+    -------
+    The points that they hold together; their heights (mm) times their points; and the sums of the
+    ways there, up and right (columns).
     """
     height, weight, passed = found
     row, col = locate(blocks, at)
@@ -255,7 +248,7 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> Stepped:
                 weighted += weight[near] * height[near]
                 ups += up
                 rights += right
-    return Stepped(points, weighted, ups, rights)
+    return points, weighted, ups, rights
 
 
 @kernel
@@ -274,9 +267,9 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
         base[at] = found.height[at]
         if found.height[at] == NO_GROUND or found.passed[at] == STOOD:
             continue
-        lower = sum_stepped(blocks, found, at)
-        if lower.points > found.weight[at]:
-            base[at] = lower.weighted // lower.points
+        points, weighted, _, _ = sum_stepped(blocks, found, at)
+        if points > found.weight[at]:
+            base[at] = weighted // points
 
 
 @kernel
@@ -300,18 +293,18 @@ def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool
 @kernel
 def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     """Whether a column is of a surface that goes on, and not at its brink."""
-    height, lower = found.height, sum_stepped(blocks, found, at)
-    up, right, ways, is_broad = -lower.up, -lower.right, 1, False
-    if lower.points == 0:
+    height, (points, _, down, left) = found.height, sum_stepped(blocks, found, at)
+    up, right, ways, is_broad = -down, -left, 1, False
+    if points == 0:
         up, right, ways = 0, 1, 4
     for _ in range(ways):
         is_broad = is_broad or goes_on(blocks, height, at, up, right)
         up, right = right, -up
-    if lower.points == 0 or not is_broad:
+    if points == 0 or not is_broad:
         return is_broad
     row, col = locate(blocks, at)
-    way = max(abs(lower.up), abs(lower.right))
-    up, right = int(np.rint(lower.up / way)), int(np.rint(lower.right / way))
+    way = max(abs(down), abs(left))
+    up, right = int(np.rint(down / way)), int(np.rint(left / way))
     near = find_column(blocks, row + up, col + right)
     return near >= 0 and height[near] != NO_GROUND and height[at] - height[near] <= BRINK_MM
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, find_column, locate
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
-from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT
+from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int16, Int32, Int64, UInt8
 
@@ -67,11 +67,16 @@ class Canvas(NamedTuple):
     """(2 * 4096 T,) hits of all cells of a tile, and then their misses"""
     used: Int64
     """(1,) how many tiles have a place"""
+    points: Int64
+    """(6,) how many points were of each kind"""
+    resolution: float
+    """Side of a cell (m)"""
 
 
 @step
-def ground_at(blocks: Blocks, height: Int32, x: float, y: float) -> int:
+def ground_at(columns: Columns, x: float, y: float) -> int:
     """The height of the ground at a point (mm): bilinear where it is flat, else of its column."""
+    blocks, height, _ = columns
     across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
     own = find_column(blocks, int(np.floor(along)), int(np.floor(across)))
     if own < 0 or height[own] == NO_GROUND:
@@ -93,7 +98,7 @@ def ground_at(blocks: Blocks, height: Int32, x: float, y: float) -> int:
 
 
 @kernel
-def lay_ground(canvas: Canvas, box: Int64, resolution: float, heights: Int32) -> bool:
+def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
     """Give the tiles of a box that have ground a place; return whether there is one for all.
 
     Parameters
@@ -103,7 +108,7 @@ def lay_ground(canvas: Canvas, box: Int64, resolution: float, heights: Int32) ->
     heights
         (4096,) to work with.
     """
-    (blocks, height, _), (table, corner, places) = canvas.columns, canvas.tiles
+    (table, corner, places), resolution = canvas.tiles, canvas.resolution
     for up in range(box[0], box[2] + 1):
         for right in range(box[1], box[3] + 1):
             if table[up, right] != -2:
@@ -113,7 +118,7 @@ def lay_ground(canvas: Canvas, box: Int64, resolution: float, heights: Int32) ->
                 row = ((corner[0] + up) << BLOCK_BITS) + (i >> BLOCK_BITS)
                 col = ((corner[1] + right) << BLOCK_BITS) + (i & INSIDE)
                 x, y = (col + 0.5) * resolution, (row + 0.5) * resolution
-                heights[i] = ground_at(blocks, height, x, y)
+                heights[i] = ground_at(canvas.columns, x, y)
                 if heights[i] != NO_GROUND:
                     lowest = min(lowest, heights[i])
             if lowest == HIGHEST:
@@ -150,9 +155,7 @@ class Band(NamedTuple):
 
 
 @kernel
-def widen(
-    edges: Float64, cloud: Cloud, band: Band, blocks: Blocks, height: Int32, place: Float64
-) -> None:
+def widen(edges: Float64, cloud: Cloud, band: Band, columns: Columns, place: Float64) -> None:
     """Widen a box by the points of a cloud that observe their cells, as obstacles or as floor.
 
     Parameters
@@ -169,7 +172,7 @@ def widen(
             square = (x - cloud.origin[0]) ** 2 + (y - cloud.origin[1]) ** 2
             if not least <= square < most:
                 continue
-            ground = ground_at(blocks, height, x, y)
+            ground = ground_at(columns, x, y)
             above = place[2, i] * 1000 - ground
             clear = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
             if ground != NO_GROUND and (abs(above) < band.low or clear <= above < band.high):
@@ -246,22 +249,13 @@ def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: f
 
 
 @kernel
-def trace_cloud(
-    cloud: Cloud, band: Band, canvas: Canvas, scale: float, room: Room, counts: Int64
-) -> None:
-    """Observe the cells of one cloud, each once: a hit before a miss.
-
-    Parameters
-    ----------
-    scale
-        Lattice units in a metre.
-    counts
-        (6,) points of each kind; they are added.
-    """
+def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
+    """Observe the cells of one cloud, each once: a hit before a miss."""
     state, apart, ends, touched = canvas.state, room.apart, room.ends, room.touched
+    scale = UNITS_PER_CELL / canvas.resolution
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
-    many, floors = find_ends(cloud, band, canvas, scale, room, counts)
+    many, floors = find_ends(cloud, band, canvas, room)
     for i in range(floors):
         at, bearing = room.floor[i], room.floor_bearing[i]
         # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
@@ -276,7 +270,7 @@ def trace_cloud(
             up = (ends[kind, bearing] + HALF_END) >> END_BITS
             right = ends[kind, bearing] - (up << END_BITS)
             many = clear_line((row, col), (up, right), canvas, touched, many)
-    near = NEAR_M * scale / (1 << CELL_SHIFT)
+    near = NEAR_M * scale / UNITS_PER_CELL
     for i in range(many):
         at = touched[i]
         tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
@@ -329,10 +323,10 @@ def find_rim(
 
 @kernel
 def mark_drops(
-    size: int, under: int, origin: Float64, canvas: Canvas, scale: float, room: Room, many: int
+    size: int, under: int, origin: Float64, canvas: Canvas, room: Room, many: int
 ) -> int:
     """Mark the last floor before points that lie deep below it; return how many are touched."""
-    some, state = room.some, canvas.state
+    some, state, scale = room.some, canvas.state, UNITS_PER_CELL / canvas.resolution
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
     start = at_x, at_y, COLUMN_MM * scale / 1000
     for i in range(size):
@@ -373,15 +367,14 @@ def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: i
 
 
 @kernel
-def find_ends(
-    cloud: Cloud, band: Band, canvas: Canvas, scale: float, room: Room, counts: Int64
-) -> tuple[int, int]:
+def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int, int]:
     """Mark the cells of hits, and find what the beams of each bearing end at.
 
     Returns how many cells are touched, and how many points are floor.
     """
     some, right, up, level = room.some, room.some.right, room.some.up, room.some.level
-    origin, state, ground = cloud.origin, canvas.state, canvas.ground
+    origin, state, ground, counts = cloud.origin, canvas.state, canvas.ground, canvas.points
+    scale = UNITS_PER_CELL / canvas.resolution
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
     for i in range(2 * SECTORS):
         room.apart[i // SECTORS, i % SECTORS] = NOTHING
@@ -420,7 +413,7 @@ def find_ends(
             end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
             note_end(room, kind, some.sector[i], far, slope, end)
         if counts[BELOW] + counts[TOO_FAR] > lost:
-            many = mark_drops(size, under, origin, canvas, scale, room, many)
+            many = mark_drops(size, under, origin, canvas, room, many)
     return many, floors
 
 

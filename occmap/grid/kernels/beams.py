@@ -16,29 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels import lines
+from occmap.grid.kernels import lines, units
 from occmap.grid.kernels.lines import Changes, Line, Path, find_step, steps_after
 from occmap.grid.kernels.projection import Beams
-from occmap.grid.kernels.units import (
-    AT_A_TIME,
-    BEAM_WEIGHT,
-    BETWEEN,
-    CELL_SHIFT,
-    COUNT_BITS,
-    FIRST_HIT,
-    HALF_CELL,
-    HIT,
-    MANY,
-    NO_LENGTH,
-    NOTHING,
-    PAD,
-    SKIP,
-    TABLE_STEPS,
-    TILE,
-    TILE_BITS,
-    UNITS_PER_CELL,
-    Tables,
-)
 from occmap.jit import kernel, step
 from occmap.types import Float64, Int32, Int64
 
@@ -71,15 +51,15 @@ def read_tiles(
     """
     bits, kept, entry = packing
     first_row, first_col, last_row, last_col = touched
-    across, up = changes.cols + PAD, changes.rows + PAD
+    across, up = changes.cols + units.PAD, changes.rows + units.PAD
     in_cols, size = (2 * changes.rows + 1) * across, 0
     has_cols = changes.numbers.size > in_cols
     for tile_row in range(first_row, last_row):
         for tile_col in range(first_col, last_col):
             seen = 0
-            for r in range(TILE):
-                row, col = tile_row * TILE + r, tile_col * TILE
-                for c in range(TILE):
+            for r in range(units.TILE):
+                row, col = tile_row * units.TILE + r, tile_col * units.TILE
+                for c in range(units.TILE):
                     plain = changes.numbers[np.uint64(row * across + col + c)]
                     if has_cols:
                         plain += changes.numbers[np.uint64(in_cols + (col + c) * up + row)]
@@ -121,11 +101,11 @@ def sum_changes(
 
 ENTRY_BITS = 13
 """Bits of the place of an entry in both tables of a model together."""
-WEIGHT_BITS = BEAM_WEIGHT.bit_length()
+WEIGHT_BITS = units.BEAM_WEIGHT.bit_length()
 NOTE_BITS = ENTRY_BITS + WEIGHT_BITS
 """A note says what a cell gets: its place above these bits, below it the weight, and in the lowest
 bits the entry. Of the 53 bits of a float, 36 are left for the place, of which there are 2^28."""
-INSIDE = TILE - 1
+INSIDE = units.TILE - 1
 """Mask of the row or column inside a tile."""
 
 
@@ -158,7 +138,7 @@ class Canvas(NamedTuple):
 @kernel
 def trace_beams(
     beams: Beams,
-    radial: Tables | None,
+    radial: units.Tables | None,
     corner: Int64,
     canvas: Canvas,
     tiles: Tiles | None,
@@ -181,12 +161,12 @@ def trace_beams(
     left, bottom, stride, fill = corner[0], corner[1], canvas.stride, 0
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
-            if kinds[s, b] == SKIP:
+            if kinds[s, b] == units.SKIP:
                 continue
             viewpoint = min(b, origins.shape[1] - 1)
             at_x, at_y = origins[s, viewpoint, 0] - left, origins[s, viewpoint, 1] - bottom
             x, y, to_x, to_y = at_x, at_y, beams.ends_x[s, b] - left, beams.ends_y[s, b] - bottom
-            weight, drawn, is_hit, begun = 1, 0, kinds[s, b] == HIT, 0.0
+            weight, drawn, is_hit, begun = 1, 0, kinds[s, b] == units.HIT, 0.0
             if links.size:
                 weight, drawn = links[0, s, b], links[1, s, b]
             if radial is not None:
@@ -195,17 +175,17 @@ def trace_beams(
                 if i:  # a beam between this one and the next
                     to_x, to_y = to_x + links[2, s, b], to_y + links[3, s, b]
                     x, y = lines.begin_between(at_x, to_x), lines.begin_between(at_y, to_y)
-                    weight = BETWEEN
+                    weight = units.BETWEEN
                     if radial is not None:
                         length = np.hypot(float(to_x - at_x), float(to_y - at_y))
                         r, begun = max(length - depth, 0.0), lines.BEGIN_EIGHTHS / 8 * length
-                row, col = y >> CELL_SHIFT, x >> CELL_SHIFT
-                end_row, end_col = to_y >> CELL_SHIFT, to_x >> CELL_SHIFT
+                row, col = y >> units.CELL_SHIFT, x >> units.CELL_SHIFT
+                end_row, end_col = to_y >> units.CELL_SHIFT, to_x >> units.CELL_SHIFT
                 line = lines.draw_line(col, row, end_col, end_row)
                 first, plain, end = 0, line.n + (not is_hit), line.n + 1
                 if radial is not None:
                     reach = radial.plain * max(r - depth, 0.0) - begun
-                    reach = reach / UNITS_PER_CELL - lines.FARTHEST_CENTRE
+                    reach = reach / units.UNITS_PER_CELL - lines.FARTHEST_CENTRE
                     plain = lines.count_nearer(line.n, line.m, reach)
                 if clipped is not None:
                     changes = canvas.changes
@@ -219,11 +199,11 @@ def trace_beams(
                         lines.note_plain(path, canvas.changes)
                     if radial is None and plain < end:
                         place = np.uint64(end_row * stride + end_col)
-                        canvas.numbers[place] += weight << COUNT_BITS
+                        canvas.numbers[place] += weight << units.COUNT_BITS
                 if radial is not None:
                     slope = Slope(at_x, at_y, r, depth, depth if is_hit else -1.0)
                     fill = list_slope(path, slope, stride, canvas.notes, fill)
-                    if fill >= MANY:
+                    if fill >= units.MANY:
                         add_notes(canvas, fill, radial, tiles)
                         fill = 0
     if radial is not None:
@@ -261,27 +241,27 @@ def list_slope(path: Path, slope: Slope, stride: int, notes: Float64, fill: int)
     """
     line, r, depth, reach = path.line, slope.range, slope.depth, slope.reach
     free_range = max(r - depth, 0.0)
-    free_scale = TABLE_STEPS / max(free_range * free_range, 1.0)
-    hit_scale = TABLE_STEPS / max(depth, NO_LENGTH)
+    free_scale = units.TABLE_STEPS / max(free_range * free_range, 1.0)
+    hit_scale = units.TABLE_STEPS / max(depth, units.NO_LENGTH)
+    first_hit, nothing = float(units.FIRST_HIT), float(units.NOTHING)
     at_u, at_v = turn_axes(line, slope.at_x, slope.at_y)
-    from_u = float((line.u << CELL_SHIFT) + HALF_CELL - at_u)
-    from_v = float((line.v << CELL_SHIFT) + HALF_CELL - at_v)
-    step_u, step_v = float(line.u_sign * UNITS_PER_CELL), float(line.v_sign * UNITS_PER_CELL)
+    from_u = float((line.u << units.CELL_SHIFT) + units.HALF_CELL - at_u)
+    from_v = float((line.v << units.CELL_SHIFT) + units.HALF_CELL - at_v)
+    step_u = float(line.u_sign * units.UNITS_PER_CELL)
+    step_v = float(line.v_sign * units.UNITS_PER_CELL)
     # A cell's note is the first cell's, and for each step along u or v as much more.
     per_u, per_v = turn_axes(line, 1, stride)
     place = line.u * per_u + line.v * per_v
     note = float(((place << WEIGHT_BITS) + path.weight) << ENTRY_BITS)
-    note_u, note_v = (
-        float(line.u_sign * per_u << NOTE_BITS),
-        float(line.v_sign * per_v << NOTE_BITS),
-    )
-    for j in range((path.end - path.plain + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+    note_u = float(line.u_sign * per_u << NOTE_BITS)
+    note_v = float(line.v_sign * per_v << NOTE_BITS)
+    for j in range(lines.fill_up(path.end - path.plain)):
         i = float(np.int32(path.plain + j))
         made = steps_after(line, i)
         u, v = from_u + step_u * i, from_v + step_v * made
         squared = u * u + v * v
         off = abs(np.sqrt(squared) - r)
-        as_hit = float(FIRST_HIT) + np.floor(off * hit_scale) if off <= reach else float(NOTHING)
+        as_hit = first_hit + np.floor(off * hit_scale) if off <= reach else nothing
         is_free = squared < free_range * free_range
         entry = np.floor(squared * free_scale) if is_free else as_hit
         notes[np.uint64(fill + j)] = note + note_u * i + note_v * made + entry
@@ -295,7 +275,7 @@ def turn_axes(line: Line, x: int, y: int) -> tuple[int, int]:
 
 
 @step
-def add_notes(canvas: Canvas, size: int, radial: Tables, tiles: Tiles | None) -> None:
+def add_notes(canvas: Canvas, size: int, radial: units.Tables, tiles: Tiles | None) -> None:
     """Add to the cells of a window what the notes say."""
     numbers, notes, entries = canvas.numbers, canvas.notes, radial.entries
     col_bits = int(np.log2(canvas.stride))
@@ -313,30 +293,34 @@ def add_notes(canvas: Canvas, size: int, radial: Tables, tiles: Tiles | None) ->
 @step
 def find_place(tiles: Tiles, row: int, col: int) -> int:
     """Find the place of a cell, in the first layer of its tile, which is made if need be."""
-    up, right = np.uint64(row >> TILE_BITS), np.uint64(col >> TILE_BITS)
+    up, right = np.uint64(row >> units.TILE_BITS), np.uint64(col >> units.TILE_BITS)
     tile = int(tiles.table[up, right])
     if tile < 0:
         tile = int(tiles.used[0])
         tiles.table[up, right] = tile
         tiles.used[0] += 1
-    return tile * tiles.layers * TILE**2 + ((row & INSIDE) << TILE_BITS) + (col & INSIDE)
+    return (
+        tile * tiles.layers * units.TILE**2 + ((row & INSIDE) << units.TILE_BITS) + (col & INSIDE)
+    )
 
 
 @step
-def visit_path(path: Path, radial: Tables | None, numbers: Int32 | Int64, tiles: Tiles) -> None:
+def visit_path(
+    path: Path, radial: units.Tables | None, numbers: Int32 | Int64, tiles: Tiles
+) -> None:
     """Add to the plain cells of a path, in the last layer, and where hits are counted to its end.
 
     The line is followed from tile to tile. Within one, steps are counted in fixed point: they are
     too few by less than 2^-25, and a quarter of 1 / n separates them from the next whole number.
     """
-    line, last_layer = path.line, (tiles.layers - 1) * TILE**2
+    line, last_layer = path.line, (tiles.layers - 1) * units.TILE**2
     if radial is None:
         added, end = path.weight, path.end
     else:
         added, end = path.weight * int(radial.entries[0]), path.plain
-    along, across = line.u_sign, line.v_sign * TILE
+    along, across = line.u_sign, line.v_sign * units.TILE
     if line.steep:
-        along, across = line.u_sign * TILE, line.v_sign
+        along, across = line.u_sign * units.TILE, line.v_sign
     per_cell = 1.0 / max(line.n, 1)
     slope, half = line.m * per_cell, 0.5 + 0.25 * per_cell
     i = path.first
@@ -347,8 +331,8 @@ def visit_path(path: Path, radial: Tables | None, numbers: Int32 | Int64, tiles:
         row, col = (u, v) if line.steep else (v, u)
         place = find_place(tiles, row, col) + last_layer
         # How many cells, and how many steps, until the line leaves the tile.
-        left_u = TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
-        left_v = TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
+        left_u = units.TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
+        left_v = units.TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
         stop = min(i + left_u, find_step(line, made + left_v), end)
         part, more = int((steps - made) * 2.0**32), int(slope * 2.0**32)
         for _ in range(min(stop, path.plain) - i):

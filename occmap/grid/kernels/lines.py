@@ -21,12 +21,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.units import PAD
+from occmap.grid.kernels.units import AT_A_TIME, PAD
 from occmap.jit import step
 from occmap.types import Int32
 
 FRACTION_BITS = 36
 """Bits of the fraction of a step's place; the bits above are an index into a window."""
+
+
+@step
+def fill_up(size: int) -> int:
+    """Fill up how often a short loop runs, to whole groups of `AT_A_TIME`."""
+    return (size + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME
 
 
 class Line(NamedTuple):

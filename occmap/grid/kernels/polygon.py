@@ -18,15 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.grid.kernels import spans
 from occmap.grid.kernels.projection import Beams
-from occmap.grid.kernels.spans import (
-    Outline,
-    Spans,
-    count_begun,
-    fill_outline,
-    make_outline,
-    make_spans,
-)
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel, step
 from occmap.types import Int32, Int64, UInt8
@@ -64,8 +57,8 @@ class Room(NamedTuple):
     """(B,) bits as above"""
     listed: Int32
     """(B,) the beams with an edge that may matter, or with cells between; these are few"""
-    outline: Outline
-    spans: Spans
+    outline: spans.Outline
+    inside: spans.Spans
 
 
 def trace_polygons(beams: Beams, limits: tuple[float, int], field: Field, mark: int) -> None:
@@ -84,9 +77,9 @@ def trace_polygons(beams: Beams, limits: tuple[float, int], field: Field, mark: 
     """
     (scans, count), rows = beams.rays.kind.shape, len(field.cells)
     links, listed, crossings = np.empty(count, np.uint8), np.empty(count, np.int32), 4 * rows
-    outline, done = make_outline(3 * count + 4), 0
+    outline, done = spans.make_outline(3 * count + 4), 0
     while done < scans:
-        room = Room(links, listed, outline, make_spans(rows, crossings))
+        room = Room(links, listed, outline, spans.make_spans(rows, crossings))
         done = trace_scans(beams, done, limits, field, mark, room)
         crossings *= 2
 
@@ -96,19 +89,19 @@ def trace_scans(
     beams: Beams, done: int, limits: tuple[float, int], field: Field, mark: int, room: Room
 ) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
-    spans, runs = room.spans, field.runs
+    limits_inside, runs = room.inside.limits, field.runs
     rows, cols = field.cells.shape[0], field.cells.shape[1] - PAD
     scans: int = beams.rays.kind.shape[0]
     for s in range(done, scans):
         size = _link_beams(beams, s, limits, room.links, room.listed)
         corners = _outline_scan(beams, s, limits[0], field.corner, room, size)
         touched = _find_rows(beams, s, field.corner[1], rows)
-        crossings = fill_outline(room.outline, corners, touched, cols, spans)
+        crossings = spans.fill_outline(room.outline, corners, touched, cols, room.inside)
         if crossings < 0:
             return s
         for i in range(0, crossings, 2):
-            runs[np.uint64(spans.limits[np.uint64(i)])] += 1
-            runs[np.uint64(spans.limits[np.uint64(i + 1)])] -= 1
+            runs[np.uint64(limits_inside[np.uint64(i)])] += 1
+            runs[np.uint64(limits_inside[np.uint64(i + 1)])] -= 1
         _note_border(beams, s, field, mark + s + 1, room, size)
     return scans
 
@@ -214,7 +207,7 @@ def _find_rows(beams: Beams, s: int, bottom: int, rows: int) -> tuple[int, int]:
 
 
 @kernel
-def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: bool) -> int:
+def _add_corner(outline: spans.Outline, corners: int, at_x: int, at_y: int, first: bool) -> int:
     i = np.uint64(corners)
     outline.x[i], outline.y[i], outline.begins[i] = at_x, at_y, first
     return corners + 1
@@ -224,12 +217,12 @@ def _add_corner(outline: Outline, corners: int, at_x: int, at_y: int, first: boo
 def _note_border(beams: Beams, s: int, field: Field, mark: int, room: Room, size: int) -> None:
     """Give each cell of a scan's border one hit, and count whether it lies in a span."""
     ends_x, ends_y, kinds = beams.ends_x[s], beams.ends_y[s], beams.rays.kind[s]
-    links, spans = room.links, room.spans
+    links, inside = room.links, room.inside
     to_col, to_row = field.corner[0] >> CELL_SHIFT, field.corner[1] >> CELL_SHIFT
     for b in range(links.size):
         if kinds[b] == HIT:
             row, col = (ends_y[b] >> CELL_SHIFT) - to_row, (ends_x[b] >> CELL_SHIFT) - to_col
-            _note_cell(row, col, spans, mark, field)
+            _note_cell(row, col, inside, mark, field)
     for i in range(size):
         b = int(room.listed[i])
         if not links[b] & JOINED:
@@ -247,11 +240,11 @@ def _note_border(beams: Beams, s: int, field: Field, mark: int, room: Room, size
         for j in range(1, n):
             steps_x = int((j * twice_x + half) * per_2n)
             steps_y = int((j * twice_y + half) * per_2n)
-            _note_cell(row - above * steps_y, col - right * steps_x, spans, mark, field)
+            _note_cell(row - above * steps_y, col - right * steps_x, inside, mark, field)
 
 
 @step
-def _note_cell(at_row: int, at_col: int, spans: Spans, mark: int, field: Field) -> None:
+def _note_cell(at_row: int, at_col: int, inside: spans.Spans, mark: int, field: Field) -> None:
     """Give a cell of the border one hit, if it lies in the window and has none of this scan.
 
     What it gets is chosen without a branch: whether neighbours share a cell is a coin toss.
@@ -262,7 +255,8 @@ def _note_cell(at_row: int, at_col: int, spans: Spans, mark: int, field: Field) 
         if row >= rows or col >= cols:
             return
     cell = border[row, col]
-    inside = count_begun(spans, row, np.int32(at_row * border.shape[1] + at_col)) & 1
+    place = np.int32(at_row * border.shape[1] + at_col)
+    is_inside = spans.count_begun(inside, row, place) & 1
     is_new = (cell >> SCAN_SHIFT) != mark
-    hit = (cell & COUNTED) + ONE_HIT - inside
+    hit = (cell & COUNTED) + ONE_HIT - is_inside
     border[row, col] = hit | (mark << SCAN_SHIFT) if is_new else cell

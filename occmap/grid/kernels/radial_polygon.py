@@ -13,49 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.grid.kernels import spans, units
+from occmap.grid.kernels.lines import fill_up
 from occmap.grid.kernels.polygon import Field
 from occmap.grid.kernels.projection import Beams
-from occmap.grid.kernels.spans import (
-    Outline,
-    Spans,
-    fill_outline,
-    find_rows,
-    make_outline,
-    make_spans,
-)
-from occmap.grid.kernels.units import (
-    AT_A_TIME,
-    CELL_SHIFT,
-    FIRST_HIT,
-    HALF_CELL,
-    HIT,
-    MANY,
-    NO_LENGTH,
-    NOTHING,
-    PAD,
-    SKIP,
-    TABLE_STEPS,
-    Tables,
-)
 from occmap.jit import kernel
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
-
-
-class View(NamedTuple):
-    """One scan: which of its beams covers which bearing, and what that says about a cell."""
-
-    at: tuple[int, int]
-    """x and y of the sensor, from the window's corner (lattice units)"""
-    covering: Int32
-    """(BEARINGS + 1,) the beam that covers each step of a turn"""
-    limits: Float64
-    """(2 B + 2,) a pair for each beam, and one for what no beam covers. A squared distance times
-    the first is a place in the table of free cells; the second is where a hit lies, if any, or
-    -inf"""
-    depth: float
-    """How far about the range a hit reaches (lattice units)"""
-    entries: Int64
-    """Those of `Tables`"""
 
 
 class Listed(NamedTuple):
@@ -112,20 +75,25 @@ class Sectors(NamedTuple):
 class Room(NamedTuple):
     """What a scan is worked out in."""
 
+    tables: units.Tables
+    depth: float
+    """How far about the range a hit reaches (lattice units)"""
     sectors: Sectors
     covering: Int32
-    """As in `View`"""
+    """(BEARINGS + 1,) the beam that covers each step of a turn"""
     limits: Float64
-    """As in `View`"""
+    """(2 B + 2,) a pair for each beam, and one for what no beam covers. A squared distance times
+    the first is a place in the table of free cells; the second is where a hit lies, if any, or
+    -inf"""
     listed: Listed
-    outline: Outline
-    outer: Spans
+    outline: spans.Outline
+    outer: spans.Spans
     """What the sectors cover"""
-    inner: Spans
+    inner: spans.Spans
     """The part of which all gets the first entry"""
 
 
-def trace_radial_polygons(beams: Beams, tables: Tables, field: Field) -> None:
+def trace_radial_polygons(beams: Beams, tables: units.Tables, field: Field) -> None:
     """Add what every scan says about each cell that it covers, once.
 
     A cell belongs to the beam that covers its bearing: a beam covers the bearings that are nearer
@@ -139,55 +107,55 @@ def trace_radial_polygons(beams: Beams, tables: Tables, field: Field) -> None:
         which got the first entry of `free`.
     """
     (scans, count), rows = beams.rays.kind.shape, len(field.cells)
-    room, crossings, done = MANY + field.cells.shape[1] + AT_A_TIME, 4 * rows, 0
-    at_rows, at_cols, places = np.empty((3, room), np.int32)
-    listed = Listed(at_rows, at_cols, places, np.empty(2 * room))
-    sectors, covering = make_sectors(count), np.empty(BEARINGS + 1, np.int32)
-    limits, outline = np.empty(2 * count + 2), make_outline(4 * count + 4)
+    most, crossings, done = units.MANY + field.cells.shape[1] + units.AT_A_TIME, 4 * rows, 0
+    at_rows, at_cols, places = np.empty((3, most), np.int32)
+    listed = Listed(at_rows, at_cols, places, np.empty(2 * most))
+    covering, limits = np.empty(BEARINGS + 1, np.int32), np.empty(2 * count + 2)
     limits[-2:] = np.inf, -np.inf
+    depth, sectors = tables.depth * beams.units_per_metre, make_sectors(count)
+    outline = spans.make_outline(4 * count + 4)
     while done < scans:
-        spans = make_spans(rows, crossings), make_spans(rows, crossings)
-        view = Room(sectors, covering, limits, listed, outline, *spans)
-        done = trace_scans(beams, done, tables, field, view)
+        outer, inner = (spans.make_spans(rows, crossings) for _ in range(2))
+        room = Room(tables, depth, sectors, covering, limits, listed, outline, outer, inner)
+        done = trace_scans(beams, done, field, room)
         crossings *= 2
 
 
 @kernel
-def trace_scans(beams: Beams, done: int, tables: Tables, field: Field, room: Room) -> int:
+def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
     sectors, limits, outline = room.sectors, room.limits, room.outline
-    outer, inner, within = room.outer, room.inner, sectors.within
+    outer, inner, depth, within = room.outer, room.inner, room.depth, sectors.within
     scans: int = beams.rays.kind.shape[0]
-    corner, rows, cols = field.corner, field.cells.shape[0], field.cells.shape[1] - PAD
-    depth = tables.depth * beams.units_per_metre
+    corner, rows, cols = field.corner, field.cells.shape[0], field.cells.shape[1] - units.PAD
     for s in range(done, scans):
         ranges, kinds = beams.ranges[s], beams.rays.kind[s]
-        at_x, at_y = beams.origins[s, 0, 0] - corner[0], beams.origins[s, 0, 1] - corner[1]
+        at = beams.origins[s, 0, 0] - corner[0], beams.origins[s, 0, 1] - corner[1]
         sign = find_sectors(beams, s, sectors)
         side_by_side = cover_bearings(sectors, kinds, sign, room.covering)
         reach_out(beams, s, depth, sectors)
-        corners = outline_sectors(at_x, at_y, sectors, outline)
-        touched = find_rows(outline.y, corners, rows)
-        if fill_outline(outline, corners, touched, cols, outer) < 0:
+        corners = outline_sectors(at, sectors, outline)
+        touched = spans.find_rows(outline.y, corners, rows)
+        if spans.fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):
-            limits[2 * b] = TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
-            limits[2 * b + 1] = ranges[b] if kinds[b] == HIT else -np.inf
-            within[b] = max(tables.plain * (ranges[b] - depth) * (1 - 1e-6) - ROUNDED, 0.0)
+            limits[2 * b] = units.TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
+            limits[2 * b + 1] = ranges[b] if kinds[b] == units.HIT else -np.inf
+            plain = room.tables.plain * (ranges[b] - depth)
+            within[b] = max(plain * (1 - 1e-6) - ROUNDED, 0.0)
         inner.counts[:] = 0
         if side_by_side:
             stay_inside(sign, sectors)
-            corners = outline_sectors(at_x, at_y, sectors, outline)
-            if fill_outline(outline, corners, touched, cols, inner) < 0:
+            corners = outline_sectors(at, sectors, outline)
+            if spans.fill_outline(outline, corners, touched, cols, inner) < 0:
                 return s
-        view = View((at_x, at_y), room.covering, limits, depth, tables.entries)
-        _observe_spans(view, touched, room, field)
+        _observe_spans(at, touched, room, field)
     return scans
 
 
 @kernel
-def _observe_spans(view: View, touched: tuple[int, int], room: Room, field: Field) -> None:
-    """Add one scan's inner spans, and what beams say about the other cells of its spans."""
+def _observe_spans(at: tuple[int, int], touched: tuple[int, int], room: Room, field: Field) -> None:
+    """Add the inner spans of a scan from one place, and what beams say about its other cells."""
     outer, inner, listed, runs = room.outer, room.inner, room.listed, field.runs
     stride, size = field.cells.shape[1], 0
     rows, cols = listed.rows, listed.cols
@@ -206,24 +174,24 @@ def _observe_spans(view: View, touched: tuple[int, int], room: Room, field: Fiel
                     runs[np.uint64(until)] += 1
                     runs[np.uint64(beyond)] -= 1
                     n += 2
-                for j in range((until - col + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+                for j in range(fill_up(int(until - col))):
                     k = np.uint64(size + j)
                     rows[k], cols[k] = r, col + j - r * stride
                 size += max(int(until - col), 0)
                 col = max(col, beyond)
-        if size >= MANY or r == touched[1] - 1:
-            _observe_cells(view, listed, size, field.cells)
+        if size >= units.MANY or r == touched[1] - 1:
+            _observe_cells(at, room, size, field.cells)
             size = 0
 
 
 @kernel
-def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
+def _observe_cells(at: tuple[int, int], room: Room, size: int, cells: Int64) -> None:
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
-    (at_x, at_y), covering, entries = view.at, view.covering, view.entries
+    (at_x, at_y), covering, entries, listed = at, room.covering, room.tables.entries, room.listed
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
-    steps, first_hit, nothing = float(TABLE_STEPS), float(FIRST_HIT), float(NOTHING)
-    to_steps = steps / view.depth
-    side, from_x, from_y = float(1 << CELL_SHIFT), float(HALF_CELL - at_x), float(HALF_CELL - at_y)
+    steps, first_hit = float(units.TABLE_STEPS), float(units.FIRST_HIT)
+    nothing, to_steps, side = float(units.NOTHING), steps / room.depth, float(units.UNITS_PER_CELL)
+    from_x, from_y = float(units.HALF_CELL - at_x), float(units.HALF_CELL - at_y)
     two, one = np.uint64(2), np.uint64(1)
     for i in range(size):
         k = np.uint64(i)
@@ -232,7 +200,8 @@ def _observe_cells(view: View, listed: Listed, size: int, cells: Int64) -> None:
     for i in range(size):
         k = np.uint64(i)
         b = np.uint64(covering[np.uint64(places[k])])
-        limits[two * k], limits[two * k + one] = view.limits[two * b], view.limits[two * b + one]
+        limits[two * k] = room.limits[two * b]
+        limits[two * k + one] = room.limits[two * b + one]
     for i in range(size):
         k = np.uint64(i)
         x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
@@ -269,7 +238,7 @@ def find_sectors(beams: Beams, s: int, sectors: Sectors) -> float:
         t = min(b, turns.shape[0] - 1)
         x = turns[t, 0, 0] * bearing[0, b] + turns[t, 0, 1] * bearing[1, b]
         y = turns[t, 1, 0] * bearing[0, b] + turns[t, 1, 1] * bearing[1, b]
-        length = max(np.sqrt(x * x + y * y), NO_LENGTH)
+        length = max(np.sqrt(x * x + y * y), units.NO_LENGTH)
         direction[b, 0], direction[b, 1] = x / length, y / length
     for b in range(1, count):
         turn += direction[b - 1, 0] * direction[b, 1] - direction[b - 1, 1] * direction[b, 0]
@@ -309,7 +278,7 @@ def bearing_of(x: float, y: float) -> np.int32:
     Steps of x / (|x| + |y|) and not of the angle: they grow and shrink together, and this needs
     no arc tangent.
     """
-    part = x / max(abs(x) + abs(y), NO_LENGTH)
+    part = x / max(abs(x) + abs(y), units.NO_LENGTH)
     turned = 1.0 - part if y >= 0 else 3.0 + part
     return np.int32(turned * (BEARINGS / 4))
 
@@ -330,7 +299,7 @@ def cover_bearings(sectors: Sectors, kinds: UInt8, sign: float, covering: Int32)
         first = bearing_of(sides[b, right], sides[b, right + 1])
         last = bearing_of(sides[b, 2 - right], sides[b, 3 - right])
         if not covers[b] or first == last:
-            side_by_side = side_by_side and kinds[b] == SKIP
+            side_by_side = side_by_side and kinds[b] == units.SKIP
         elif last < first:
             covering[first:] = b
             covering[:last] = b
@@ -354,7 +323,7 @@ def reach_out(beams: Beams, s: int, depth: float, sectors: Sectors) -> None:
     sides, direction, lengths = sectors.sides, sectors.direction, sectors.lengths
     ranges, kinds = beams.ranges[s], beams.rays.kind[s]
     for b in range(kinds.size):
-        reach = ranges[b] + (depth if kinds[b] == HIT else 0.0) + ROUNDED
+        reach = ranges[b] + (depth if kinds[b] == units.HIT else 0.0) + ROUNDED
         for i in range(0, 4, 2):
             cosine = sides[b, i] * direction[b, 0] + sides[b, i + 1] * direction[b, 1]
             lengths[b, i], lengths[b, i + 1] = reach / max(cosine, COS_60 / 2), 0.0
@@ -391,13 +360,13 @@ def stay_inside(sign: float, sectors: Sectors) -> None:
 
 
 @kernel
-def outline_sectors(at_x: int, at_y: int, sectors: Sectors, outline: Outline) -> int:
+def outline_sectors(at: tuple[int, int], sectors: Sectors, outline: spans.Outline) -> int:
     """Write corners around the sectors of beams; returns their number.
 
-    A run of sectors that share their sides is closed at the sensor, at `at_x`, `at_y`.
+    A run of sectors that share their sides is closed at the sensor, `at` x and y.
     """
     sides, lengths = sectors.sides, sectors.lengths
-    covers, shares_side = sectors.covers, sectors.shares_side
+    covers, shares_side, (at_x, at_y) = sectors.covers, sectors.shares_side, at
     x, y, begins = outline.x, outline.y, outline.begins
     corners = 0
     for b in range(covers.size):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.grid.kernels.lines import fill_up
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, HALF_CELL, PAD
 from occmap.jit import kernel, step
 from occmap.types import Bool, Int32, Int64
@@ -126,7 +127,7 @@ def _cross_rows(
             numerator = (x[i] + HALF_CELL) * rise + (centre - y[i]) * run - 1
             inverse = 1.0 / float(rise << CELL_SHIFT)
             slope, base = run << CELL_SHIFT, rise << CELL_SHIFT
-            for k in range((last - first + AT_A_TIME - 1) // AT_A_TIME * AT_A_TIME):
+            for k in range(fill_up(last - first)):
                 col = min(max(_floor_divide(numerator + k * slope, base, inverse), 0), cols)
                 found[0, np.uint64(crossings + k)] = first + k
                 found[1, np.uint64(crossings + k)] = 2 * (col + (first + k) * stride) + upward
