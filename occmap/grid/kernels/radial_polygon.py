@@ -189,10 +189,10 @@ def _observe_cells(at: tuple[int, int], room: Room, size: int, cells: Int64) -> 
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
     (at_x, at_y), covering, entries, listed = at, room.covering, room.tables.entries, room.listed
     rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
+    known, two, one = room.limits, np.uint64(2), np.uint64(1)
     steps, first_hit = float(units.TABLE_STEPS), float(units.FIRST_HIT)
     nothing, to_steps, side = float(units.NOTHING), steps / room.depth, float(units.UNITS_PER_CELL)
     from_x, from_y = float(units.HALF_CELL - at_x), float(units.HALF_CELL - at_y)
-    two, one = np.uint64(2), np.uint64(1)
     for i in range(size):
         k = np.uint64(i)
         x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
@@ -200,8 +200,7 @@ def _observe_cells(at: tuple[int, int], room: Room, size: int, cells: Int64) -> 
     for i in range(size):
         k = np.uint64(i)
         b = np.uint64(covering[np.uint64(places[k])])
-        limits[two * k] = room.limits[two * b]
-        limits[two * k + one] = room.limits[two * b + one]
+        limits[two * k], limits[two * k + one] = known[two * b], known[two * b + one]
     for i in range(size):
         k = np.uint64(i)
         x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
