@@ -11,6 +11,8 @@ from occmap.errors import require
 
 LOCAL, FLAT = "local", "flat"
 """How the ground is found, if no file has it"""
+HIGHEST_M = 1e6
+"""Nothing lies higher."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,14 @@ class CloudOptions:
         height = self.sensor_height
         found = f"a sensor height of {height} m is not possible"
         require(height is None or 0 < height < 100, found, "try `sensor_height=0.6`")
+
+    @property
+    def band_mm(self) -> tuple[int, int]:
+        """How high above the ground obstacles begin, and end."""
+        low, high = (
+            round(1000 * min(each, HIGHEST_M)) for each in (self.min_height, self.max_height)
+        )
+        return low, high
 
     @property
     def file(self) -> Path | None:

@@ -23,8 +23,6 @@ from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_la
 from occmap.sensor import ReturnOptions
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
-HIGHEST_M = 1e6
-"""Nothing lies higher."""
 SLACK_M = 0.096
 """The clearance grows from where poses that are off put the floor this high: 8 m by default."""
 SHORTEST_M = 0.05
@@ -100,13 +98,11 @@ def find_farthest(cloud: Cloud) -> float:
 
 def make_band(options: CloudOptions, returns: ReturnOptions) -> Band:
     """Say which heights, and which distances from the sensor, count."""
-    heights = options.min_height, options.max_height
-    low, high = (round(1000 * min(each, HIGHEST_M)) for each in heights)
     level = SLACK_M / options.range_margin if options.range_margin else math.inf
     margin = options.range_margin * 1000
     nearest = max(returns.min_range, SHORTEST_M)
     farthest = min(returns.max_range, returns.range_max or math.inf)
-    return Band(low, high, margin, level, nearest, farthest)
+    return Band(*options.band_mm, margin, level, nearest, farthest)
 
 
 class Extent:

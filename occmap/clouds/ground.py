@@ -17,7 +17,7 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, list_clouds
+from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
 from occmap.errors import MapError
 from occmap.report import join_names
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
@@ -47,6 +47,8 @@ SQUARE_MM, STOREY_MM = 1000, 1800
 """Where a path comes by a square again, so much higher, it is on another storey"""
 FILLED = 10
 """Columns so far from measured ground have ground"""
+DEEP_MM, FEWEST_POINTS = 300, 2
+"""So many points of a column that lie so deep below the ground around it show a hole"""
 NO_FLOOR = "no ground is seen below the sensor along its way"
 GIVE_HEIGHT = (
     "see in `occmap check` if the mount is wrong, else give `sensor_height=0.6`, or a plane: "
@@ -175,6 +177,7 @@ class GroundFinder:
             fill(blocks, height, LEVEL_FILLED - FILLED)
             beyond &= height != NO_GROUND
             height[beyond] = plane[beyond]
+        height[find_holes(columns, height, measured, options)] = NO_GROUND
         shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
         note = (
             f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
@@ -229,6 +232,8 @@ class Columns(NamedTuple):
     peaks: Peaks
     filled: int
     """How many columns hold points"""
+    pieces: Pieces
+    """What was counted"""
 
 
 class Seat(NamedTuple):
@@ -247,7 +252,7 @@ class Seat(NamedTuple):
 
 def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32:
     """Let the ground grow from under the path, without what is low and stands on it (C,)."""
-    blocks, peaks, _ = columns
+    blocks, peaks = columns.blocks, columns.peaks
     height, queue = np.empty_like(peaks.first), np.empty((2, len(peaks.first)), np.int64)
     grown = []
     for _ in range(PASSES):
@@ -274,6 +279,23 @@ def fill(blocks: Blocks, height: Int32, rounds: int) -> None:
     """Fill columns without ground (C,) by the mean of those beside them, one ring a round."""
     found = Found(height, np.zeros_like(height), np.zeros(0, np.uint8))
     growth.grow_ground(blocks, NO_PEAKS, found, 1, rounds, np.empty((2, len(height)), np.int64))
+
+
+def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
+    """Find columns (C,) that have no ground, since points lie deep below where it would be.
+
+    Holes go on to the columns around, as far as ground is filled in, if no ground was measured in
+    them and nothing that stands on it.
+    """
+    deep, standing = np.zeros((2, len(height)), np.int32)
+    heights.count_apart(columns.pieces, height, (-DEEP_MM, *options.band_mm), deep, standing)
+    is_open = ~measured & (height != NO_GROUND) & (standing < FEWEST_POINTS)
+    reached = np.where(~measured & (deep >= FEWEST_POINTS), 0, NO_GROUND).astype(np.int32)
+    every = np.arange(len(height), dtype=np.int32)
+    ways = Peaks(every, is_open.astype(np.int32), np.zeros_like(every), np.ones_like(every))
+    found = Found(reached, np.zeros_like(every), np.zeros(0, np.uint8))
+    growth.grow_ground(columns.blocks, ways, found, 1, FILLED, np.empty((2, len(every)), np.int64))
+    return np.asarray(is_open & (reached == 0))
 
 
 def find_nothing(columns: Columns) -> Found:
@@ -309,7 +331,7 @@ def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
 def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
     """Fit a plane to measured ground (C,); give its heights (C,; mm), or None where it has none.
 
-    Sums are of integers, which are the same in any order.
+    Sums are of integers, so that all machines find the same plane.
     """
     at = np.flatnonzero(measured)
     if len(at) < LEAST_LEVEL:
@@ -319,10 +341,17 @@ def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
     for _ in range(ROUNDS):
         x, y, z = col[used], row[used], level_mm[used]
         count, middle = len(x), (int(x.sum()) // len(x), int(y.sum()) // len(x))
-        terms = np.stack([np.ones_like(x), x - middle[0], y - middle[1]])
-        if count < LEAST_LEVEL:
+        x, y = x - middle[0], y - middle[1]
+        terms = [np.ones_like(x), x, y]
+        sums = [[int((one * other).sum()) for other in terms] for one in terms]
+        rises = [int((one * z).sum()) for one in terms]
+        whole, both = measure_volume(sums), list(zip(sums, rises, strict=True))
+        if count < LEAST_LEVEL or whole == 0:
             return None
-        level, along, aside = map(float, np.linalg.lstsq(terms @ terms.T, terms @ z)[0])
+        level, along, aside = (
+            measure_volume([[*terms[:n], rise, *terms[n + 1 :]] for terms, rise in both]) / whole
+            for n in range(3)
+        )
         off = np.abs(level_mm - (level + along * (col - middle[0]) + aside * (row - middle[1])))
         used = off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3)
     if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
@@ -336,6 +365,12 @@ def list_places(blocks: Blocks, at: Int64) -> tuple[Int64, Int64]:
     """The rows and the columns of columns (N,), by where they lie in flat arrays."""
     row, col = blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK
     return row + (at >> BLOCK_BITS & BLOCK - 1), col + (at & BLOCK - 1)
+
+
+def measure_volume(rows: list[list[int]]) -> int:
+    """The determinant of three rows of three integers."""
+    (a, b, c), (d, e, f), (g, h, i) = rows
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:
@@ -382,7 +417,9 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns
     at = (block << 2 * BLOCK_BITS) | ((row % BLOCK) << BLOCK_BITS) | (col % BLOCK)
     first, of_column = np.zeros((2, len(blocks.places) << 2 * BLOCK_BITS), np.int32)
     first[at], of_column[at] = np.cumsum(many) - many, many
-    return Columns(blocks, Peaks(first, of_column, level, weight), len(every))
+    of_piece = at[np.cumsum(np.diff(columns, prepend=-1) != 0) - 1]
+    pieces = Pieces(of_piece, keys, counts)
+    return Columns(blocks, Peaks(first, of_column, level, weight), len(every), pieces)
 
 
 def make_blocks(columns: Int64, known: Ground | None) -> Blocks:

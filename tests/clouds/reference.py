@@ -2,7 +2,6 @@
 
 import math
 from collections import defaultdict
-from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -111,8 +110,7 @@ class SlowEngine:
         for at in (through - number * STEP for number in range(-beyond, 21)):
             x, y = (a + at / reach * b for a, b in zip(start, away, strict=True))
             ray.append((at, (math.floor(y / COLUMN), math.floor(x / COLUMN))))
-        known = takewhile(lambda it: it[0] >= 0.15 * METRE and it[1] in self.ground, ray)
-        measured = [(at, column) for at, column in known if column in self.measured]
+        measured = [(at, on) for at, on in ray if at >= 0.15 * METRE and on in self.measured]
         if not measured or measured[0][0] >= through:
             return []
         at, column = measured[0]
@@ -120,6 +118,8 @@ class SlowEngine:
             return []
         right, up = (math.floor((at - 0.1 * METRE) / reach * each) for each in away)
         cell, apart = ((start[1] + up) // 256, (start[0] + right) // 256), right**2 + up**2
+        if self.find_ground(cell) is None:
+            return []
         return [Seen(cell, find_sector(*away), apart, rise / math.sqrt(apart))]
 
     def look(self, posed: PosedScans) -> tuple[list[Seen], list[Seen]]:

@@ -42,7 +42,7 @@ def lay_floor(stretches: list[Stretch], quarters: int) -> Ground:
         pytest.param([(0, 3, 0), (3, 4.5, None)], 3.01, 7.6, 2.835, id="a ray that skims it"),
         pytest.param([(0, 3, 0), (3, 4.5, None)], 2.9, 7.6, None, id="a ray through the floor"),
         pytest.param([(0, 3, 0), (3, 4.5, None)], 2.9, 3.1, None, id="the same up to its point"),
-        pytest.param([(0, 3, 0), (3, 3.9, None)], 3.2, 7.6, None, id="nothing known beyond P"),
+        pytest.param([(0, 3, 0), (3, 3.9, None)], 3.2, 7.6, 2.875, id="no ground beyond P"),
         pytest.param([(0, 6, 0)], 3.2, 7.6, None, id="floor that mirrors"),
         pytest.param([(0, 3, 0), (3, 3.6, None), (3.6, 6, 0)], 3.2, 7.6, None, id="a wet spot"),
         pytest.param([(0, 2.4, 0), (2.4, 3, 80), (3, 4.5, None)], 3.2, 7.6, 2.875, id="8 cm up"),

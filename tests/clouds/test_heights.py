@@ -1,11 +1,15 @@
 """growth.Peaks of columns of heights, and the ground that is found from them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from occmap.cells import Ground
+from occmap.clouds import CloudOptions
 from occmap.clouds.ground import (
     Columns,
+    find_holes,
     find_nothing,
     fit_plane,
     index_blocks,
@@ -14,7 +18,7 @@ from occmap.clouds.ground import (
 )
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD
-from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, list_peaks, pack
+from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
 from occmap.types import Bool, Float64, Int32
 
 
@@ -62,10 +66,39 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
 ) -> None:
     first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
     heights = np.array([-280, -160, 0], np.int32)
-    columns = Columns(BLOCKS, growth.Peaks(first, many, heights, np.array(weights, np.int32)), 1)
+    peaks = growth.Peaks(first, many, heights, np.array(weights, np.int32))
+    columns = Columns(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
     found = find_nothing(columns)
     look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300), found)
     assert found.height[0] == height
+
+
+@pytest.mark.parametrize(
+    ("points", "holes"),
+    [
+        # Of columns 2 to 16 none is measured, and column 8 has points: by height (mm), how many.
+        ({8: {-320: 2}}, range(2, 17)),
+        ({8: {-300: 2}}, []),
+        ({8: {-320: 1}}, []),
+        ({8: {-320: 1, -640: 1}, 10: {120: 2}}, range(2, 10)),  # something stands there
+        ({8: {-320: 2}, 10: {80: 9}, 11: {1500: 9}}, range(2, 17)),  # too low, and too high
+        ({8: {-320: 2, 120: 2}}, [*range(2, 8), *range(9, 17)]),  # a wall that goes on below
+        ({3: {-320: 2}}, range(2, 14)),  # 10 columns away it ends
+        ({1: {-320: 2}}, []),  # floor that mirrors
+    ],
+)
+def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
+    points: dict[int, dict[int, int]], holes: Sequence[int]
+) -> None:
+    height, measured = lay(dict.fromkeys(range(19), 0)), lay(dict.fromkeys([0, 1, 17, 18], 1), 0)
+    counted = [(at, mm // 20, many) for at, of in points.items() for mm, many in of.items()]
+    keys = np.array([pack(0, at, up >> 4) for at, up, _ in counted])
+    counts = np.zeros((len(keys), BINS), np.int32)
+    counts[np.arange(len(keys)), [up & 15 for _, up, _ in counted]] = [many for *_, many in counted]
+    pieces = Pieces(np.array([at for at, *_ in counted]), keys, counts)
+    columns = Columns(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
+    found = find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
+    assert np.flatnonzero(found).tolist() == list(holes)
 
 
 @pytest.mark.parametrize(("points", "height"), [(99, 40), (101, -160)])

@@ -152,9 +152,10 @@ def shuffle(posed: PosedScans) -> PosedScans:
     return change_points(posed, np.random.default_rng(7).permutation(read_points(posed)))
 
 
-def test_the_rim_of_a_pit_is_an_edge_that_is_seen_from_above() -> None:
+def test_the_rim_of_a_pit_is_an_edge_that_is_seen_from_above_and_its_inside_is_not_free() -> None:
     occupied, free = classify(drive(Room(pit=PIT)))
 
+    assert not free[find_cells((2.4, 3.9), (4.2, 4.8))].any()
     assert occupied[find_cells((2.3, 4.0), (3.75, 3.95))].any(axis=0).mean() > 0.9
     assert free[find_cells((2.3, 4.0), (3.2, 3.7))].all()
 

@@ -61,6 +61,17 @@ class Histogram(NamedTuple):
     """(1,) how many keys are not empty"""
 
 
+class Pieces(NamedTuple):
+    """Pieces of columns, as they were counted."""
+
+    column: Int64
+    """(P,) where the column of each lies in flat arrays"""
+    keys: Int64
+    """(P,) as those of a histogram"""
+    counts: Int32
+    """(P, 16) points in each bin"""
+
+
 @step
 def pack(row: int, col: int, piece: int) -> int:
     """One number for a piece of a column."""
@@ -226,6 +237,31 @@ def list_peaks(
         column += 1
         start = stop
     return found
+
+
+@kernel
+def count_apart(
+    pieces: Pieces, height: Int32, limits: tuple[int, int, int], deep: Int32, standing: Int32
+) -> None:
+    """Count the points of columns that lie deep below their ground, and those that stand on it.
+
+    Parameters
+    ----------
+    height
+        (C,) of the ground (mm).
+    limits
+        Above the ground (mm): what lies below the first is deep, and what lies between the others
+        stands on it.
+    deep, standing
+        (C,) the points are added.
+    """
+    for i in range(pieces.keys.size):
+        at = pieces.column[i]
+        bottom = ((pieces.keys[i] & PIECE) - HALF) * BINS * BIN_MM - height[at]
+        for j in range(BINS):
+            above = bottom + j * BIN_MM
+            deep[at] += pieces.counts[i, j] if above < limits[0] else 0
+            standing[at] += pieces.counts[i, j] if limits[1] < above < limits[2] else 0
 
 
 @kernel

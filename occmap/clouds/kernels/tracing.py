@@ -311,9 +311,9 @@ def find_rim(
         along, across = np.floor(y + up * here), np.floor(x + right * here)
         row, col = int(np.floor(along / width)), int(np.floor(across / width))
         at = find_column(columns.blocks, row, col)
-        if here < 2 * pace or at < 0 or columns.height[at] == NO_GROUND:
+        if here < 2 * pace:
             break
-        if columns.measured[at]:
+        if at >= 0 and columns.measured[at]:
             if k <= 0 or abs(columns.height[at] - floor) > STEP_MM:
                 break
             here -= RIM * pace
