@@ -75,7 +75,7 @@ def build(
         facts = results.describe_map(grid, options.writing)
         seen.remarks.notes += [
             *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),
-            *(list_contradictions(seen.tiles) if options.update is Update.CLOUD else ()),
+            *(list_contradictions(seen.tiles, tally.points) if tally.points else ()),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
         report = make_report(options, tally, seen.remarks, facts, past)

@@ -1,8 +1,9 @@
 """How a 3D sensor is mounted on a robot that drives upright, by the floor that its clouds show.
 
 Clouds of many places, laid over each other in the sensor's own frame, have one plane in common with
-hardly a point beneath it: the floor. How far the sensor is turned about the vertical shows in the
-map, where only the right turn lays the walls of all clouds over each other.
+hardly a point beneath it: the floor, the wall of a corridor, or a ceiling. Which one it is, and how
+far the sensor is turned about the vertical, shows in the map, where only the right mount lays all
+clouds over each other.
 
 How the floor of single clouds leans over the ground of all of them tells mounts, and poses, that
 are off by a little.
@@ -10,6 +11,7 @@ are off by a little.
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +39,11 @@ BAND_M = 0.3, 1.5
 CELL_M = 0.2
 CLEAR_WIN = 0.9
 """The right turn marks fewer cells than this share of what any other one marks"""
+STEEP, FITS, FITS_STEEP = math.cos(math.radians(45)), 1.02, 0.95
+"""By the floor, clouds fill at most this share of the cells that they fill by a mount as given, or
+level, or less where it leans by more from that one's floor. Walls and ceilings taken for the floor
+fill 1.05 times as many, or as many where a robot never turns."""
+LEVEL = np.eye(3)
 UPRIGHT, OPTICAL, UPSIDE_DOWN = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 FORWARD = {UPRIGHT: (1.0, 0.0, 0.0), OPTICAL: (0.0, 0.0, 1.0), UPSIDE_DOWN: (1.0, 0.0, 0.0)}
 """The axes that point up, in the usual ways to mount a sensor, and those that then look ahead"""
@@ -64,30 +71,44 @@ class Seat(NamedTuple):
     """Whether the walls in the clouds told its yaw"""
 
 
-def find_seat(parts: Sequence[PosedScans]) -> Seat | None:
-    """Find how a sensor is turned on its body; None where its clouds show no floor.
+def find_seat(parts: Sequence[PosedScans], given: Float64 = LEVEL) -> Seat | None:
+    """Find how a sensor is turned on its body.
 
     Parameters
     ----------
     parts
         Scans with clouds, posed as if the sensor were the body.
+    given
+        (3, 3) how it is turned as far as anybody said.
+
+    Returns
+    -------
+    Seat or None
+        None where its clouds show no floor, or a steep one by which they fit each other no better.
     """
     points = [some for part in parts for some in list_points(part)]
     pooled = np.concatenate([near for near, _, _ in points] or [np.zeros((0, 3))])
     if len(pooled) < POINTS:
         return None
-    floors = [(find_floor(pooled, np.array(axis)), ahead) for axis, ahead in FORWARD.items()]
-    floor, ahead = max(floors, key=lambda each: each[0].score)
-    if floor.score < LEAST_SHARE:
-        return None
-    level = stand_upright(floor.up, np.array(ahead))
-    turns = [turn_about_z(quarter * math.pi / 2) @ level for quarter in range(4)]
-    marked = [count_walls(points, turn, floor.below) for turn in turns]
-    best, second = np.argsort(marked, kind="stable")[:2].tolist()
-    has_yaw = marked[best] < CLEAR_WIN * marked[second]
-    rotation = turns[best] if has_yaw else level
-    mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
-    return Seat(mount, floor.below, has_yaw)
+    usual = [(other[2], count_cells(points, other)) for other in (given, LEVEL)]
+    seats = list[tuple[int, Seat]]()
+    for axis, ahead in FORWARD.items():
+        floor = find_floor(pooled, np.array(axis))
+        if floor.score < LEAST_SHARE or floor.below < NEAREST_M / 2:
+            continue
+        level = stand_upright(floor.up, np.array(ahead))
+        turns = [turn_about_z(quarter * math.pi / 2) @ level for quarter in range(4)]
+        band = BAND_M[0] - floor.below, BAND_M[1] - floor.below
+        marked = [count_cells(points, turn, *band) for turn in turns]
+        best, second = np.argsort(marked, kind="stable")[:2].tolist()
+        has_yaw = marked[best] < CLEAR_WIN * marked[second]
+        rotation = turns[best] if has_yaw else level
+        mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
+        filled = count_cells(points, turns[best])
+        most = min(it * (FITS if floor.up @ up > STEEP else FITS_STEEP) for up, it in usual)
+        if filled <= most:
+            seats.append((filled, Seat(mount, floor.below, has_yaw)))
+    return min(seats, key=itemgetter(0), default=(0, None))[1]
 
 
 def list_points(part: PosedScans) -> list[tuple[Float64, Float64, Float64]]:
@@ -149,17 +170,29 @@ def turn_about_z(angle: float) -> Float64:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def count_walls(
-    points: Sequence[tuple[Float64, Float64, Float64]], rotation: Float64, below: float
+def count_cells(
+    points: Sequence[tuple[Float64, Float64, Float64]],
+    rotation: Float64,
+    low: float = -math.inf,
+    high: float = math.inf,
 ) -> int:
-    """Count the cells of the map that hold walls when the sensor is mounted so."""
+    """Count the cubes that points at some heights on the body fill in the map.
+
+    Parameters
+    ----------
+    points
+        By cloud, with its rotation and its position.
+    rotation
+        (3, 3) how the sensor is mounted.
+    """
     cells = []
     for near, turned, place in points:
         on_body = near @ rotation.T
-        stands = (on_body[:, 2] + below > BAND_M[0]) & (on_body[:, 2] + below < BAND_M[1])
-        in_map = on_body[stands] @ turned.T + place
-        cells.append(np.floor(in_map[:, :2] / CELL_M))
-    return len(np.unique(np.concatenate(cells), axis=0))
+        counts = (on_body[:, 2] > low) & (on_body[:, 2] < high)
+        in_map = on_body[counts] @ turned.T + place
+        # A floor at zero would lie between two of them.
+        cells.append(np.rint(in_map / CELL_M).astype(np.int64) @ [1 << 42, 1 << 21, 1])
+    return len(np.unique(np.concatenate(cells)))
 
 
 FLOOR_FROM_M = 1.0

@@ -339,7 +339,7 @@ def list_other_concerns(
         with suppress(MapError):  # it gets too large, which is a problem by itself
             for posed in clouds:
                 engine.add(posed)
-            found = list_contradictions(engine.finish())
+            found = list_contradictions(engine.finish(), {})
             yield from ((topic, Concern(text)) for text in found)
 
 
@@ -355,7 +355,8 @@ def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Floa
         is_near = (distance > options.returns.min_range) & (distance < SEEN_M)
         points, distance = points[is_near], distance[is_near]
         place = points @ rotation.T + position
-        stands = place[:, 2] - ground.find_heights(place) >= options.clouds.min_height
+        height = place[:, 2] - ground.find_heights(place)
+        stands = (height >= options.clouds.min_height) & (height < options.clouds.max_height)
         bearing = np.arctan2(points[:, 1], points[:, 0]) + math.pi
         beam = (bearing * (BEARINGS / math.tau)).astype(np.int64) % BEARINGS
         np.minimum.at(nearest, beam[stands], distance[stands])
@@ -375,7 +376,7 @@ def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> 
         return None
     body = Transforms.fixed(mount.pose).invert().first
     on_body = [mounts.mount_scans(each, body) for each in clouds]
-    seat = find_seat(on_body)
+    seat = find_seat(on_body, Transforms.fixed(mount.pose).rotation[0])
     if seat is None:
         return None
     up = Transforms.fixed(seat.mount).rotation[0, 2]

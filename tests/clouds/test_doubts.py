@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from occmap.evidence import list_contradictions
+from occmap.inspection.poses import see_around
+from occmap.options import BuildOptions
 from tests.cli.runner import ask
-from tests.clouds.simulation import HALL
+from tests.clouds.simulation import HALL, Room, drive, find_ground
 from tests.grid.scans import make_grid
 
 TURNED = ("--sensor-pose", "0,0,3.14")
@@ -28,9 +30,20 @@ def test_hits_in_cells_that_mostly_were_missed_are_told(
     cells: list[tuple[int, int]], told: str
 ) -> None:
     grid = make_grid({(0, col): counts for col, counts in enumerate(cells)})
-    notes = list(list_contradictions(grid))
+    notes = list(list_contradictions(grid, {}))
     assert len(notes) == bool(told)
     assert all(told in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("unsteady", "ground", "is_told"), [(3, 4, True), (3, 6, False), (1, 4, False)]
+)
+def test_of_little_ground_is_told_where_clouds_are_not_as_steady_as_in_a_corridor(
+    unsteady: int, ground: int, is_told: bool
+) -> None:
+    grid = make_grid({(0, 0): (8, 0), (0, 1): (unsteady, 9)})
+    notes = list(list_contradictions(grid, {"ground": ground, "obstacle": 96}))
+    assert notes == [note for note in notes if "on the ground" in note] == notes[:is_told]
 
 
 def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
@@ -49,6 +62,14 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
     }
     (model,) = models
     assert model.endswith("cut=0.2,spread=0.0,ceiling=1.0,doubt=0.0,repeat_from=8.0")
+
+
+def test_a_low_ceiling_is_not_taken_for_the_robot() -> None:
+    """0.15 m above a sensor that is 2.5 m high, and no obstacle to a robot of 1.5 m."""
+    clouds = drive(Room([(3, 6, 2, 4, 2.65, 2.7)]), clouds=4, sensor_m=2.5)
+    ground = find_ground(clouds)
+    (row,) = see_around(clouds[1], ground, BuildOptions())
+    assert row.min() > 0.5
 
 
 def test_a_robot_that_stands_in_its_own_clouds_is_left_out_by_the_command(tmp_path: Path) -> None:
