@@ -34,15 +34,13 @@ LEANING = math.cos(math.radians(40))
 """No sensor is tilted by more from one of the usual ways to mount it"""
 LEAST_SHARE = 0.08
 """A plane that holds a smaller share of the points is no floor"""
-BAND_M = 0.3, 1.5
-"""What stands as high above the floor is taken for walls"""
 CELL_M = 0.2
-CLEAR_WIN = 0.9
-"""The right turn marks fewer cells than this share of what any other one marks"""
-STEEP, FITS, FITS_STEEP = math.cos(math.radians(45)), 1.02, 0.95
-"""By the floor, clouds fill at most this share of the cells that they fill by a mount as given, or
-level, or less where it leans by more from that one's floor. Walls and ceilings taken for the floor
-fill 1.05 times as many, or as many where a robot never turns."""
+CLEAR_WIN = 0.95
+"""By the right mount clouds fill fewer cells than this share of what they fill by another one"""
+STEEP, AS_FEW = math.cos(math.radians(45)), 1.02
+"""Where the floor leans by less from that of a mount as given, or level, so many cells are enough.
+A wall or a ceiling leans by more. Taken for the floor, it makes clouds fill 1.05 times the cells,
+or as many where a robot never turns."""
 LEVEL = np.eye(3)
 UPRIGHT, OPTICAL, UPSIDE_DOWN = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 FORWARD = {UPRIGHT: (1.0, 0.0, 0.0), OPTICAL: (0.0, 0.0, 1.0), UPSIDE_DOWN: (1.0, 0.0, 0.0)}
@@ -98,16 +96,14 @@ def find_seat(parts: Sequence[PosedScans], given: Float64 = LEVEL) -> Seat | Non
             continue
         level = stand_upright(floor.up, np.array(ahead))
         turns = [turn_about_z(quarter * math.pi / 2) @ level for quarter in range(4)]
-        band = BAND_M[0] - floor.below, BAND_M[1] - floor.below
-        marked = [count_cells(points, turn, *band) for turn in turns]
-        best, second = np.argsort(marked, kind="stable")[:2].tolist()
-        has_yaw = marked[best] < CLEAR_WIN * marked[second]
+        filled = [count_cells(points, turn) for turn in turns]
+        best, second = np.argsort(filled, kind="stable")[:2].tolist()
+        has_yaw = filled[best] < CLEAR_WIN * filled[second]
         rotation = turns[best] if has_yaw else level
         mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
-        filled = count_cells(points, turns[best])
-        most = min(it * (FITS if floor.up @ up > STEEP else FITS_STEEP) for up, it in usual)
-        if filled <= most:
-            seats.append((filled, Seat(mount, floor.below, has_yaw)))
+        most = min(it * (AS_FEW if floor.up @ up > STEEP else CLEAR_WIN) for up, it in usual)
+        if filled[best] <= most:
+            seats.append((filled[best], Seat(mount, floor.below, has_yaw)))
     return min(seats, key=itemgetter(0), default=(0, None))[1]
 
 
@@ -170,13 +166,8 @@ def turn_about_z(angle: float) -> Float64:
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def count_cells(
-    points: Sequence[tuple[Float64, Float64, Float64]],
-    rotation: Float64,
-    low: float = -math.inf,
-    high: float = math.inf,
-) -> int:
-    """Count the cubes that points at some heights on the body fill in the map.
+def count_cells(points: Sequence[tuple[Float64, Float64, Float64]], rotation: Float64) -> int:
+    """Count the cubes that points fill in the map.
 
     Parameters
     ----------
@@ -185,14 +176,10 @@ def count_cells(
     rotation
         (3, 3) how the sensor is mounted.
     """
-    cells = []
-    for near, turned, place in points:
-        on_body = near @ rotation.T
-        counts = (on_body[:, 2] > low) & (on_body[:, 2] < high)
-        in_map = on_body[counts] @ turned.T + place
-        # A floor at zero would lie between two of them.
-        cells.append(np.rint(in_map / CELL_M).astype(np.int64) @ [1 << 42, 1 << 21, 1])
-    return len(np.unique(np.concatenate(cells)))
+    in_map = [near @ (turned @ rotation).T + place for near, turned, place in points]
+    # Rounded to the nearest: a floor at zero would else lie between two of them.
+    cells = np.rint(np.concatenate(in_map) / CELL_M).astype(np.int64)
+    return len(np.unique(cells @ [1 << 42, 1 << 21, 1]))
 
 
 FLOOR_FROM_M = 1.0
