@@ -11,7 +11,6 @@ are off by a little.
 
 import math
 from collections.abc import Sequence
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -89,22 +88,22 @@ def find_seat(parts: Sequence[PosedScans], given: Float64 = LEVEL) -> Seat | Non
     if len(pooled) < POINTS:
         return None
     usual = [(other[2], count_cells(points, other)) for other in (given, LEVEL)]
-    seats = list[tuple[int, Seat]]()
-    for axis, ahead in FORWARD.items():
+    seats: dict[int, Seat] = {}
+    for axis, way in FORWARD.items():
         floor = find_floor(pooled, np.array(axis))
         if floor.score < LEAST_SHARE or floor.below < NEAREST_M / 2:
             continue
-        level = stand_upright(floor.up, np.array(ahead))
-        turns = [turn_about_z(quarter * math.pi / 2) @ level for quarter in range(4)]
+        ahead, aside = np.array(way), np.cross(floor.up, way)
+        turns = [stand_upright(floor.up, to) for to in (ahead, -aside, -ahead, aside)]
         filled = [count_cells(points, turn) for turn in turns]
         best, second = np.argsort(filled, kind="stable")[:2].tolist()
         has_yaw = filled[best] < CLEAR_WIN * filled[second]
-        rotation = turns[best] if has_yaw else level
+        rotation = turns[best if has_yaw else 0]
         mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
         most = min(it * (AS_FEW if floor.up @ up > STEEP else CLEAR_WIN) for up, it in usual)
         if filled[best] <= most:
-            seats.append((filled[best], Seat(mount, floor.below, has_yaw)))
-    return min(seats, key=itemgetter(0), default=(0, None))[1]
+            seats[filled[best]] = Seat(mount, floor.below, has_yaw)
+    return seats[min(seats)] if seats else None
 
 
 def list_points(part: PosedScans) -> list[tuple[Float64, Float64, Float64]]:
@@ -158,12 +157,6 @@ def stand_upright(up: Float64, ahead: Float64) -> Float64:
     forward = ahead - (ahead @ up) * up
     forward /= np.linalg.norm(forward)
     return np.stack([forward, np.cross(up, forward), up])
-
-
-def turn_about_z(angle: float) -> Float64:
-    """Give the rotation (3, 3) about the vertical."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def count_cells(points: Sequence[tuple[Float64, Float64, Float64]], rotation: Float64) -> int:

@@ -364,7 +364,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         against = list(poses.list_floor_concerns(some, level, posed, below))
         if below is not None:
             box = poses.enclose_clouds(log, level, posed, below)
-            against += poses.list_other_concerns(some, posed, below, is_right=not against)
+            against += poses.list_other_concerns(some, level, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))

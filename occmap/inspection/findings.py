@@ -423,11 +423,10 @@ def describe_poses(topic: ScanFindings) -> str:
 def describe_mount(mount: MountFindings, topic: ScanFindings) -> str:
     """Say how the sensor of a topic sits; z of the frame of a camera points where it looks."""
     tilt = math.degrees(mount.tilt)
-    parts = ["upside down"] if mount.upside_down else []
-    parts += [f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level"]
+    lean = f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level"
+    parts = ["upside down", lean] if mount.upside_down else [lean]
     if topic.is_of_clouds and tilt > 45:
-        way = "down" if mount.upside_down else "up"
-        parts = [f"its z axis points {90 - tilt:.1f} deg {way}"]
+        parts = [f"its z axis points {90 - tilt:.1f} deg {'down' if mount.upside_down else 'up'}"]
     # Of clouds a note says how high they were above the ground, which may rise.
     parts.append(f"{'z' if topic.is_of_clouds else 'height'} {mount.height:.3g} m")
     if topic.poses.assumed:

@@ -6,11 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.evidence import list_contradictions
-from occmap.inspection.poses import see_around
+from occmap.evidence import list_contradictions, measure_steady
+from occmap.inspection.poses import list_smeared, see_around
 from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
+from occmap.posing.attach import Poser
+from occmap.posing.course import Course
+from occmap.posing.sources import gather
 from tests.cli.runner import ask
-from tests.clouds.simulation import HALL, Room, drive, find_ground
+from tests.clouds.simulation import HALL, Room, drive, drive_turning, find_ground
 from tests.grid.scans import make_grid
 
 TURNED = ("--sensor-pose", "0,0,3.14")
@@ -30,7 +34,7 @@ def test_hits_in_cells_that_mostly_were_missed_are_told(
     cells: list[tuple[int, int]], told: str
 ) -> None:
     grid = make_grid({(0, col): counts for col, counts in enumerate(cells)})
-    notes = list(list_contradictions(grid, {}))
+    notes = list(list_contradictions(measure_steady(grid), {}))
     assert len(notes) == bool(told)
     assert all(told in note for note in notes)
 
@@ -42,7 +46,7 @@ def test_of_little_ground_is_told_where_clouds_are_not_as_steady_as_in_a_corrido
     unsteady: int, ground: int, is_told: bool
 ) -> None:
     grid = make_grid({(0, 0): (8, 0), (0, 1): (unsteady, 9)})
-    notes = list(list_contradictions(grid, {"ground": ground, "obstacle": 96}))
+    notes = list(list_contradictions(measure_steady(grid), {"ground": ground, "obstacle": 96}))
     assert notes == [note for note in notes if "on the ground" in note] == notes[:is_told]
 
 
@@ -62,6 +66,24 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
     }
     (model,) = models
     assert model.endswith("cut=0.2,spread=0.0,ceiling=1.0,doubt=0.0,repeat_from=8.0")
+
+
+@pytest.mark.parametrize(
+    ("degrees", "steady", "is_told"), [(6, 0.5, True), (6, 0.9, False), (1, 0.5, False)]
+)
+def test_unsteady_clouds_without_times_that_turn_quickly_are_told(
+    degrees: float, steady: float, is_told: bool
+) -> None:
+    clouds, poser = (
+        drive_turning(degrees=degrees),
+        Poser(gather([], PosingOptions()), PosingOptions()),
+    )
+    batch = clouds[0].batch
+    course = poser.courses[batch.topic, batch.frame] = Course()
+    for posed in clouds:
+        course.see(posed, posed.batch.stamp_ns)
+    told = list(list_smeared(clouds[0], poser, steady))
+    assert [f"{degrees}.0 deg" in text for text in told] == [True] * is_told
 
 
 def test_a_low_ceiling_is_not_taken_for_the_robot() -> None:
