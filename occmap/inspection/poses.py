@@ -348,20 +348,20 @@ def list_other_concerns(
             yield from ((topic, Concern(text)) for text in told)
 
 
-SMEARED, QUICK_DEG = 0.7, 3.0
-"""Of clouds that turn by so much from one to the next, on average, a smaller share of the hits is
-steady where the points lie as they were measured; 0.88 are where a driver laid them straight."""
+SMEARED, QUICK_DEG = 0.7, 30.0
+"""Of clouds that turn by so much in a second, on average, a smaller share of the hits is steady
+where the points lie as they were measured; 0.88 are where a driver laid them straight."""
 
 
 def list_smeared(posed: PosedScans, poser: Poser, steady: float) -> Iterator[str]:
     """Say if walls look smeared by quick turns, as points have no times and share one pose."""
     track = poser.courses[posed.batch.topic, posed.batch.frame].build()
-    turn = math.degrees(track.step_rad.sum() / max(len(track) - 1, 1))
+    turn = math.degrees(track.step_rad.sum() / max(track.interval_s.sum(), 1e-9))
     if posed.batch.ranges.shape[1] == 1 and turn > QUICK_DEG and steady < SMEARED:
         yield (
-            f"points have no times, the sensor turns by {turn:.1f} deg from one cloud to the next, "
-            f"and only {steady:.0%} of the hits lie in cells that mostly were hit: walls may be "
-            "smeared; record the times of points, or clouds that are laid straight (deskewed)"
+            f"points have no times, the sensor turns by {turn:.0f} deg in a second, and only "
+            f"{steady:.0%} of the hits lie in cells that mostly were hit: walls may be smeared; "
+            "record the times of points, or clouds that are laid straight (deskewed)"
         )
 
 
