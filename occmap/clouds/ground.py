@@ -473,11 +473,9 @@ def measure_seat(
     if not depths.any():
         return None
     middle = band[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2
-    half = depths.sum() / 2
-    depth = int(middle[np.searchsorted(np.cumsum(depths), half)])
-    off = np.abs(middle - depth)
-    order = np.argsort(off, kind="stable")
-    deviation = int(off[order][np.searchsorted(np.cumsum(depths[order]), half)])
+    seen = np.repeat(middle, depths)
+    depth = int(np.quantile(seen, 0.5, method="inverted_cdf"))  # one that was seen
+    deviation = int(np.quantile(np.abs(seen - depth), 0.5, method="inverted_cdf"))
     return Seat(sensors, path, depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
 
 

@@ -57,8 +57,9 @@ class FrameTree:
     """Frames and the edges between them; what people record need not be a tree.
 
     A child's edges come from one source only: what the user gives goes before tf, and tf before
-    odometry, unless nothing in tf moves. Of several edges between the same two frames the one with the most samples stays.
-    A child may have several parents, and cycles do no harm: the shortest way is taken.
+    odometry, unless nothing in tf moves. Of several edges between the same two frames the one with
+    the most samples stays. A child may have several parents, and cycles do no harm: the shortest
+    way is taken.
     """
 
     def __init__(self, edges: Iterable[Edge]) -> None:
