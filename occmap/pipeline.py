@@ -8,7 +8,7 @@ from typing import Any
 
 from occmap.cells import Evidence, Manifest, OccupancyMap, sum_tiles
 from occmap.errors import MapError
-from occmap.evidence import list_contradictions, list_misfit, render_lasting
+from occmap.evidence import list_contradictions, list_misfit, measure_steady, render_lasting
 from occmap.evidence.manifest import (
     describe_about,
     describe_build,
@@ -73,9 +73,10 @@ def build(
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = replace(manifest, builds=(*manifest.builds, *made))
         facts = results.describe_map(grid, options.writing)
+        steady = measure_steady(seen.tiles) if tally.points else 1.0
         seen.remarks.notes += [
             *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),
-            *(list_contradictions(seen.tiles) if options.update is Update.CLOUD else ()),
+            *list_contradictions(steady, tally.points),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
         report = make_report(options, tally, seen.remarks, facts, past)

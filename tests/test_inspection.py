@@ -16,7 +16,7 @@ import pytest
 from occmap.choices import read_options
 from occmap.errors import MapError, OccmapError
 from occmap.inspection import Inspection, inspect
-from occmap.inspection.findings import ScanFindings
+from occmap.inspection.findings import MountFindings, ScanFindings, describe_mount
 from occmap.inspection.survey import RangeCensus, StampLog, find_crossing, list_repeated
 from occmap.options import BuildOptions, Selection, compose_build
 from occmap.pipeline import build
@@ -690,6 +690,8 @@ def test_clouds_are_told_by_the_ground_below_them() -> None:
     assert (topic.is_of_clouds, topic.scans, found.problems) == (True, 40, ())
     assert found.command[:2] == ("occmap", "build")
     assert any("0.59 m above the ground" in note for note in found.logs[0].notes)  # of 0.6
+    camera = MountFindings(upside_down=True, tilt=math.radians(75), height=0.5, better="")
+    assert describe_mount(camera, topic) == "its z axis points 15.0 deg down, z 0.5 m"
 
 
 @pytest.mark.parametrize(

@@ -27,8 +27,9 @@ POINTS_A_CLOUD = 25_000
 LEAST_SHARE = 0.25
 FEWEST_CLOUDS = 100
 """About so many clouds of a build are counted at least, if it has them."""
-DEPTHS = 100, 3000
-"""The ground lies so far below a sensor (mm)."""
+DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
+"""The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
+in the map already: often where the robot stands."""
 BESIDE, BY, UNDER = (7, 20, 40), 27, 2
 """Columns beside the path that the ground grows from, that the robot passes by, and that it stands
 on; ground is looked for farther away only where nearer columns hold too few points"""
@@ -51,8 +52,14 @@ DEEP_MM, FEWEST_POINTS = 300, 2
 """So many points of a column that lie so deep below the ground around it show a hole"""
 NO_FLOOR = "no ground is seen below the sensor along its way"
 GIVE_HEIGHT = (
-    "see in `occmap check` if the mount is wrong, else give `sensor_height=0.6`, or a plane: "
-    "`ground=flat` `sensor_height=0.6`"
+    "see in `occmap check` if the mount is wrong, else give `sensor_height=M`, or a plane: "
+    "`ground=flat` `sensor_height=M`"
+)
+LITTLE = 0.25
+"""In a smaller share of the columns hardly any floor was seen: corridors have 0.7, streets 0.36"""
+LITTLE_FLOOR = (
+    "hardly any floor is seen: if clouds were cut above it, give a plane by `ground=flat` "
+    "`sensor_height=M`, else see if mount and height of the sensor are right"
 )
 LEVEL_MM, LEVEL_SHARE, LEAST_LEVEL = 50, 0.95, 500
 """So many columns, of which such a share lies within this distance of one plane, are a floor of one
@@ -71,7 +78,7 @@ def draw(stamp_ns: int) -> float:
 
 
 Sensor: TypeAlias = tuple[str, str, str]
-"""A log, a topic and a frame"""
+"""A log, a topic and a frame, which is "" where clouds are in the map already"""
 
 
 class Counted(NamedTuple):
@@ -124,7 +131,8 @@ class GroundFinder:
                 sample.append(sample_points(cloud))
         with self._lock:
             self._idle.append(table)
-            sensor = self._log, posed.batch.topic, posed.batch.frame
+            frame = posed.batch.frame if posed.origin is None else ""
+            sensor = self._log, posed.batch.topic, frame
             self._paths[sensor].append(np.rint(np.array(path) * 1000).astype(np.int64))
             self._sample += sample
 
@@ -183,7 +191,8 @@ class GroundFinder:
             f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
             f"{columns.filled:,} columns of 0.15 m"
         )
-        return pack_ground(blocks, height, measured), [note, *list_storeys(stood)]
+        notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
+        return pack_ground(blocks, height, measured), [*notes, *list_storeys(stood)]
 
 
 def sample_points(cloud: Cloud) -> Float64:
@@ -478,20 +487,19 @@ def measure_seat(
         None where nothing lies below them, and no height is given.
     """
     sensors, path, scratch = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
+    band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
     for beside in BESIDE:
-        depths = look_beside(columns, path, (beside, 0, 0), DEPTHS, scratch)
+        depths = look_beside(columns, path, (beside, 0, 0), band, scratch)
         if depths.sum() >= FEWEST_SEEDS:
             break
     if given_m is not None:
         return Seat(sensors, path, round(given_m * 1000), 150, beside)
     if not depths.any():
         return None
-    middle = DEPTHS[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2
-    half = depths.sum() / 2
-    depth = int(middle[np.searchsorted(np.cumsum(depths), half)])
-    off = np.abs(middle - depth)
-    order = np.argsort(off, kind="stable")
-    deviation = int(off[order][np.searchsorted(np.cumsum(depths[order]), half)])
+    middle = band[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2
+    seen = np.repeat(middle, depths)
+    depth = int(np.quantile(seen, 0.5, method="inverted_cdf"))  # one that was seen
+    deviation = int(np.quantile(np.abs(seen - depth), 0.5, method="inverted_cdf"))
     return Seat(sensors, path, depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
 
 

@@ -1,8 +1,9 @@
 """How a 3D sensor is mounted on a robot that drives upright, by the floor that its clouds show.
 
 Clouds of many places, laid over each other in the sensor's own frame, have one plane in common with
-hardly a point beneath it: the floor. How far the sensor is turned about the vertical shows in the
-map, where only the right turn lays the walls of all clouds over each other.
+hardly a point beneath it: the floor, the wall of a corridor, or a ceiling. Which one it is, and how
+far the sensor is turned about the vertical, shows in the map, where only the right mount lays all
+clouds over each other.
 
 How the floor of single clouds leans over the ground of all of them tells mounts, and poses, that
 are off by a little.
@@ -32,11 +33,14 @@ LEANING = math.cos(math.radians(40))
 """No sensor is tilted by more from one of the usual ways to mount it"""
 LEAST_SHARE = 0.08
 """A plane that holds a smaller share of the points is no floor"""
-BAND_M = 0.3, 1.5
-"""What stands as high above the floor is taken for walls"""
 CELL_M = 0.2
-CLEAR_WIN = 0.9
-"""The right turn marks fewer cells than this share of what any other one marks"""
+CLEAR_WIN = 0.95
+"""By the right mount clouds fill fewer cells than this share of what they fill by another one"""
+STEEP, AS_FEW = math.cos(math.radians(45)), 1.02
+"""Where the floor leans by less from that of a mount as given, or level, so many cells are enough.
+A wall or a ceiling leans by more. Taken for the floor, it makes clouds fill 1.05 times the cells,
+or as many where a robot never turns."""
+LEVEL = np.eye(3)
 UPRIGHT, OPTICAL, UPSIDE_DOWN = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
 FORWARD = {UPRIGHT: (1.0, 0.0, 0.0), OPTICAL: (0.0, 0.0, 1.0), UPSIDE_DOWN: (1.0, 0.0, 0.0)}
 """The axes that point up, in the usual ways to mount a sensor, and those that then look ahead"""
@@ -64,30 +68,42 @@ class Seat(NamedTuple):
     """Whether the walls in the clouds told its yaw"""
 
 
-def find_seat(parts: Sequence[PosedScans]) -> Seat | None:
-    """Find how a sensor is turned on its body; None where its clouds show no floor.
+def find_seat(parts: Sequence[PosedScans], given: Float64 = LEVEL) -> Seat | None:
+    """Find how a sensor is turned on its body.
 
     Parameters
     ----------
     parts
         Scans with clouds, posed as if the sensor were the body.
+    given
+        (3, 3) how it is turned as far as anybody said.
+
+    Returns
+    -------
+    Seat or None
+        None where its clouds show no floor, or a steep one by which they fit each other no better.
     """
     points = [some for part in parts for some in list_points(part)]
     pooled = np.concatenate([near for near, _, _ in points] or [np.zeros((0, 3))])
     if len(pooled) < POINTS:
         return None
-    floors = [(find_floor(pooled, np.array(axis)), ahead) for axis, ahead in FORWARD.items()]
-    floor, ahead = max(floors, key=lambda each: each[0].score)
-    if floor.score < LEAST_SHARE:
-        return None
-    level = stand_upright(floor.up, np.array(ahead))
-    turns = [turn_about_z(quarter * math.pi / 2) @ level for quarter in range(4)]
-    marked = [count_walls(points, turn, floor.below) for turn in turns]
-    best, second = np.argsort(marked, kind="stable")[:2].tolist()
-    has_yaw = marked[best] < CLEAR_WIN * marked[second]
-    rotation = turns[best] if has_yaw else level
-    mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
-    return Seat(mount, floor.below, has_yaw)
+    usual = [(other[2], count_cells(points, other)) for other in (given, LEVEL)]
+    seats: dict[int, Seat] = {}
+    for axis, way in FORWARD.items():
+        floor = find_floor(pooled, np.array(axis))
+        if floor.score < LEAST_SHARE or floor.below < NEAREST_M / 2:
+            continue
+        ahead, aside = np.array(way), np.cross(floor.up, way)
+        turns = [stand_upright(floor.up, to) for to in (ahead, -aside, -ahead, aside)]
+        filled = [count_cells(points, turn) for turn in turns]
+        best, second = np.argsort(filled, kind="stable")[:2].tolist()
+        has_yaw = filled[best] < CLEAR_WIN * filled[second]
+        rotation = turns[best if has_yaw else 0]
+        mount = Pose(0.0, 0.0, 0.0, *to_quaternions(rotation[None])[0].tolist())
+        most = min(it * (AS_FEW if floor.up @ up > STEEP else CLEAR_WIN) for up, it in usual)
+        if filled[best] <= most:
+            seats[filled[best]] = Seat(mount, floor.below, has_yaw)
+    return seats[min(seats)] if seats else None
 
 
 def list_points(part: PosedScans) -> list[tuple[Float64, Float64, Float64]]:
@@ -143,23 +159,20 @@ def stand_upright(up: Float64, ahead: Float64) -> Float64:
     return np.stack([forward, np.cross(up, forward), up])
 
 
-def turn_about_z(angle: float) -> Float64:
-    """Give the rotation (3, 3) about the vertical."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+def count_cells(points: Sequence[tuple[Float64, Float64, Float64]], rotation: Float64) -> int:
+    """Count the cubes that points fill in the map.
 
-
-def count_walls(
-    points: Sequence[tuple[Float64, Float64, Float64]], rotation: Float64, below: float
-) -> int:
-    """Count the cells of the map that hold walls when the sensor is mounted so."""
-    cells = []
-    for near, turned, place in points:
-        on_body = near @ rotation.T
-        stands = (on_body[:, 2] + below > BAND_M[0]) & (on_body[:, 2] + below < BAND_M[1])
-        in_map = on_body[stands] @ turned.T + place
-        cells.append(np.floor(in_map[:, :2] / CELL_M))
-    return len(np.unique(np.concatenate(cells), axis=0))
+    Parameters
+    ----------
+    points
+        By cloud, with its rotation and its position.
+    rotation
+        (3, 3) how the sensor is mounted.
+    """
+    in_map = [near @ (turned @ rotation).T + place for near, turned, place in points]
+    # Rounded to the nearest: a floor at zero would else lie between two of them.
+    cells = np.rint(np.concatenate(in_map) / CELL_M).astype(np.int64)
+    return len(np.unique(cells @ [1 << 42, 1 << 21, 1]))
 
 
 FLOOR_FROM_M = 1.0

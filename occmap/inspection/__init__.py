@@ -230,8 +230,10 @@ def list_apart(
     topics: Sequence[ScanFindings], surveys: Sequence[TopicSurvey], options: BuildOptions
 ) -> Iterator[Concern]:
     """Say if the scans of several topics contradict each other, and whose mount may be why."""
+    if len(topics) < 2:
+        return
     parts = [part for survey in surveys for part in survey.sample.parts]
-    together = estimate_agreement(parts, options) if len(topics) > 1 else None
+    together = estimate_agreement(parts, options)
     alone = {topic.topic: topic.agreement or 0.0 for topic in topics}
     by_part = [(alone[part.batch.topic], part.batch.ranges.size) for part in parts]
     expected = sum(share * size for share, size in by_part) / max(sum(it[1] for it in by_part), 1)
@@ -362,7 +364,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         against = list(poses.list_floor_concerns(some, level, posed, below))
         if below is not None:
             box = poses.enclose_clouds(log, level, posed, below)
-            against += poses.list_other_concerns(some, posed, below, is_right=not against)
+            against += poses.list_other_concerns(some, level, posed, below, is_right=not against)
         problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))

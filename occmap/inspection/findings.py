@@ -352,7 +352,7 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
         share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
         yield "", share + topic.hint
     if topic.mount is not None:
-        yield "sensor", describe_mount(topic.mount, topic.poses)
+        yield "sensor", describe_mount(topic.mount, topic)
 
 
 def list_shapes(topic: ScanFindings) -> Iterator[str]:
@@ -420,13 +420,17 @@ def describe_poses(topic: ScanFindings) -> str:
     return f"{share}{given}" + (f", {way}" if way else "") + (f"; {lost}" if lost else "")
 
 
-def describe_mount(mount: MountFindings, poses: PoseFindings) -> str:
-    """Say how the sensor sits."""
+def describe_mount(mount: MountFindings, topic: ScanFindings) -> str:
+    """Say how the sensor of a topic sits; z of the frame of a camera points where it looks."""
     tilt = math.degrees(mount.tilt)
-    parts = ["upside down"] if mount.upside_down else []
-    parts += [f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level", f"height {mount.height:.3g} m"]
-    if poses.assumed:
-        turn = "not known: measure it" if poses.is_guess else "found from the scans"
+    lean = f"tilted {tilt:.1f} deg" if tilt >= 0.05 else "level"
+    parts = ["upside down", lean] if mount.upside_down else [lean]
+    if topic.is_of_clouds and tilt > 45:
+        parts = [f"its z axis points {90 - tilt:.1f} deg {'down' if mount.upside_down else 'up'}"]
+    # Of clouds a note says how high they were above the ground, which may rise.
+    parts.append(f"{'z' if topic.is_of_clouds else 'height'} {mount.height:.3g} m")
+    if topic.poses.assumed:
+        turn = "not known: measure it" if topic.poses.is_guess else "found from the scans"
         parts.append(f"turn {turn}")
     return ", ".join(parts)
 

@@ -15,7 +15,7 @@ from occmap.cells import Box, Ground
 from occmap.choices import format_mount, list_values, take
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
-from occmap.evidence import list_contradictions
+from occmap.evidence import list_contradictions, measure_steady
 from occmap.grid import CellBox, Lattice
 from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
@@ -315,7 +315,11 @@ keeps its range less well than a beam does (m)"""
 
 
 def list_other_concerns(
-    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground, is_right: bool
+    some: Mapping[str, Sequence[PosedScans]],
+    poser: Poser,
+    options: BuildOptions,
+    ground: Ground,
+    is_right: bool,
 ) -> Iterator[tuple[str, Concern]]:
     """List what else some clouds show: the robot, and that they contradict each other.
 
@@ -339,8 +343,26 @@ def list_other_concerns(
         with suppress(MapError):  # it gets too large, which is a problem by itself
             for posed in clouds:
                 engine.add(posed)
-            found = list_contradictions(engine.finish())
-            yield from ((topic, Concern(text)) for text in found)
+            steady = measure_steady(engine.finish())
+            told = *list_contradictions(steady, {}), *list_smeared(clouds[0], poser, steady)
+            yield from ((topic, Concern(text)) for text in told)
+
+
+SMEARED, QUICK_DEG = 0.7, 30.0
+"""Of clouds that turn by so much in a second, on average, a smaller share of the hits is steady
+where the points lie as they were measured; 0.88 are where a driver laid them straight."""
+
+
+def list_smeared(posed: PosedScans, poser: Poser, steady: float) -> Iterator[str]:
+    """Say if walls look smeared by quick turns, as points have no times and share one pose."""
+    track = poser.courses[posed.batch.topic, posed.batch.frame].build()
+    turn = math.degrees(track.step_rad.sum() / max(track.interval_s.sum(), 1e-9))
+    if posed.batch.ranges.shape[1] == 1 and turn > QUICK_DEG and steady < SMEARED:
+        yield (
+            f"points have no times, the sensor turns by {turn:.0f} deg in a second, and only "
+            f"{steady:.0%} of the hits lie in cells that mostly were hit: walls may be smeared; "
+            "record the times of points, or clouds that are laid straight (deskewed)"
+        )
 
 
 def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
@@ -355,7 +377,8 @@ def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Floa
         is_near = (distance > options.returns.min_range) & (distance < SEEN_M)
         points, distance = points[is_near], distance[is_near]
         place = points @ rotation.T + position
-        stands = place[:, 2] - ground.find_heights(place) >= options.clouds.min_height
+        height = place[:, 2] - ground.find_heights(place)
+        stands = (height >= options.clouds.min_height) & (height < options.clouds.max_height)
         bearing = np.arctan2(points[:, 1], points[:, 0]) + math.pi
         beam = (bearing * (BEARINGS / math.tau)).astype(np.int64) % BEARINGS
         np.minimum.at(nearest, beam[stands], distance[stands])
@@ -375,7 +398,7 @@ def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> 
         return None
     body = Transforms.fixed(mount.pose).invert().first
     on_body = [mounts.mount_scans(each, body) for each in clouds]
-    seat = find_seat(on_body)
+    seat = find_seat(on_body, Transforms.fixed(mount.pose).rotation[0])
     if seat is None:
         return None
     up = Transforms.fixed(seat.mount).rotation[0, 2]

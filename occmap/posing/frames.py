@@ -57,8 +57,9 @@ class FrameTree:
     """Frames and the edges between them; what people record need not be a tree.
 
     A child's edges come from one source only: what the user gives goes before tf, and tf before
-    odometry. Of several edges between the same two frames the one with the most samples stays.
-    A child may have several parents, and cycles do no harm: the shortest way is taken.
+    odometry, unless nothing in tf moves. Of several edges between the same two frames the one with
+    the most samples stays. A child may have several parents, and cycles do no harm: the shortest
+    way is taken.
     """
 
     def __init__(self, edges: Iterable[Edge]) -> None:
@@ -98,9 +99,14 @@ class FrameTree:
         return found
 
     def find_root(self, frame: str) -> str:
-        """Find the nearest frame above that has no parent; in a cycle, the farthest frame."""
+        """Find the nearest frame above that has no parent, rather one that the frame moves in.
+
+        In a cycle, the farthest frame counts.
+        """
         above = self.list_ancestors(frame)
-        return next((name for name in above if not self._up.get(name)), above[-1])
+        roots = [name for name in above if not self._up.get(name)] or above[-1:]
+        moving = (root for root in roots if find_moving(self.find_path(root, frame) or ()))
+        return next(moving, roots[0])
 
     def find_path(self, upper: str, lower: str) -> list[Edge] | None:
         """Find the shortest way down from one frame to another; None where there is none.
@@ -232,9 +238,11 @@ def _choose_edges(edges: Iterable[Edge]) -> list[Edge]:
     """Keep the edges that are believed, in an order that does not depend on that in the log."""
     chosen: dict[tuple[str, str], Edge] = {}
     believed: dict[str, Source] = {}
-    for edge in sorted(edges, key=lambda e: (e.source, e.track.static, -len(e.track), e.topic)):
+    ranked = sorted(edges, key=lambda e: (e.source, e.track.static, -len(e.track), e.topic))
+    tf_moves = any(edge.track.moves for edge in ranked if edge.source is not Source.ODOMETRY)
+    for edge in ranked:
         source = believed.setdefault(edge.child, edge.source)
-        if edge.source == source:
+        if edge.source == source or (edge.track.moves and not tf_moves):
             chosen.setdefault((edge.parent, edge.child), edge)
     return sorted(chosen.values(), key=lambda edge: (edge.parent, edge.child))
 

@@ -267,8 +267,6 @@ MOST_DROPPED = 0.5
 """Where more of the scans that were asked for are not used, hardly anybody wants the map"""
 LONGEST_LOG_S = 1e8
 """Three years: a time that is later is a date."""
-LEAST_GROUND = 0.05
-"""Of the points that are ground or obstacles; where a sensor looks along a floor it is a quarter"""
 LEAST_OBSTACLES = 0.001
 """Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
@@ -309,16 +307,11 @@ def list_notes(
 
 
 def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
-    """Say where hardly a point of clouds lies on the ground, or in the robot's band."""
+    """Say where hardly a point of clouds lies in the robot's band."""
     if points and points["obstacle"] < LEAST_OBSTACLES * sum(points.values()):
         yield (
             f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
             f"{sum(points.values()):,}; see `min_height`, `max_height` and the line `points`"
-        )
-    if points and points["ground"] < LEAST_GROUND * (points["ground"] + points["obstacle"]):
-        yield (
-            f"hardly a point lies on the ground: {points['ground']:,} beside "
-            f"{points['obstacle']:,} of obstacles; `occmap check` says if a mount is wrong"
         )
 
 

@@ -6,9 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.evidence import list_contradictions
+from occmap.evidence import list_contradictions, measure_steady
+from occmap.inspection.poses import list_smeared, see_around
+from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
+from occmap.posing.attach import Poser
+from occmap.posing.course import Course
+from occmap.posing.sources import gather
 from tests.cli.runner import ask
-from tests.clouds.simulation import HALL
+from tests.clouds.simulation import HALL, Room, drive, drive_turning, find_ground
 from tests.grid.scans import make_grid
 
 TURNED = ("--sensor-pose", "0,0,3.14")
@@ -28,9 +34,20 @@ def test_hits_in_cells_that_mostly_were_missed_are_told(
     cells: list[tuple[int, int]], told: str
 ) -> None:
     grid = make_grid({(0, col): counts for col, counts in enumerate(cells)})
-    notes = list(list_contradictions(grid))
+    notes = list(list_contradictions(measure_steady(grid), {}))
     assert len(notes) == bool(told)
     assert all(told in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("unsteady", "ground", "is_told"), [(3, 4, True), (3, 6, False), (1, 4, False)]
+)
+def test_of_little_ground_is_told_where_clouds_are_not_as_steady_as_in_a_corridor(
+    unsteady: int, ground: int, is_told: bool
+) -> None:
+    grid = make_grid({(0, 0): (8, 0), (0, 1): (unsteady, 9)})
+    notes = list(list_contradictions(measure_steady(grid), {"ground": ground, "obstacle": 96}))
+    assert notes == [note for note in notes if "on the ground" in note] == notes[:is_told]
 
 
 def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
@@ -49,6 +66,32 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
     }
     (model,) = models
     assert model.endswith("cut=0.2,spread=0.0,ceiling=1.0,doubt=0.0,repeat_from=8.0")
+
+
+@pytest.mark.parametrize(
+    ("degrees", "steady", "is_told"), [(60, 0.5, True), (60, 0.9, False), (10, 0.5, False)]
+)
+def test_unsteady_clouds_without_times_that_turn_quickly_are_told(
+    degrees: float, steady: float, is_told: bool
+) -> None:
+    clouds, poser = (
+        drive_turning(degrees=degrees),
+        Poser(gather([], PosingOptions()), PosingOptions()),
+    )
+    batch = clouds[0].batch
+    course = poser.courses[batch.topic, batch.frame] = Course()
+    for posed in clouds:
+        course.see(posed, posed.batch.stamp_ns)
+    told = list(list_smeared(clouds[0], poser, steady))
+    assert [f"{degrees} deg" in text for text in told] == [True] * is_told
+
+
+def test_a_low_ceiling_is_not_taken_for_the_robot() -> None:
+    """0.15 m above a sensor that is 2.5 m high, and no obstacle to a robot of 1.5 m."""
+    clouds = drive(Room([(3, 6, 2, 4, 2.65, 2.7)]), clouds=4, sensor_m=2.5)
+    ground = find_ground(clouds)
+    (row,) = see_around(clouds[1], ground, BuildOptions())
+    assert row.min() > 0.5
 
 
 def test_a_robot_that_stands_in_its_own_clouds_is_left_out_by_the_command(tmp_path: Path) -> None:

@@ -6,7 +6,9 @@ import pytest
 from occmap.clouds.ground import measure_slope
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.posing.chain import Transforms
+from occmap.types import Float64
 from tests.clouds.simulation import (
+    LEVEL,
     SENSOR_M,
     change_points,
     drive_turning,
@@ -45,6 +47,21 @@ def test_walls_alone_are_no_floor() -> None:
     walls = [change_points(posed, all_[all_[:, 2] > 0.1 - SENSOR_M]) for posed, all_ in clouds]
     assert find_seat(walls) is None
     assert find_seat([]) is None
+
+
+@pytest.mark.parametrize("is_ceiling", [True, False], ids=["ceiling", "wall"])
+@pytest.mark.parametrize("given", [LEVEL, turn(0, 20, 0)], ids=["right", "wrong"])
+def test_another_plane_along_a_straight_way_is_no_floor(is_ceiling: bool, given: Float64) -> None:
+    """It is a metre above the sensor, or beside it, and holds more points than the floor."""
+    along, across = (axis.ravel() for axis in np.mgrid[-4:4.01:0.1, -0.9:0.91:0.05])
+    apart = np.ones(along.size)
+    plane = np.column_stack([along, across, apart] if is_ceiling else [along, apart, across])
+    clouds = [
+        change_points(posed, np.concatenate([read_points(posed)[::20], plane]))
+        for posed in drive_turning(degrees=0)
+    ]
+    seat = find_seat(clouds, given)
+    assert seat is None or Transforms.fixed(seat.mount).rotation[0, 2, 2] > 0.999
 
 
 @pytest.mark.parametrize("angles", [(0, 1, 0), (-0.8, 0.5, 0)])

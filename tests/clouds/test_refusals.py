@@ -25,6 +25,7 @@ COLUMNS, ROWS = 202, 122
         (("--max-cells", COLUMNS * ROWS - 1), f"--max-cells {COLUMNS * ROWS - 1}"),
         (("--resolution", "0.0001"), "--max-cells"),
         (("--max-range", "0.001"), "no point of any cloud observed a cell"),
+        (("--sensor-height", "50"), "no ground is seen below the sensor"),
         ((SAMPLE_LOGS / "drive.mcap",), "one kind at a time"),
     ],
 )

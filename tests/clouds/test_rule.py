@@ -225,6 +225,23 @@ def test_no_floor_in_view_is_refused_with_what_to_type() -> None:
         find_ground(above)
 
 
+def test_clouds_in_the_map_may_be_seen_from_where_the_robot_stands() -> None:
+    clouds = drive(Room(), clouds=4)
+    standing = [replace(it, origin=it.position - [0, 0, 0.61]) for it in clouds]
+    assert find_ground(standing).measured.sum() == find_ground(clouds).measured.sum()
+
+
+@pytest.mark.parametrize(("height_m", "notes"), [(None, 1), (0.6, 1), (0.3, 2)])
+def test_that_hardly_any_floor_is_seen_is_told(height_m: float | None, notes: int) -> None:
+    """A box of 0.3 m is all that lies as deep as the sensor is said to be high."""
+    finder = GroundFinder(4)
+    for posed in drive(Room([(4.0, 4.4, 3.4, 3.8, 0.0, 0.3)]), clouds=4):
+        finder.add(posed)
+    told = finder.find(CloudOptions(sensor_height=height_m))[1]
+    assert len(told) == notes
+    assert all("hardly any floor" in note for note in told[1:])
+
+
 def test_heights_that_leave_no_band_are_refused() -> None:
     with pytest.raises(UsageError, match="`min_height` below the `max_height`"):
         CloudOptions(min_height=1.0, max_height=1.0)

@@ -61,6 +61,13 @@ PLACES = {
         [*TF, MOUNT._replace(record_ns=1, pose=turned(0, y=2)), MOUNT], [4, 2, 0]
     ),
     "odometry": case([*drive("odom", "base_link", "/wheels"), MOUNT], [4.5, 0, 0]),
+    "odometry of what tf only mounts": case(
+        [*drive("odom", "base_link", "/wheels"), bolted("footprint", "base_link", AHEAD), MOUNT],
+        [4.5, 0, 0],
+    ),
+    "odometry of a mounted laser": case(
+        [*drive("camera_init", "laser", "/lio"), MOUNT], [4, 0, 0], "camera_init"
+    ),
     "tf before odometry": case([*LAGGING, *TF], [4.5, 0, 0]),
     "poses of a still tree": case([*POSES, MOUNT], [4.5, 0, 0], "mocap"),
     "poses without a tree": case(POSES, [4, 0, 0], "mocap"),
@@ -92,6 +99,14 @@ NOTES = {
     "before one of the log": ["the given transform base_link -> laser replaces the log's"],
     "the last static one": ["/tf_static changes base_link -> laser: the last pose counts"],
     "odometry": ["tf does not give odom -> base_link: taken from /wheels"],
+    "odometry of what tf only mounts": [
+        f"frames that have several parents: base_link (footprint, odom); {SHORTEST}",
+        "tf does not give odom -> base_link: taken from /wheels",
+    ],
+    "odometry of a mounted laser": [
+        f"frames that have several parents: laser (base_link, camera_init); {SHORTEST}",
+        "tf does not give camera_init -> laser: taken from /lio",
+    ],
     "nameless odometry": ["tf does not give odom -> base_link: taken from /odom"],
     "poses of a still tree": [TAKEN.format("/pose", "base_link")],
     "poses without a tree": [
