@@ -14,6 +14,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from enum import EnumType
+from functools import cache
 from numbers import Real
 from pathlib import Path
 from types import NoneType
@@ -312,10 +313,16 @@ def option(default: Any, text: str = "", **declared: Any) -> Any:
     return field(default=default, metadata=metadata)
 
 
+@cache
+def find_hints(kind: Any) -> dict[str, Any]:
+    """Find the types of the fields of a dataclass, which takes long where it is done often."""
+    return get_type_hints(kind)
+
+
 def list_options(kind: Any, section: str = "") -> dict[str, Option]:
     """List the options of a dataclass by their names, those in groups, too."""
     found: dict[str, Option] = {}
-    hints = get_type_hints(kind)
+    hints = find_hints(kind)
     for each in fields(kind):
         name, hint = each.name, hints[each.name]
         declared = each.metadata.get("option", Option())
@@ -339,7 +346,7 @@ def list_values(options: Any) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for each in fields(options):
         value = getattr(options, each.name)
-        is_group = is_dataclass(get_type_hints(type(options))[each.name])
+        is_group = is_dataclass(find_hints(cast(Any, type(options)))[each.name])
         found |= list_values(value) if is_group else {each.name: value}
     return found
 
@@ -368,7 +375,7 @@ def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> An
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
     """Make options of the values that are named like its fields, or like those of its groups."""
     made = {}
-    for name, hint in get_type_hints(kind).items():
+    for name, hint in find_hints(cast(Any, kind)).items():
         if name in values:
             made[name] = values[name]
         elif is_dataclass(hint):

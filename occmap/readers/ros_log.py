@@ -13,6 +13,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -83,7 +84,7 @@ class RosLog:
                 kind = kind.bind(camera) if camera else UNUSED
             self._types[channel] = kind
 
-    @property
+    @cached_property
     def streams(self) -> Sequence[Stream]:
         """Every topic, with the messages of all its publishers."""
         counts: Counter[tuple[str, str, Role]] = Counter()

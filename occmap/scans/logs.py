@@ -44,11 +44,12 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
         notes = sorted(log.notes, key=lambda note: not note.damage)
         found = f"holds no laser scans and no clouds; it holds {held or 'nothing'}"
         raise LogError(found, where=log.path, fix=notes[0].text if notes else "")
-    missing = sorted(set(wanted) - set(there))
+    asked = set(wanted)
+    missing = sorted(asked - set(there))
     if missing:
         found = f"has no scans on the topic {missing[0]}"
         raise LogError(found, where=log.path, fix=f"it has scans on {', '.join(there)}")
-    return [topic for topic in there if topic in wanted or not wanted]
+    return [topic for topic in there if topic in asked or not asked]
 
 
 def settle_update(logs: Sequence[Log], options: BuildOptions) -> BuildOptions:
@@ -118,7 +119,7 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
     LogError
         As `choose_topics`.
     """
-    topics = choose_topics(log, wanted)
+    topics = set(choose_topics(log, wanted))
     return sum(stream.count for stream in log.streams if stream.topic in topics)
 
 
