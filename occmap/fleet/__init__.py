@@ -10,11 +10,12 @@ import json
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
+from platform import node
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ from occmap.scans.tracing import BuildGround, Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
-from occmap.writers.atomic import make_folder, refuse_unwritable
+from occmap.writers.atomic import lock, make_folder, refuse_unwritable
 
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
@@ -126,7 +127,8 @@ class Fleet:
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
                 manifest = replace(manifests.plan_manifest(options), builds=(made,))
-            with make_folder(output, f".occmap-{work.setting.folder.name}.tmp") as store:
+            # Another machine, which sees no lock of this one, writes to a folder of its own.
+            with make_folder(output, f".occmap-{work.setting.folder.name}-{node()}.tmp") as store:
                 with tally.time("fold"):
                     create_store(store, manifest, [job.block for job in work.reductions])
                     jobs = [replace(job, store=store) for job in work.reductions]
@@ -240,7 +242,7 @@ def open_scratch(
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
     It goes away when the build is done. Where the build fails or is killed, it stays, and the same
-    build goes on where it was.
+    build goes on where it was. While one process builds, another one on this machine waits.
 
     Raises
     ------
@@ -253,6 +255,7 @@ def open_scratch(
     what = [
         version("occmap"),
         manifests.write_options(options),
+        str(scratch.absolute()),  # from two of them, one output may be written at once
         keep[:2],
         keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
         [str(path) for path in inputs],
@@ -260,12 +263,17 @@ def open_scratch(
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
     folder = scratch.absolute() / f"build-{digest}"
-    with refuse_unwritable(scratch):
-        folder.mkdir(parents=True, exist_ok=True)
-    yield folder
-    shutil.rmtree(folder, ignore_errors=True)
-    with suppress(OSError):  # another build may have something in it
-        scratch.rmdir()
+    with ExitStack() as stack:
+        is_held = False
+        while not is_held:  # the other process may remove the folder when it is done
+            stack.close()
+            with refuse_unwritable(scratch):
+                folder.mkdir(parents=True, exist_ok=True)
+            is_held = lock(folder, stack) and folder.exists()
+        yield folder
+        shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # another build may have something in it
+            scratch.rmdir()
 
 
 def paint_blocks(work: Work, jobs: list[BlockJob], records: Sequence[BlockRecord]) -> MapFacts:

@@ -10,6 +10,7 @@ from functools import partial
 from importlib.metadata import version
 from multiprocessing import resource_tracker
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
@@ -20,7 +21,7 @@ from occmap.report import count
 if TYPE_CHECKING:
     from distributed import Client
 
-
+log = logging.getLogger(__name__)
 LOCAL = "local"
 """The address that stands for processes on this machine"""
 PATIENCE_S = 5
@@ -76,7 +77,6 @@ class Cluster:
             Of the first job that failed, or its workers died, or the scheduler did.
         """
         from distributed import as_completed  # noqa: PLC0415  late: an extra
-        from distributed.comm.core import CommClosedError  # noqa: PLC0415  likewise
 
         results: dict[Any, Result] = {}
         try:
@@ -84,24 +84,47 @@ class Cluster:
                 raise CancelledError
             # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
             futures = self._client.map(task, jobs, pure=False, retries=0)
-            for done, future in enumerate(as_completed(futures), start=1):
-                if future.status != "finished":
-                    break  # what comes later does not matter any more; what comes earlier may fail
-                results[future] = future.result()
-                tell(results[future])
-                future.release()
-                self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
-            return [
-                results[future] if future in results else self._wait_for(job, future)
-                for job, future in zip(jobs, futures, strict=True)
-            ]
-        except (CancelledError, CommClosedError):  # maybe it was lost while a result was fetched
+            with self._miss_workers():
+                for done, future in enumerate(as_completed(futures), start=1):
+                    if future.status != "finished":
+                        break  # what comes later does not matter; what comes earlier may fail
+                    results[future] = future.result()
+                    tell(results[future])
+                    future.release()
+                    self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
+                return [
+                    results[future] if future in results else self._wait_for(job, future)
+                    for job, future in zip(jobs, futures, strict=True)
+                ]
+        except LOST as error:  # maybe while a result was fetched
+            raise_others(error)
             folder = jobs[0].setting.folder
             kept = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
             done = max(kept, len(results))
             found = f"the scheduler is gone; {done} of {len(jobs)} tasks of {phase!r} are done"
             fix = f"start it again, and type the same command: it goes on from {folder}"
             raise FleetError(found, where=self._address, fix=fix) from None
+
+    @contextmanager
+    def _miss_workers(self) -> Iterator[None]:
+        """Say so once where no worker is left for a while: Dask waits for another one for ever."""
+        is_over = Event()
+
+        def look() -> None:
+            missed = 0
+            while missed < 2 and not is_over.wait(PATIENCE_S):
+                is_there = self._client.scheduler_info(n_workers=-1)["workers"]
+                missed = 0 if is_there else missed + 1
+            if missed == 2:
+                log.warning("%s: no worker is left; waiting for another one", self._address)
+
+        looking = Thread(target=look)
+        looking.start()
+        try:
+            yield
+        finally:
+            is_over.set()
+            looking.join()
 
     def _wait_for(self, job: Job, future: Any) -> Any:
         """Wait for the result of a job.
@@ -121,8 +144,23 @@ class Cluster:
             raise FleetError(found, where=job.where, fix="give workers more memory") from None
 
     def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
-        """Ask every worker; an error is an answer."""
-        return list(self._client.run(question, *args, on_error="return").values())
+        """Ask every worker; an error is an answer. Raises FleetError if the scheduler is gone."""
+        try:
+            return list(self._client.run(question, *args, on_error="return").values())
+        except LOST as error:
+            raise_others(error)
+            fix = "start it again, and type the same command: it goes on from what is done"
+            raise FleetError("the scheduler is gone", where=self._address, fix=fix) from None
+
+
+LOST = CancelledError, OSError
+"""What Dask raises when the scheduler is gone"""
+
+
+def raise_others(error: Exception) -> None:
+    """Raise what is of the system, and not of Dask: that has a number, as a full disk has."""
+    if isinstance(error, OSError) and error.errno is not None:
+        raise error
 
 
 @contextmanager
