@@ -168,6 +168,7 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         yield "class", "unknown: nothing observed this cell"
     if seen.observations:
         yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
+        yield from list_forgotten(explanation)
         yield from list_builds(explanation)
     elif explanation.verdict != "unknown":
         beside = "hits of the cells beside it count here in part (--spread)"
@@ -179,6 +180,19 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         if not (box[0] <= x < box[2] and box[1] <= y < box[3]):
             yield "", f"it lies outside of the map: {write_box(box)}"
     yield from label_first("around", list_around(explanation))
+
+
+def list_forgotten(explanation: Explanation) -> Iterator[Row]:
+    """Say what is left of a cell, and why, if the number of visits took some of it away."""
+    seen, kept, unit = explanation.seen, explanation.kept, explanation.unit
+    if kept is None or kept.numbers == seen.numbers:
+        return
+    hits, misses = seen.numbers[0] - kept.numbers[0], seen.numbers[1] - kept.numbers[1]
+    lost = f"{count(misses / unit, 'miss')}, since half of its visits or more hit it"
+    if hits:
+        lost = f"{count(hits / unit, 'hit')}, since fewer visits hit it"
+    told = describe_numbers(kept.numbers, kept.kind, unit)
+    yield "kept", f"{told}: --min-passes {explanation.min_passes} forgets {lost}"
 
 
 def list_around(explanation: Explanation) -> Iterator[str]:
