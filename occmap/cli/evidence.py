@@ -184,15 +184,11 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
 
 def list_forgotten(explanation: Explanation) -> Iterator[Row]:
     """Say what is left of a cell, and why, if the number of visits took some of it away."""
-    seen, kept, unit = explanation.seen, explanation.kept, explanation.unit
-    if kept is None or kept.numbers == seen.numbers:
-        return
-    hits, misses = seen.numbers[0] - kept.numbers[0], seen.numbers[1] - kept.numbers[1]
-    lost = f"{count(misses / unit, 'miss')}, since half of its visits or more hit it"
-    if hits:
-        lost = f"{count(hits / unit, 'hit')}, since fewer visits hit it"
-    told = describe_numbers(kept.numbers, kept.kind, unit)
-    yield "kept", f"{told}: --min-passes {explanation.min_passes} forgets {lost}"
+    kept = explanation.kept
+    if kept and kept.numbers != explanation.seen.numbers:
+        told = describe_numbers(kept.numbers, kept.kind, explanation.unit)
+        why = "half of its visits or more" if kept.hits else "fewer visits"
+        yield "kept", f"{told} by --min-passes {explanation.min_passes}, since {why} hit it"
 
 
 def list_around(explanation: Explanation) -> Iterator[str]:

@@ -264,12 +264,12 @@ def open_scratch(
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
     folder = scratch.absolute() / f"build-{digest}"
     with ExitStack() as stack:
-        is_held = False
-        while not is_held:  # the other process may remove the folder when it is done
-            stack.close()
-            with refuse_unwritable(scratch):
+        with refuse_unwritable(scratch):
+            folder.mkdir(parents=True, exist_ok=True)
+            # Another process, once it is done, takes the folder away.
+            while not (lock(folder, stack) and folder.exists()):
+                stack.close()
                 folder.mkdir(parents=True, exist_ok=True)
-            is_held = lock(folder, stack) and folder.exists()
         yield folder
         shutil.rmtree(folder, ignore_errors=True)
         with suppress(OSError):  # another build may have something in it

@@ -28,6 +28,8 @@ PATIENCE_S = 5
 """A scheduler that is there answers within milliseconds"""
 LEAST_BYTES = 512 << 20
 """The least memory for a worker (bytes): a third of it is gone before the first scan"""
+LOST = CancelledError, OSError
+"""What Dask raises where the scheduler is gone"""
 MUST_EQUAL = ("occmap", "numpy", "numba")
 """Packages that may make other cells in another version"""
 _MALLOC = "distributed.nanny.pre-spawn-environ.MALLOC"
@@ -84,47 +86,23 @@ class Cluster:
                 raise CancelledError
             # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
             futures = self._client.map(task, jobs, pure=False, retries=0)
-            with self._miss_workers():
-                for done, future in enumerate(as_completed(futures), start=1):
-                    if future.status != "finished":
-                        break  # what comes later does not matter; what comes earlier may fail
-                    results[future] = future.result()
-                    tell(results[future])
-                    future.release()
-                    self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
-                return [
-                    results[future] if future in results else self._wait_for(job, future)
-                    for job, future in zip(jobs, futures, strict=True)
-                ]
+            for done, future in enumerate(as_completed(futures), start=1):
+                if future.status != "finished":
+                    break  # what comes later does not matter any more; what comes earlier may fail
+                results[future] = future.result()
+                tell(results[future])
+                future.release()
+                self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
+            return [
+                results[future] if future in results else self._wait_for(job, future)
+                for job, future in zip(jobs, futures, strict=True)
+            ]
         except LOST as error:  # maybe while a result was fetched
-            raise_others(error)
             folder = jobs[0].setting.folder
             kept = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
             done = max(kept, len(results))
-            found = f"the scheduler is gone; {done} of {len(jobs)} tasks of {phase!r} are done"
-            fix = f"start it again, and type the same command: it goes on from {folder}"
-            raise FleetError(found, where=self._address, fix=fix) from None
-
-    @contextmanager
-    def _miss_workers(self) -> Iterator[None]:
-        """Say so once where no worker is left for a while: Dask waits for another one for ever."""
-        is_over = Event()
-
-        def look() -> None:
-            missed = 0
-            while missed < 2 and not is_over.wait(PATIENCE_S):
-                is_there = self._client.scheduler_info(n_workers=-1)["workers"]
-                missed = 0 if is_there else missed + 1
-            if missed == 2:
-                log.warning("%s: no worker is left; waiting for another one", self._address)
-
-        looking = Thread(target=look)
-        looking.start()
-        try:
-            yield
-        finally:
-            is_over.set()
-            looking.join()
+            so_far = f"; {done} of {len(jobs)} tasks of {phase!r} are done"
+            raise self._explain(error, so_far, str(folder)) from None
 
     def _wait_for(self, job: Job, future: Any) -> Any:
         """Wait for the result of a job.
@@ -148,19 +126,14 @@ class Cluster:
         try:
             return list(self._client.run(question, *args, on_error="return").values())
         except LOST as error:
-            raise_others(error)
-            fix = "start it again, and type the same command: it goes on from what is done"
-            raise FleetError("the scheduler is gone", where=self._address, fix=fix) from None
+            raise self._explain(error) from None
 
-
-LOST = CancelledError, OSError
-"""What Dask raises when the scheduler is gone"""
-
-
-def raise_others(error: Exception) -> None:
-    """Raise what is of the system, and not of Dask: that has a number, as a full disk has."""
-    if isinstance(error, OSError) and error.errno is not None:
-        raise error
+    def _explain(self, error: Exception, so_far: str = "", kept: str = "what is done") -> Exception:
+        """Make an error of Dask one that says what is lost, and what is not."""
+        if getattr(error, "errno", None) is not None:  # of the system, as of a full disk
+            return error
+        fix = f"start it again, and type the same command: it goes on from {kept}"
+        return FleetError(f"the scheduler is gone{so_far}", where=self._address, fix=fix)
 
 
 @contextmanager
@@ -194,7 +167,28 @@ def open_cluster(
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         cluster = Cluster(client, address, describe)
         refuse_unfit(cluster)
-        yield cluster
+        with miss_workers(client, address):
+            yield cluster
+
+
+@contextmanager
+def miss_workers(client: "Client", address: str) -> Iterator[None]:
+    """Say so once where no worker is left for a while: Dask waits for another one for ever."""
+    is_over = Event()
+
+    def look() -> None:
+        while not is_over.wait(2 * PATIENCE_S):
+            if not client.scheduler_info()["workers"]:
+                log.warning("%s: no worker is left; waiting for another one", address)
+                return
+
+    looking = Thread(target=look)
+    looking.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        looking.join()
 
 
 @contextmanager

@@ -256,10 +256,13 @@ def test_that_no_worker_is_left_is_said_once(
         told.append(text % values)
         scheduler.kill()
 
+    monkeypatch.setattr(cluster.log, "warning", hear)
     with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, print) as found:
         monkeypatch.setattr(cluster, "PATIENCE_S", 0.2)
-        monkeypatch.setattr(cluster.log, "warning", hear)
-        with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
+        with (
+            pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"),
+            cluster.miss_workers(found._client, address),
+        ):
             found.run("trace", die, [JOB])
     assert told == [f"{address}: no worker is left; waiting for another one"]
 
