@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
-from platform import node
 from typing import NamedTuple
 
 import numpy as np
@@ -127,8 +126,7 @@ class Fleet:
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
                 manifest = replace(manifests.plan_manifest(options), builds=(made,))
-            # Another machine, which sees no lock of this one, writes to a folder of its own.
-            with make_folder(output, f".occmap-{work.setting.folder.name}-{node()}.tmp") as store:
+            with make_folder(output, f".occmap-{work.setting.folder.name}.tmp") as store:
                 with tally.time("fold"):
                     create_store(store, manifest, [job.block for job in work.reductions])
                     jobs = [replace(job, store=store) for job in work.reductions]
@@ -242,7 +240,7 @@ def open_scratch(
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
     It goes away when the build is done. Where the build fails or is killed, it stays, and the same
-    build goes on where it was. While one process builds, another one on this machine waits.
+    build goes on where it was. Meanwhile another process that begins the same build waits.
 
     Raises
     ------
@@ -262,18 +260,20 @@ def open_scratch(
         [[state.st_size, state.st_mtime_ns] for state in states],
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
-    folder = scratch.absolute() / f"build-{digest}"
+    folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
     with ExitStack() as stack:
-        with refuse_unwritable(scratch):
-            folder.mkdir(parents=True, exist_ok=True)
-            # Another process, once it is done, takes the folder away.
-            while not (lock(folder, stack) and folder.exists()):
-                stack.close()
+        is_held = False
+        while not is_held:  # whoever had the lock before took both away
+            stack.close()
+            with refuse_unwritable(scratch):
                 folder.mkdir(parents=True, exist_ok=True)
+                mark.touch()
+            is_held = lock(mark, stack) and mark.exists()
+        stack.callback(mark.unlink, missing_ok=True)
         yield folder
         shutil.rmtree(folder, ignore_errors=True)
-        with suppress(OSError):  # another build may have something in it
-            scratch.rmdir()
+    with suppress(OSError):  # another build may have something in it
+        scratch.rmdir()
 
 
 def paint_blocks(work: Work, jobs: list[BlockJob], records: Sequence[BlockRecord]) -> MapFacts:

@@ -202,7 +202,10 @@ def lock(path: Path, stack: ExitStack) -> bool:
     import fcntl  # noqa: PLC0415  Windows has none
 
     with suppress(OSError):
-        file = os.open(path if path.exists() else path.parent, os.O_RDONLY)
+        there = path if path.exists() else path.parent
+        # NFS locks only files, and only for who may write to them.
+        is_writable = there.is_file() and os.access(there, os.W_OK)
+        file = os.open(there, os.O_RDWR if is_writable else os.O_RDONLY)
         stack.callback(os.close, file)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
