@@ -108,7 +108,7 @@ class BuildOptions:
     min_passes: int | None = option(
         None,
         "Keep the hits of a cell only if they came on at least this many visits: drops people who "
-        "passed once.",
+        "passed once. Where these are half of its visits or more, its misses are forgotten.",
         unit="visits",
         metavar="K",
     )

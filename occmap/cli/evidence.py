@@ -168,6 +168,7 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         yield "class", "unknown: nothing observed this cell"
     if seen.observations:
         yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
+        yield from list_forgotten(explanation)
         yield from list_builds(explanation)
     elif explanation.verdict != "unknown":
         beside = "hits of the cells beside it count here in part (--spread)"
@@ -179,6 +180,15 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         if not (box[0] <= x < box[2] and box[1] <= y < box[3]):
             yield "", f"it lies outside of the map: {write_box(box)}"
     yield from label_first("around", list_around(explanation))
+
+
+def list_forgotten(explanation: Explanation) -> Iterator[Row]:
+    """Say what is left of a cell, and why, if the number of visits took some of it away."""
+    kept = explanation.kept
+    if kept and kept.numbers != explanation.seen.numbers:
+        told = describe_numbers(kept.numbers, kept.kind, explanation.unit)
+        why = "half of its visits or more" if kept.hits else "fewer visits"
+        yield "kept", f"{told} by --min-passes {explanation.min_passes}, since {why} hit it"
 
 
 def list_around(explanation: Explanation) -> Iterator[str]:

@@ -71,9 +71,28 @@ def describe_build(
     }
 
 
-def leave_out_edits(build: BuildRecord) -> BuildRecord:
-    """What a build observed: edits are drawn over its map, and are nothing of that."""
-    return {name: value for name, value in build.items() if name != "edits"}
+def leave_out(build: BuildRecord, part: BuildRecord) -> BuildRecord | None:
+    """Take the logs of another build out of one that read them alike; None where it did not.
+
+    What is left has no inputs if those were all. Else it names what was taken out.
+    """
+    logs, taken = list_inputs(build), list_inputs(part)
+    left = [entry for entry in logs if entry not in taken]
+    if len(left) + len(taken) != len(logs) or list_alike(build) != list_alike(part):
+        return None
+    whole, its = build["scans"], part["scans"]
+    scans = {name: whole[name] - its[name] for name in ("read", "used")}
+    for name in ("dropped", "beams"):
+        scans[name] = {kind: n - its[name].get(kind, 0) for kind, n in whole[name].items()}
+    out = [*build.get("subtracted", ()), *taken]
+    inputs = [*left, *list_trajectory(build)] if left else []
+    return {**build, "inputs": inputs, "scans": scans, "subtracted": out}
+
+
+def list_alike(build: BuildRecord) -> list[Any]:
+    """List what is the same in builds that read logs alike: edits are drawn over a map alone."""
+    others = ("inputs", "scans", "edits", "subtracted")
+    return [list_trajectory(build), {key: build[key] for key in build if key not in others}]
 
 
 def write_options(options: Any) -> dict[str, Any]:
@@ -207,17 +226,26 @@ def describe_about(
 def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
-    names = {Update.SURFACE: ("jump",), Update.POLYGON: ("jump", "border_gap")}
+    names = {
+        Update.SURFACE: ("jump",),
+        Update.POLYGON: ("jump", "border_gap"),
+        Update.CLOUD: ("min_height", "max_height", "range_margin"),
+    }
     of_builds = [
-        {"level": [0.0, 0.0]} | build["options"]["posing"] | build["options"]
-        for build in manifest.builds
+        {"level": [0.0, 0.0]} | options["posing"] | options.get("clouds", {}) | options
+        for options in (build["options"] for build in manifest.builds)
     ]
     for name in (*names.get(Update(manifest.update), ()), "level"):
         values = {str(options[name]) for options in of_builds if name in options}
         if len(values) > 1:
             yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
     if manifest.subtracted:
-        yield "what was subtracted was not a whole build, so numbers of visits are upper bounds"
+        yield (
+            "what was subtracted was no whole build and no whole logs of one, so logs, scans and "
+            "beams are counted as before, and numbers of visits are upper bounds"
+        )
+    if any("subtracted" in build for build in manifest.builds):
+        yield "some logs of a build were subtracted, so numbers of visits are upper bounds"
 
 
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
@@ -230,10 +258,12 @@ def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
             uses[entry["sha256"]].append((name, build["options"]["selection"]))
     pairs = (pair for of_file in uses.values() for pair in combinations(of_file, 2))
     names = dict.fromkeys(name for (_, one), (name, other) in pairs if overlap(one, other))
-    for name in names:
+    if names:
+        are, they, them = ("is", "it", "it") if len(names) == 1 else ("are", "they", "them")
         yield (
-            f"{name} is in it more than once, in whole or in part, and what it observed counts as "
-            "often; to take it out once, build it again alone, and let `occmap merge` subtract that"
+            f"{join_names(names)} {are} in it more than once, in whole or in part, and what {they} "
+            f"observed counts as often; to take {them} out once, build {them} again alone, and let "
+            "`occmap merge` subtract that"
         )
 
 

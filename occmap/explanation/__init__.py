@@ -85,6 +85,9 @@ class Explanation(Printed):
     it"""
     seen: Seen
     """What observed the cell"""
+    kept: Seen | None
+    """What of that makes the class, where `min_passes` forgets hits, or misses beside lasting hits;
+    null where nobody asked"""
     ground: float | None
     """How high the ground is at the point (m); null where no points of clouds showed it"""
     around: list[list[Seen]]
@@ -137,6 +140,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         model=describe_model(model),
         unit=find_unit(manifest.update),
         seen=around[1][1],
+        kept=cell.read_around(lasting)[1][1] if question.min_passes else None,
         ground=measure_ground(saved, question),
         around=around,
         min_passes=question.min_passes,

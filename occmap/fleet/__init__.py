@@ -10,7 +10,7 @@ import json
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
@@ -37,7 +37,7 @@ from occmap.scans.tracing import BuildGround, Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
-from occmap.writers.atomic import make_folder, refuse_unwritable
+from occmap.writers.atomic import lock, make_folder, refuse_unwritable
 
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
@@ -240,7 +240,7 @@ def open_scratch(
     """Make, or find again, the folder where the tasks of this very build leave what they found.
 
     It goes away when the build is done. Where the build fails or is killed, it stays, and the same
-    build goes on where it was.
+    build goes on where it was. Meanwhile another process that begins the same build waits.
 
     Raises
     ------
@@ -253,17 +253,25 @@ def open_scratch(
     what = [
         version("occmap"),
         manifests.write_options(options),
+        str(scratch.absolute()),  # from two of them, one output may be written at once
         keep[:2],
         keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
         [str(path) for path in inputs],
         [[state.st_size, state.st_mtime_ns] for state in states],
     ]
     digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
-    folder = scratch.absolute() / f"build-{digest}"
-    with refuse_unwritable(scratch):
-        folder.mkdir(parents=True, exist_ok=True)
-    yield folder
-    shutil.rmtree(folder, ignore_errors=True)
+    folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
+    with ExitStack() as stack:
+        is_held = False
+        while not is_held:  # whoever had the lock before took both away
+            stack.close()
+            with refuse_unwritable(scratch):
+                folder.mkdir(parents=True, exist_ok=True)
+                mark.touch()
+            is_held = lock(mark, stack) and mark.exists()
+        stack.callback(mark.unlink, missing_ok=True)
+        yield folder
+        shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):  # another build may have something in it
         scratch.rmdir()
 

@@ -10,6 +10,7 @@ from functools import partial
 from importlib.metadata import version
 from multiprocessing import resource_tracker
 from pathlib import Path
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
@@ -20,13 +21,15 @@ from occmap.report import count
 if TYPE_CHECKING:
     from distributed import Client
 
-
+log = logging.getLogger(__name__)
 LOCAL = "local"
 """The address that stands for processes on this machine"""
 PATIENCE_S = 5
 """A scheduler that is there answers within milliseconds"""
 LEAST_BYTES = 512 << 20
 """The least memory for a worker (bytes): a third of it is gone before the first scan"""
+LOST = CancelledError, OSError
+"""What Dask raises where the scheduler is gone"""
 MUST_EQUAL = ("occmap", "numpy", "numba")
 """Packages that may make other cells in another version"""
 _MALLOC = "distributed.nanny.pre-spawn-environ.MALLOC"
@@ -76,7 +79,6 @@ class Cluster:
             Of the first job that failed, or its workers died, or the scheduler did.
         """
         from distributed import as_completed  # noqa: PLC0415  late: an extra
-        from distributed.comm.core import CommClosedError  # noqa: PLC0415  likewise
 
         results: dict[Any, Result] = {}
         try:
@@ -95,13 +97,12 @@ class Cluster:
                 results[future] if future in results else self._wait_for(job, future)
                 for job, future in zip(jobs, futures, strict=True)
             ]
-        except (CancelledError, CommClosedError):  # maybe it was lost while a result was fetched
+        except LOST as error:  # maybe while a result was fetched
             folder = jobs[0].setting.folder
             kept = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
             done = max(kept, len(results))
-            found = f"the scheduler is gone; {done} of {len(jobs)} tasks of {phase!r} are done"
-            fix = f"start it again, and type the same command: it goes on from {folder}"
-            raise FleetError(found, where=self._address, fix=fix) from None
+            so_far = f"; {done} of {len(jobs)} tasks of {phase!r} are done"
+            raise self._explain(error, so_far, str(folder)) from None
 
     def _wait_for(self, job: Job, future: Any) -> Any:
         """Wait for the result of a job.
@@ -121,8 +122,18 @@ class Cluster:
             raise FleetError(found, where=job.where, fix="give workers more memory") from None
 
     def ask(self, question: Callable[..., Any], *args: Any) -> list[Any]:
-        """Ask every worker; an error is an answer."""
-        return list(self._client.run(question, *args, on_error="return").values())
+        """Ask every worker; an error is an answer. Raises FleetError if the scheduler is gone."""
+        try:
+            return list(self._client.run(question, *args, on_error="return").values())
+        except LOST as error:
+            raise self._explain(error) from None
+
+    def _explain(self, error: Exception, so_far: str = "", kept: str = "what is done") -> Exception:
+        """Make an error of Dask one that says what is lost, and what is not."""
+        if getattr(error, "errno", None) is not None:  # of the system, as of a full disk
+            return error
+        fix = f"start it again, and type the same command: it goes on from {kept}"
+        return FleetError(f"the scheduler is gone{so_far}", where=self._address, fix=fix)
 
 
 @contextmanager
@@ -156,7 +167,28 @@ def open_cluster(
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         cluster = Cluster(client, address, describe)
         refuse_unfit(cluster)
-        yield cluster
+        with miss_workers(client, address):
+            yield cluster
+
+
+@contextmanager
+def miss_workers(client: "Client", address: str) -> Iterator[None]:
+    """Say so once where no worker is left for a while: Dask waits for another one for ever."""
+    is_over = Event()
+
+    def look() -> None:
+        while not is_over.wait(2 * PATIENCE_S):
+            if not client.scheduler_info()["workers"]:
+                log.warning("%s: no worker is left; waiting for another one", address)
+                return
+
+    looking = Thread(target=look)
+    looking.start()
+    try:
+        yield
+    finally:
+        is_over.set()
+        looking.join()
 
 
 @contextmanager

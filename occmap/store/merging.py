@@ -11,9 +11,10 @@ import numpy as np
 from occmap.cells import Evidence, Ground, Manifest
 from occmap.errors import MapError, name_log
 from occmap.evidence import Described, list_misfit, read_model, refuse_other, to_grid
-from occmap.evidence.manifest import MEANING, leave_out_edits
+from occmap.evidence.manifest import MEANING, leave_out
 from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
+from occmap.report import count
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
@@ -158,9 +159,9 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     """Take evidence away: what is left is as if `other` had never been added.
 
-    The slices of its builds go with it. Where `other` is not one of the builds that were added, or
-    only a part of one, it is not known which slices it alone observed; then all of them stay, and
-    the numbers of visits are upper bounds.
+    Its logs and scans go with it, and the slices of whole builds. Of a part of a build it is not
+    known which slices it alone observed; then all of them stay, and the numbers of visits are upper
+    bounds. Logs and scans stay, too, where the part is not of whole logs.
 
     Raises
     ------
@@ -174,14 +175,16 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     tiles.drop_empty(grid)
     builds, slices = list(evidence.manifest.builds), list(evidence.slices)
     unknown = list(evidence.manifest.subtracted)
-    observed = list(map(leave_out_edits, builds))
     for build in other.manifest.builds:
-        sought = leave_out_edits(build)
-        if sought in observed and not other.manifest.subtracted:
-            place = observed.index(sought)
-            del builds[place], slices[place], observed[place]
-        else:
+        rests = [(rest, at) for at, of in enumerate(builds) if (rest := leave_out(of, build))]
+        if not rests or other.manifest.subtracted:
             unknown.append(build)
+            continue
+        rest, place = min(rests, key=lambda each: len(each[0]["inputs"]))
+        if rest["inputs"]:
+            builds[place] = rest
+        else:
+            del builds[place], slices[place]
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
     left = tuple(tiles.restrict(each, grid) for each in slices)
     return Evidence(manifest, *stack_tiles(grid.tiles), left, ground=evidence.ground)
@@ -204,8 +207,12 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
         lacking |= (second == 0) & (first != 0)
     if wrong := np.count_nonzero(lacking):
         minuend = evidence.where or "the sum"
-        found = f"holds observations of {wrong} cells that {minuend} lacks"
-        raise MapError(found, where=other.where, fix="subtract only what was merged before")
+        found = f"holds observations of {count(int(wrong), 'cell')} that {minuend} lacks"
+        builds, logs = evidence.manifest.builds, [each["inputs"] for each in other.manifest.builds]
+        fix = "subtract only what was merged before"
+        if any("moved" in each and each["inputs"] in logs for each in builds):
+            fix = "`fit` moved what it holds, to other cells: merge the others again, without it"
+        raise MapError(found, where=other.where, fix=fix)
 
 
 def refuse_different(manifest: Manifest, other: Described) -> None:

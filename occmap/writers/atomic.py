@@ -196,18 +196,21 @@ def hold_alone(path: Path | None, outputs: Sequence[Path]) -> Iterator[None]:
 
 
 def lock(path: Path, stack: ExitStack) -> bool:
-    """Lock a file until the stack closes; False where another occmap has just replaced it."""
+    """Lock a file or folder until the stack closes; False where another occmap just replaced it."""
     if sys.platform == "win32":
         return True
     import fcntl  # noqa: PLC0415  Windows has none
 
     with suppress(OSError):
-        file = os.open(path if path.exists() else path.parent, os.O_RDONLY)
+        there = path if path.exists() else path.parent
+        # NFS locks only files, and only for who may write to them.
+        is_writable = there.is_file() and os.access(there, os.W_OK)
+        file = os.open(there, os.O_RDWR if is_writable else os.O_RDONLY)
         stack.callback(os.close, file)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            log.warning("%s: waiting for another occmap that adds to it", path)
+            log.warning("%s: waiting for another occmap that writes to it", path)
             fcntl.flock(file, fcntl.LOCK_EX)
         there = path if path.exists() else path.parent
         return os.path.samestat(os.fstat(file), there.stat())

@@ -107,6 +107,14 @@ def test_visits_come_by_build() -> None:
     known = {"since_ns": 0, "until_ns": 40 * 10**9, "hit_visits": 1, "seen_visits": 2}
     assert found["visits"] == known
     assert (found["class"], found["min_passes"]) == ("free", 2)  # two misses are left: 0.31
+    assert (found["kept"]["hits"], found["kept"]["misses"]) == (0, 2)
+    told = [occmap(f"{question} --min-passes {least}").out.splitlines()[2:4] for least in (1, 2)]
+    assert [seen for seen, _ in told] == ["seen     3 hits and 2 misses"] * 2
+    assert [kept for _, kept in told] == [
+        "kept     3 hits and 0 misses by --min-passes 1, since half of its visits or more hit it",
+        "kept     0 hits and 2 misses by --min-passes 2, since fewer visits hit it",
+    ]
+    assert ask(question)["kept"] is None
 
 
 def test_hits_on_too_few_visits_are_forgotten() -> None:

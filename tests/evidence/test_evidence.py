@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from occmap.cells import Manifest
 from occmap.errors import MapError
 from occmap.evidence import weigh
-from occmap.evidence.manifest import describe_files, list_repeated
+from occmap.evidence.manifest import describe_files, list_doubts, list_repeated
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.sensor import ReturnCounts
@@ -184,6 +185,20 @@ def test_shared_scans_count_twice(one: dict[str, Any], other: dict[str, Any]) ->
     for first, second in ((one, other), (other, one)):
         builds = [build_of("a.csv", "b.csv", **first), build_of("b.csv", "c.csv", **second)]
         assert name_repeated(*builds) == ["b.csv"]
+
+
+def test_one_note_names_all_logs_that_count_twice() -> None:
+    builds = [build_of(*(f"{day}.csv" for day in range(30)))] * 2
+    (note,) = list_repeated(builds)
+    assert note.startswith("0.csv, 1.csv, 2.csv, 3.csv, 4.csv, 5.csv and 24 more are in it more")
+
+
+def test_clouds_that_were_cut_at_other_heights_are_noted() -> None:
+    builds = [build_of("a.bag"), build_of("b.bag")]
+    for made, height in zip(builds, (1.5, 0.5), strict=True):
+        made["options"]["clouds"] = {"min_height": 0.1, "max_height": height}
+    manifest = Manifest(0.05, "cloud", "counts", "", 10.0, 0.5, "counting", tuple(builds))
+    assert list(list_doubts(manifest)) == ["its builds differ in `max_height` (0.5, 1.5)"]
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,7 @@ def test_two_that_add_to_one_file_add_both(folder: Path) -> None:
         write_evidence(target, merge([first, first]))
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
-    assert said == "m.npz: waiting for another occmap that adds to it\n"
+    assert said == "m.npz: waiting for another occmap that writes to it\n"
     assert "added to 20 of 20 in m.npz" in out
     assert len(read_evidence(target).manifest.builds) == 3
 

@@ -141,6 +141,24 @@ def test_a_store_whose_driver_was_killed_is_begun_anew(address: str, tmp_path: P
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "map.zarr"]
 
 
+def test_of_two_equal_builds_the_second_waits_and_both_are_whole(
+    address: str, tmp_path: Path
+) -> None:
+    scratch, output = tmp_path / "scratch", tmp_path / "map.zarr"
+    with start_build(address, scratch, output) as first:
+        wait_for(scratch, "*/*.survey_log")
+        first.send_signal(signal.SIGSTOP)
+        with start_build(address, scratch, output) as second:
+            assert second.stderr is not None
+            assert "lock-" in (said := second.stderr.readline())
+            assert said.endswith(": waiting for another occmap that writes to it\n")
+            first.send_signal(signal.SIGCONT)
+            assert [each.communicate(timeout=PATIENCE_S)[1] for each in (first, second)] == ["", ""]
+    assert (first.returncode, second.returncode) == (0, 0)
+    assert read_digest(open_store(output)) == digest_evidence(read_all(open_store(output)))
+    assert [path.name for path in tmp_path.iterdir()] == ["map.zarr"]
+
+
 @contextmanager
 def start_apart(folder: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """Start a scheduler and a worker in processes of their own; give the first, and its address."""
@@ -199,6 +217,38 @@ def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path
         time.sleep(1)  # by then, the client knows
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
             found.run("trace", die, [JOB])
+
+
+def test_a_scheduler_that_goes_while_workers_are_asked_is_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def close(*_: object, **__: object) -> None:
+        raise OSError("Timed out trying to connect")
+
+    with open_cluster("local", 1, print) as found:
+        monkeypatch.setattr(found._client, "run", close)
+        with pytest.raises(FleetError, match="the scheduler is gone; start it again, and type"):
+            cluster.refuse_unseen_files(found, [])
+
+
+def test_that_no_worker_is_left_is_said_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+
+    def hear(text: str, *values: object) -> None:
+        told.append(text % values)
+        scheduler.kill()
+
+    monkeypatch.setattr(cluster.log, "warning", hear)
+    with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, print) as found:
+        monkeypatch.setattr(cluster, "PATIENCE_S", 0.2)
+        with (
+            pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"),
+            cluster.miss_workers(found._client, address),
+        ):
+            found.run("trace", die, [JOB])
+    assert told == [f"{address}: no worker is left; waiting for another one"]
 
 
 @pytest.mark.parametrize("error", [CommClosedError, CancelledError])

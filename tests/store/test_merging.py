@@ -18,6 +18,7 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.sensor.models import QuadraticModel
 from occmap.store.merging import merge, subtract
+from occmap.store.moving import Transform, move_evidence
 from occmap.store.publishing import RenderOptions, publish
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
@@ -107,9 +108,35 @@ def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None
         assert np.array_equal(count_visits(of_tile)[1] > 0, seen)
     assert 0 < len(after.numbers) <= len(before.numbers)
     assert rest.manifest.builds == whole.manifest.builds
-    note = "what was subtracted was not a whole build, so numbers of visits are upper bounds"
-    assert note in publish(rest, RenderOptions(), [tmp_path / "m.pgm"]).notes
+    report = publish(rest, RenderOptions(), [tmp_path / "m.pgm"])
+    (note,) = report.notes
+    for said in ("no whole logs", "beams are counted as before", "are upper bounds"):
+        assert said in note
+    assert report.scans.used == whole.manifest.builds[0]["scans"]["used"]
     assert publish(whole, RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
+
+
+def test_logs_of_a_build_are_taken_out_with_their_scans(tmp_path: Path) -> None:
+    """Two logs, a day apart: what is left is named and counted as that log alone."""
+    logs = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for log, scans, start in zip(logs, (9, 4), (0, 86400), strict=True):
+        write_csv(log, [(0.05, 0.05, 0.0)] * scans, [0.32], start=start)
+    build(logs, BuildOptions(), [tmp_path / "both.npz"])
+    both = read_evidence(tmp_path / "both.npz")
+    one, other = (save(tmp_path / "m.npz", BuildOptions(), log) for log in logs)
+    rest = subtract(both, one)
+    told, alone = (publish(each, RenderOptions(), []) for each in (rest, other))
+    assert replace(told, notes=()) == replace(alone, notes=())
+    assert told.notes == (
+        "some logs of a build were subtracted, so numbers of visits are upper bounds",
+    )
+    nothing = subtract(rest, other)
+    assert (nothing.manifest.builds, nothing.manifest.subtracted, nothing.slices) == ((), (), ())
+    # A build of that log alone goes before a larger one.
+    assert subtract(merge([both, one]), one).manifest == both.manifest
+    # A log that was read otherwise is not taken for the same.
+    half = save(tmp_path / "m.npz", BuildOptions(selection=Selection(end_s=3)), logs[0])
+    assert subtract(both, half).manifest.builds == both.manifest.builds
 
 
 def test_a_build_that_is_there_only_in_part_takes_no_slices_away(tmp_path: Path) -> None:
@@ -202,8 +229,17 @@ def test_radial_evidence_of_two_depths_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 def test_more_than_is_there_cannot_be_taken_away(tmp_path: Path, model: str) -> None:
     first, second = (save(tmp_path / "m.npz", each) for each in halve(choose(model=model)))
-    with pytest.raises(MapError, match=r"holds observations of \d+ cells that .* lacks; subtract"):
+    with pytest.raises(
+        MapError, match=r"holds observations of [\d,]+ cells that .* lacks; subtract"
+    ):
         subtract(first, second)
+
+
+def test_what_was_moved_is_not_said_to_be_absent(tmp_path: Path) -> None:
+    first, second = (save(tmp_path / "m.npz", each) for each in halve(choose()))
+    moved = merge([first, move_evidence(second, Transform(0.3, 0.0, 0.1))])
+    with pytest.raises(MapError, match=r"lacks; `fit` moved what it holds, .* the others again"):
+        subtract(moved, second)
 
 
 @pytest.mark.parametrize("layer", [0, 1])
@@ -216,7 +252,7 @@ def test_neither_hits_nor_misses_are_taken_away_that_are_not_there(
     cells[:, layer][place] = whole.cells[:, layer][place]
     assert len(subtract(whole, replace(whole, cells=cells)).tiles)
     cells[:, layer][place] += 1
-    with pytest.raises(MapError, match="holds observations of 1 cells that "):
+    with pytest.raises(MapError, match="holds observations of 1 cell that "):
         subtract(whole, replace(whole, cells=cells))
 
 
@@ -245,6 +281,6 @@ def test_what_is_left_of_log_odds_by_hand() -> None:
 
 def test_no_log_odds_are_left_without_an_observation() -> None:
     """As many observations go, but not the same ones: no scan says 0.5 without observing."""
-    with pytest.raises(MapError, match="holds observations of 1 cells that the sum lacks"):
+    with pytest.raises(MapError, match="holds observations of 1 cell that the sum lacks"):
         subtract(hold_one_cell(1.5, 2), hold_one_cell(1.0, 2))
     assert not len(subtract(hold_one_cell(1.5, 2), hold_one_cell(1.5, 2)).tiles)
