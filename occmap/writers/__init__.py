@@ -335,10 +335,15 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
     Raises
     ------
     OutputError
-        A file cannot be written; the one at fault is not left behind.
+        A file cannot be written, and is not left behind; or a plugin did not write it.
     """
-    return [
-        str(file)
-        for path in outputs
-        for file in find_writer(path).write_product(path, product, options)
-    ]
+    written: list[str] = []
+    for path in outputs:
+        writer = find_writer(path)
+        files = writer.write_product(path, product, options) or writer.targets(path)
+        for file in map(Path, files):
+            if not file.exists():
+                found = f"the writer for {path.suffix} did not write it"
+                raise OutputError(found, where=file, fix="choose another format")
+            written.append(str(file))
+    return written
