@@ -65,6 +65,8 @@ REFUSED = [
     ("render", 2, "Missing argument"),
     ("render a.npz", 2, "where to write is not given; add -o map.pgm"),
     ("render none.npz -o m.pgm", 1, "none.npz: no such file"),
+    ("merge *.npz -o m.pgm", 1, "*.npz: no such file; leave out its quotes"),
+    ("merge . -o m.pgm", 1, "is not a store of evidence; merge ./*.npz"),
     ("render log.csv -o m.pgm", 1, "log.csv: is not an evidence file; build one"),
     ("render none.npz -o m.jpg", 2, SUFFIXES),
     ("render a.npz -o no/m.pgm", 1, "the folder no does not exist"),
