@@ -207,6 +207,8 @@ def test_paths_are_given_one_by_one_or_as_a_list(call: Any) -> None:
     for given in ((), ([],)):
         with pytest.raises(UsageError, match=rf"no file is given; see help\(occmap.{name}\)"):
             call(*given)
+    with pytest.raises(UsageError, match=r"`paths` is b'a.bag'; give a list, each item a path"):
+        call(b"a.bag")
     for given in (("a.bag", 3), (["a.bag", 3],)):
         with pytest.raises(UsageError, match=r"`paths` is 3; give a list, each item a path"):
             call(*given)

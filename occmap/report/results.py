@@ -369,16 +369,22 @@ def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -
 
 
 def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
-    """Say that the user's edits hold no shape, or that some lie wholly outside of a map."""
+    """Say that the user's edits hold no shape, or that some change no cell of a map."""
     if writing.edits and not writing.shapes:
         yield f"{writing.edits}: holds no shape, so it edits nothing"
     low_x, low_y, high_x, high_y = facts.extent
-    outside = []
+    vain: dict[str, list[Box]] = {"outside of the map": [], "between the middles of cells": []}
+    outside, between = vain.values()
     for shape in writing.shapes:
-        (x, y), (right, top) = (end.round(3).tolist() for end in shape.measure(facts.resolution))
+        ends = shape.measure(facts.resolution)
+        (x, y), (right, top) = (end.round(3).tolist() for end in ends)
+        first, last = (np.floor(end / facts.resolution + 0.5) for end in ends)
         if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
             outside.append((x, y, right, top))
-    if outside:
-        lie = f"{count(len(outside), 'shape')} outside of the map, and without effect"
-        first = "at" if len(outside) == 1 else "the first at"
-        yield f"{writing.edits}: {lie}: {first} {write_box(outside[0])}"
+        elif (first == last).any():
+            between.append((x, y, right, top))
+    for where, shapes in vain.items():
+        if shapes:
+            lie = f"{count(len(shapes), 'shape')} {where}, and without effect"
+            at = "at" if len(shapes) == 1 else "the first at"
+            yield f"{writing.edits}: {lie}: {at} {write_box(shapes[0])}"

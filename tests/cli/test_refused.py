@@ -131,6 +131,7 @@ REFUSED = [
     ("score a.pgm --truth a.pgm -o s.pgm", 2, "ends in .png"),
     ("score a.pgm --truth a.pgm --within -1", 2, "give 0 to 1"),
     ("score lonely.png --truth a.pgm", 1, "YAML"),
+    ("build log.csv polygon -o m.pgm", 2, "type: occmap build polygon LOG -o map.pgm"),
     ("buidl x.log", 2, "no command is called 'buidl'; did you mean 'build'?"),
     ("zzz", 2, "no command is called 'zzz'; there are build, "),
     ("log.csv", 2, "to map a log: occmap build log.csv -o map.pgm"),
