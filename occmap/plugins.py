@@ -73,8 +73,6 @@ def load_plugin(group: Group, name: str) -> Any:
 def load(entry: EntryPoint) -> Any:
     """Import a plugin; raises a TypeError that says what it lacks, or what its import raises."""
     plugin = entry.load()
-    if not isinstance(plugin, type):
-        raise TypeError(f"{entry.value} is no class")
     if entry.group == "occmap.models" and not is_dataclass(plugin):
         raise TypeError(f"{entry.value} is no dataclass")
     for names in NEEDED[cast(Group, entry.group)]:
@@ -84,15 +82,20 @@ def load(entry: EntryPoint) -> Any:
 
 
 def find_culprit(error: BaseException) -> tuple[str, str]:
-    """Name the package of a plugin that an error came through, and its innermost line; or ""."""
+    """Say who is at fault, occmap or a plugin that the error came through, and at which line."""
     entries = (entry for group in NEEDED for entry in list_plugins(group))
     packages = {it.module.partition(".")[0] for it in entries if not it.value.startswith(OWN)}
-    culprit = "", ""
+    whose, place = "occmap", "?"
     for frame, line in walk_tb(error.__traceback__):
-        package = frame.f_globals.get("__name__", "").partition(".")[0]
+        package, file = (
+            frame.f_globals.get("__name__", "").partition(".")[0],
+            frame.f_code.co_filename,
+        )
         if package in packages:
-            culprit = package, f"{frame.f_code.co_filename}:{line}"
-    return culprit
+            whose, place = f"the plugin {package}", f"{file}:{line}"
+        elif package == whose:
+            place = f"occmap{file.rpartition('occmap')[2]}:{line}"
+    return whose, place
 
 
 @contextmanager

@@ -119,7 +119,7 @@ def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install) -> No
         ({"scan": 'Scan(0.5, "laser", 0, 1, ranges, 0, 9)'}, "a.log: holds 0.5 where a time"),
         ({"odds": "np.zeros(9)"}, "the model odd gives no log-odds"),
         ({"odds": "hits * np.nan"}, "the model odd gives no log-odds"),
-        ({"write": "return [path]"}, "m.txt: the writer for .txt did not write it"),
+        ({"write": "return [path]"}, "m.txt: its writer did not write it"),
     ],
 )
 def test_who_is_at_fault_is_named(install: Install, lines: dict[str, str], named: str) -> None:

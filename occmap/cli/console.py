@@ -145,13 +145,8 @@ class Console:
         if self.verbose:
             for text in "".join(traceback.format_exception(error)).splitlines():
                 self.tell(text)
-        home, place = os.path.dirname(os.path.dirname(__file__)), "?"  # noqa: PTH120  as in cli
-        for frame, line in traceback.walk_tb(error.__traceback__):
-            if frame.f_code.co_filename.startswith(home):  # the innermost line of occmap counts
-                place = f"occmap{frame.f_code.co_filename.removeprefix(home)}:{line}"
-        plugin, line_of_it = find_culprit(error)
-        found = f"{type(error).__name__}: {error} (at {line_of_it or place})"
-        whose = f"the plugin {plugin}" if plugin else "occmap"
+        whose, place = find_culprit(error)
+        found = f"{type(error).__name__}: {error} (at {place})"
         advice = f"this is a fault in {whose}: please report it, with what the same command prints"
         return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
 

@@ -373,18 +373,15 @@ def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
     if writing.edits and not writing.shapes:
         yield f"{writing.edits}: holds no shape, so it edits nothing"
     low_x, low_y, high_x, high_y = facts.extent
-    vain: dict[str, list[Box]] = {"outside of the map": [], "between the middles of cells": []}
-    outside, between = vain.values()
+    vain = []
     for shape in writing.shapes:
-        ends = shape.measure(facts.resolution)
-        (x, y), (right, top) = (end.round(3).tolist() for end in ends)
-        first, last = (np.floor(end / facts.resolution + 0.5) for end in ends)
-        if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
-            outside.append((x, y, right, top))
-        elif (first == last).any():
-            between.append((x, y, right, top))
-    for where, shapes in vain.items():
-        if shapes:
-            lie = f"{count(len(shapes), 'shape')} {where}, and without effect"
-            at = "at" if len(shapes) == 1 else "the first at"
-            yield f"{writing.edits}: {lie}: {at} {write_box(shapes[0])}"
+        low, high = shape.measure(facts.resolution)
+        (x, y), (right, top) = low.round(3).tolist(), high.round(3).tolist()
+        is_outside = x >= high_x or right <= low_x or y >= high_y or top <= low_y
+        first, last = np.ceil(low / facts.resolution - 0.5), np.floor(high / facts.resolution - 0.5)
+        if is_outside or (first > last).any():
+            vain.append((x, y, right, top))
+    if vain:
+        lie = f"{count(len(vain), 'shape')} outside of the map, or between the middles of cells"
+        at = "at" if len(vain) == 1 else "the first at"
+        yield f"{writing.edits}: without effect: {lie}: {at} {write_box(vain[0])}"

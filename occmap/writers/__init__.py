@@ -337,13 +337,11 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
     OutputError
         A file cannot be written, and is not left behind; or a plugin did not write it.
     """
-    written: list[str] = []
+    written: list[Path] = []
     for path in outputs:
         writer = find_writer(path)
         files = writer.write_product(path, product, options) or writer.targets(path)
-        for file in map(Path, files):
-            if not file.exists():
-                found = f"the writer for {path.suffix} did not write it"
-                raise OutputError(found, where=file, fix="choose another format")
-            written.append(str(file))
-    return written
+        written += map(Path, files)
+    for path in (each for each in written if not each.exists()):
+        raise OutputError("its writer did not write it", where=path, fix="choose another format")
+    return list(map(str, written))

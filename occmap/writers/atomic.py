@@ -69,7 +69,6 @@ def check_parent(path: Path, folder: Path) -> None:
 
 MENDS = {
     errno.ENOSPC: "make room there, or write to another disk",
-    errno.EDQUOT: "make room there, or write to another disk",
     errno.EFBIG: "raise the largest size of a file: see ulimit -f",
 }
 """What to do about errors of the system"""
