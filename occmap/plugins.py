@@ -87,10 +87,7 @@ def find_culprit(error: BaseException) -> tuple[str, str]:
     packages = {it.module.partition(".")[0] for it in entries if not it.value.startswith(OWN)}
     whose, place = "occmap", "?"
     for frame, line in walk_tb(error.__traceback__):
-        package, file = (
-            frame.f_globals.get("__name__", "").partition(".")[0],
-            frame.f_code.co_filename,
-        )
+        file, package = frame.f_code.co_filename, frame.f_globals["__name__"].partition(".")[0]
         if package in packages:
             whose, place = f"the plugin {package}", f"{file}:{line}"
         elif package == whose:

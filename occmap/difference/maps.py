@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from occmap.writers.images import GreyImage
 
 NEGATES = {"0": False, "1": True, "false": False, "true": True}
-WHOLE_TURN_RAD = 1e-6
-"""A yaw that is as near to whole turns as this turns nothing: across 10 km it is 1 cm."""
 IN_PNG = ("free_thresh", "occupied_thresh", "negate")
 """What a PNG of occmap says of its pixels, as a YAML would"""
 YAML_BYTES = 1 << 16
@@ -275,7 +273,7 @@ def parse_place(path: Path, resolution: float, values: dict[str, Any]) -> Place:
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapError(f"origin is {brief(origin)}, where [x, y, yaw] belongs", where=path)
     x, y, yaw = (parse_number(path, "a value of origin", each) for each in origin)
-    if abs(math.remainder(yaw, math.tau)) > WHOLE_TURN_RAD:
+    if round(math.remainder(yaw, math.tau), 6):  # whole turns turn nothing: 1 cm across 10 km
         found = f"the map is turned by {yaw} rad: it lies on no lattice"
         raise MapError(found, where=path, fix="turn its image, so that the yaw of origin is 0")
     if not 0 < resolution <= FARTHEST_M:
