@@ -53,11 +53,8 @@ def load_plugins(group: Group) -> tuple[dict[str, Any], list[Broken]]:
             loaded[entry.name] = load(entry)
         except Exception as error:  # noqa: BLE001  a foreign plugin may raise anything at import
             broken.append(Broken(entry.name, f"{type(error).__name__}: {error}"))
-    used = {entry.name: entry.value for entry in listed}
-    for entry in entry_points(group=group):
-        if entry not in listed:
-            reason = f"{entry.value} has the name of {used[entry.name]}, which is used"
-            broken.append(Broken(entry.name, reason))
+    hidden = (entry for entry in entry_points(group=group) if entry not in listed)
+    broken += [Broken(it.name, f"{it.value} has the name of another one") for it in hidden]
     return loaded, broken
 
 

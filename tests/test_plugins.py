@@ -92,7 +92,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
     [
         ("models", "plain", "made_up_plugin:NotModel is no dataclass"),
         ("models", "priorless", "made_up_plugin:Priorless has no prior"),
-        ("readers", "csv", "made_up_plugin:Reader has the name of occmap.readers.csv:CsvReader"),
+        ("readers", "csv", "made_up_plugin:Reader has the name of another one"),
     ],
 )
 def test_a_plugin_that_cannot_be_used_is_named(
