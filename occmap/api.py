@@ -15,7 +15,7 @@ from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.options import OF_A_SCORED_MAP, OF_ONE_MAP, BuildOptions
 from occmap.pipeline import build, list_inputs
-from occmap.readers import Log, open_log
+from occmap.readers import DEFAULT_OPTIONS, Log, open_log
 from occmap.report.results import Build, Report
 from occmap.scans.logs import Inputs, find_inputs
 from occmap.scoring import compare as scoring
@@ -373,7 +373,8 @@ def explain(
     x, y
         The point in the map frame (m).
     logs
-        Those that the evidence was made of, to list the scans that observed the cell.
+        Those that the evidence was made of, or their folder, to list the scans that observed the
+        cell.
     poses
         The trajectory files that these were built with.
     options
@@ -393,7 +394,10 @@ def explain(
     """
     asked = {"x": x, "y": y, "logs": logs, "poses": poses, **options}
     question = read_options(explanation.Question, asked, "explain")
-    return explanation.explain(open_saved(read_value("path", Path, path)), question)
+    recordings, notes = find_inputs(question.logs, DEFAULT_OPTIONS, question.poses)
+    question = replace(question, logs=tuple(recordings))
+    found = explanation.explain(open_saved(read_value("path", Path, path)), question)
+    return replace(found, notes=(*notes, *found.notes))
 
 
 @refuse_failures()

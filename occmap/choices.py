@@ -256,7 +256,7 @@ class Option:
             return None
         if not self.is_many:
             return self.read_one(value)
-        if not isinstance(value, str | os.PathLike):
+        if not isinstance(value, str | bytes | os.PathLike):
             with suppress(TypeError):  # it is not several values
                 return tuple(map(self.read_one, value))
         return (self.read_one(value),)

@@ -81,10 +81,16 @@ class MapError(OccmapError):
 
 @contextmanager
 def name_log(path: object) -> Iterator[None]:
-    """Let an error about a map name the log at which it was met; raises MapError."""
+    """Let an error about a map, or about what a reader gives, name the log at which it was met.
+
+    Raises
+    ------
+    MapError, DamageError
+        The same, with a place.
+    """
     try:
         yield
-    except MapError as error:
+    except (MapError, DamageError) as error:
         raise error.placed(path) from None
 
 

@@ -207,6 +207,8 @@ def test_paths_are_given_one_by_one_or_as_a_list(call: Any) -> None:
     for given in ((), ([],)):
         with pytest.raises(UsageError, match=rf"no file is given; see help\(occmap.{name}\)"):
             call(*given)
+    with pytest.raises(UsageError, match=r"`paths` is b'a.bag'; give a list, each item a path"):
+        call(b"a.bag")
     for given in (("a.bag", 3), (["a.bag", 3],)):
         with pytest.raises(UsageError, match=r"`paths` is 3; give a list, each item a path"):
             call(*given)
@@ -581,6 +583,12 @@ def test_explain_gives_what_the_command_prints(halves: Path) -> None:
     words = ("--log", DRIVE, "--model", "simple", "--min-passes", "1")
     hold_against_command(found, "explain", path, "1.5", "-0.25", *words)
     assert found.scans
+    grid = occmap.merge(path)
+    x, y = grid.origin
+    place = found.cell.lattice_row, found.cell.lattice_column
+    index = place[0] - round(y / grid.resolution), place[1] - round(x / grid.resolution)
+    assert found.seen.hits is not None
+    assert grid.hits[index] == found.seen.hits / found.unit
     for wrong in ("here", None):
         with pytest.raises(UsageError, match=rf"^`x` is {wrong!r}; give a number"):
             occmap.explain(path, wrong, 0)  # type: ignore[arg-type]

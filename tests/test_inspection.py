@@ -185,6 +185,12 @@ def test_the_log_itself_tells_whether_no_return_is_open_space(
     found = look(write_csv(tmp_path / "lost.csv", Drive(spoil=spoil), limit))
     assert {s.no_return for s in topic(found).ranges.specials} == {advice}
     assert ("--no-return" in found.command) == (advice == "clear")
+    if advice == "clear":  # of several logs, one line must suit all
+        other = write_csv(tmp_path / "whole.csv", Drive())
+        both = inspect([Path(found.logs[0].path), other], BuildOptions())
+        assert both.command[:4] == ("occmap", "build", found.logs[0].path, str(other))
+        assert "--no-return" not in both.command
+        assert f"`no_return=clear` suits only {found.logs[0].path}:" in both.warnings[-1]
 
 
 @pytest.mark.parametrize(
@@ -218,6 +224,8 @@ def test_logs_that_need_different_options_get_no_line(
     seen = inspect([right, other], BuildOptions())
     assert not seen.command
     assert "one by one" in seen.warnings[-1]
+    need = "`sensor_pose=" if turn == math.pi else "`occmap tune`"
+    assert f"{right}: no option; {other}: {need}" in seen.warnings[-1]
 
 
 @pytest.mark.parametrize(("roll", "tilt"), [(math.pi, 0.0), (0.2, 0.2)])

@@ -156,6 +156,9 @@ def split_words(words: Sequence[str]) -> tuple[Update, list[Path]]:
         update, words = Update(first), words[1:]
     elif first.isalpha() and (fix := guess(first.lower(), updates)) and not Path(first).exists():
         raise UsageError(f"{first!r} is neither a log nor an update", fix=fix)
+    if late := [word for word in words if word in updates and not Path(word).exists()]:
+        fix = f"type: occmap build {late[0]} LOG -o map.pgm"
+        raise UsageError(f"{late[0]!r} is an update, which stands before the logs", fix=fix)
     if not words:
         raise UsageError("no log is given", fix="type: occmap build LOG -o map.pgm")
     return update, [read_value("LOG", Path, word) for word in words]

@@ -154,7 +154,8 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
         yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
     disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
     unsure = disagree or found or tuning.doubt or tuning.mount.verdict is Verdict.UNSEEN
-    nothing = "nothing is recommended" if unsure else "nothing to gain"
+    unsure_of = ": ".join(["nothing is recommended", *tuning.doubts[:1]])
+    nothing = unsure_of if unsure else "nothing to gain"
     yield write_command(tuning.command) or nothing
 
 

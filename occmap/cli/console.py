@@ -136,19 +136,18 @@ class Console:
         return code
 
     def fail_unexpectedly(self, error: BaseException) -> int:
-        """Print a fault of occmap itself: one line, and the traceback where it is wanted."""
+        """Print a fault of occmap, or of a plugin: one line, and the traceback where wanted."""
         import traceback  # noqa: PLC0415  late: rarely needed
+
+        from occmap.plugins import find_culprit  # noqa: PLC0415  likewise
 
         self.clear()
         if self.verbose:
             for text in "".join(traceback.format_exception(error)).splitlines():
                 self.tell(text)
-        home, place = os.path.dirname(os.path.dirname(__file__)), "?"  # noqa: PTH120  as in cli
-        for frame, line in traceback.walk_tb(error.__traceback__):
-            if frame.f_code.co_filename.startswith(home):  # the innermost line of occmap counts
-                place = f"occmap{frame.f_code.co_filename.removeprefix(home)}:{line}"
+        whose, place = find_culprit(error)
         found = f"{type(error).__name__}: {error} (at {place})"
-        advice = "this is a fault in occmap: please report it, with what the same command prints"
+        advice = f"this is a fault in {whose}: please report it, with what the same command prints"
         return self.fail(OccmapError(found, fix=f"{advice} with -v"), 1)
 
 

@@ -279,7 +279,8 @@ class ConfigOption(Option):
             options = [each for each in ctx.command.params if isinstance(each, click.Option)]
             flags = {flag: each for each in options if each.expose_value for flag in each.opts}
             own = {flag[2:]: each for flag, each in flags.items() if flag.startswith("--")}
-            stated = read_config(path, ctx.command.name or "", own)
+            known = read_config(path, ctx.command.name or "", own)
+            stated = {name: it for name, it in known.items() if name in own}
             taken = {name: it for name, it in stated.items() if own[name].name not in opts}
             for name in BESIDE.intersection(taken):
                 beside = str(path.parent / str(taken[name]))
@@ -291,7 +292,10 @@ class ConfigOption(Option):
                 for name, value in taken.items()
             }
             told = [f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items()]
-            nothing = "all of it is typed, too" if stated else "no option of this command"
+            nothing = "all of it is typed, too"
+            if not stated:
+                others = f", but of others: {', '.join(known)}" if known else ""
+                nothing = f"no option of this command{others}"
             ctx.ensure_object(Console).announced.append(f"{path}: {', '.join(told) or nothing}")
         return super().handle_parse_result(ctx, opts, args)
 
@@ -333,7 +337,7 @@ def find_config(typed: Mapping[str, Any]) -> Path | None:
 
 
 def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
-    """Read the options of a command in a file: those of its own table, and those of no table.
+    """Read the options of its own table, and of none, in a file; some may be of other commands.
 
     Raises
     ------
@@ -357,8 +361,7 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
         if name not in known:
             fix = guess(name.replace("_", "-"), known) or "see `occmap build --help`"
             raise UsageError(f"no option is called {name!r}", where=path, fix=fix)
-    stated = common | tables.get(command, {})
-    return {name: value for name, value in stated.items() if name in own}
+    return common | tables.get(command, {})
 
 
 def convert(path: Path, option: click.Option, value: Any, ctx: click.Context) -> Any:

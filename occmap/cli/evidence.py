@@ -16,11 +16,10 @@ from occmap.explanation import Explanation, Question, describe_numbers, explain
 from occmap.explanation.history import Seen, Visits, add_up
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.options import FILES, POSES, SCANS
+from occmap.options import FILES, POSES, SCANS, BuildOptions
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
-from occmap.scans.logs import keep_stdin
 from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
 from occmap.store.publishing import RenderOptions, publish, refuse_unsaved
@@ -148,7 +147,8 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
     """
     evidence = open_saved(path)
     view = {"model": choose_saved_model(evidence, values), "writing": take(WriteOptions, values)}
-    values["logs"] = click.get_current_context().with_resource(keep_stdin(values["logs"]))
+    others = values["poses"]  # lie beside the logs, and are none
+    values["logs"] = options.gather_logs(console, values["logs"], BuildOptions(), others)
     question = take(Question, values | view)
     explanation = explain(evidence, question, console.advance)
     scans = list_scans(explanation) if values["logs"] else ()
@@ -158,7 +158,8 @@ def explain_command(console: Console, /, path: Path, **values: Any) -> Answer:
 def list_cell(explanation: Explanation) -> Iterator[Row]:
     """Say where the cell is, what it is, and what is beside it."""
     cell, seen = explanation.cell, explanation.seen
-    yield "cell", f"row {cell.row}, column {cell.column}: {write_box(cell.extent)}"
+    place = f"row {cell.lattice_row}, column {cell.lattice_column} of the lattice"
+    yield "cell", f"{place}: {write_box(cell.extent)}"
     if explanation.verdict != "unknown":
         by = f"probability {explanation.probability:.3f} by {explanation.model}"
         yield "class", f"{explanation.verdict}: {by}"

@@ -30,6 +30,7 @@ from occmap.writers.pgm import UNKNOWN
 if TYPE_CHECKING:
     from occmap.writers.images import GreyImage
 
+NEGATES = {"0": False, "1": True, "false": False, "true": True}
 IN_PNG = ("free_thresh", "occupied_thresh", "negate")
 """What a PNG of occmap says of its pixels, as a YAML would"""
 YAML_BYTES = 1 << 16
@@ -254,21 +255,32 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
         parse_number(path, name, values.get(name))
         for name in ("resolution", "occupied_thresh", "free_thresh")
     )
+    if free > occupied:
+        found = f"free_thresh is {free:g}, and occupied_thresh {occupied:g}: cells would be both"
+        raise MapError(found, where=path, fix="make free_thresh the smaller one")
+    negate = str(values.get("negate", "0"))
+    if negate not in NEGATES:
+        raise MapError(f"negate is {brief(negate)}, where 0 or 1 belongs", where=path)
+    image = image.translate({private: byte for byte, private in BYTES.items()})
+    return Meta(
+        image, MapMode(mode), occupied, free, NEGATES[negate], parse_place(path, resolution, values)
+    )
+
+
+def parse_place(path: Path, resolution: float, values: dict[str, Any]) -> Place:
+    """Check where a map_server YAML says that a map lies; raises MapError."""
     origin = values.get("origin")
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapError(f"origin is {brief(origin)}, where [x, y, yaw] belongs", where=path)
     x, y, yaw = (parse_number(path, "a value of origin", each) for each in origin)
-    if yaw:
-        raise MapError(f"the map is turned by {yaw} rad: it lies on no lattice", where=path)
+    if round(math.remainder(yaw, math.tau), 6):  # whole turns turn nothing: 1 cm across 10 km
+        found = f"the map is turned by {yaw} rad: it lies on no lattice"
+        raise MapError(found, where=path, fix="turn its image, so that the yaw of origin is 0")
     if not 0 < resolution <= FARTHEST_M:
         raise MapError(f"a resolution of {resolution:g} m is not possible", where=path)
     if max(abs(x), abs(y)) > FARTHEST_M:
         raise MapError(f"an origin at ({x:g}, {y:g}) m is not possible", where=path)
-    negate = values.get("negate", "0")
-    is_spelt = negate in ("true", "false")
-    is_negated = negate == "true" if is_spelt else parse_number(path, "negate", negate) != 0
-    image = image.translate({private: byte for byte, private in BYTES.items()})
-    return Meta(image, MapMode(mode), occupied, free, is_negated, Place(resolution, x, y))
+    return Place(resolution, x, y)
 
 
 def parse_number(path: Path, name: str, value: object) -> float:

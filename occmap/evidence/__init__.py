@@ -6,6 +6,7 @@ Of what came on several visits, hits stay; people who walked through once do not
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -61,12 +62,21 @@ def weigh(model: SensorModel) -> Weigh:
     def add_radial(log_odds: Float64, observations: Float64) -> Float64:
         return start + log_odds * LOG_ODDS_UNIT - observations * start
 
-    add_up = add_radial if isinstance(model, models.RadialModel) else model.log_odds
+    add_up = add_radial if isinstance(model, models.RadialModel) else partial(ask, model)
     if not isinstance(model, models.Clamped):
         return add_up
     low = to_log_odds(model.clamp_min) if model.clamp_min > 0 else -math.inf
     high = to_log_odds(model.clamp_max) if model.clamp_max < 1 else math.inf
     return lambda first, second: np.clip(add_up(first, second), low, high)
+
+
+def ask(model: models.CountModel, hits: Float64, misses: Float64) -> Float64:
+    """Ask a model for log-odds (N,); raises UsageError if a plugin's gives none for some cells."""
+    said = model.log_odds(hits, misses)
+    if np.shape(said) != hits.shape or np.isnan(said).any():
+        found = f"the model {model.name} gives no log-odds for some cells"
+        raise UsageError(found, fix="this is a fault in its plugin: choose another `model`")
+    return said
 
 
 class Described(Protocol):

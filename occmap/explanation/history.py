@@ -21,7 +21,7 @@ from occmap.grid import CellBox, Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
-from occmap.report import HIDDEN, Count, join_names
+from occmap.report import HIDDEN, Count, join_names, printed_as
 from occmap.scans import plan_grid
 from occmap.scans.tracing import Progress, Reading
 from occmap.sensor import interpret
@@ -256,10 +256,10 @@ class Visits:
 class Cell:
     """A cell of the map."""
 
-    row: int
-    """Row of the cell in the lattice: floor(y / resolution)"""
-    column: int
-    """Column of the cell in the lattice: floor(x / resolution)"""
+    lattice_row: int = field(metadata=printed_as("row"))
+    """Row of the cell in the lattice, which is no index of an array: floor(y / resolution)"""
+    lattice_column: int = field(metadata=printed_as("column"))
+    """Column of the cell in the lattice, likewise: floor(x / resolution)"""
     extent: Box
     """Lowest x and y, highest x and y (m)"""
 
@@ -282,11 +282,11 @@ class Cell:
     @property
     def box(self) -> CellBox:
         """The cell as a box of cells."""
-        return CellBox.at(self.row, self.column)
+        return CellBox.at(self.lattice_row, self.lattice_column)
 
     def read_slices(self, evidence: Evidence) -> list[Slices]:
         """Take from each layer of slices, one of each build, that of the cell's tile."""
-        tile = self.row // TILE, self.column // TILE
+        tile = self.lattice_row // TILE, self.lattice_column // TILE
         mine = [np.flatnonzero((each.tiles == tile).all(axis=1)) for each in evidence.slices]
         return [tiles.take(*each) for each in zip(evidence.slices, mine, strict=True)]
 
@@ -300,7 +300,7 @@ class Cell:
 
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
-        row, col = self.row % TILE, self.column % TILE
+        row, col = self.lattice_row % TILE, self.lattice_column % TILE
         seen = np.unpackbits(tiles.unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
         if not seen.any():
             return None
@@ -363,7 +363,7 @@ def find_sightings(
         (drive,) = reading.list_drives()
         for posed in drive.read(reading.tally):
             rays, _ = interpret(posed, use.options.returns)
-            numbers = look_at_cell(rays, spec, cell.row, cell.column)
+            numbers = look_at_cell(rays, spec, cell.lattice_row, cell.lattice_column)
             for scan in np.flatnonzero(numbers.any(axis=1)).tolist():
                 seen = Seen.read(numbers[scan].tolist(), spec.kind)
                 sightings.append(Sighting.note(use, posed, scan, seen, cell))

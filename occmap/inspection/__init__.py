@@ -8,7 +8,7 @@ right. Other options are tried on a sample of the scans.
 is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -25,7 +25,7 @@ from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
-from occmap.report import count, write_counts, write_unused
+from occmap.report import count, join_names, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
@@ -38,6 +38,8 @@ SHARE_OF_NOTE = 0.05
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"
+CLEAR = "no_return"
+"""The one option that is advised though a map is as right without it"""
 
 
 def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
@@ -130,17 +132,38 @@ def recommend(
     """
     # Those with poses, or with an option that gives some.
     mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
-    advice = [advise(log) for log in mapped]
+    advice, remarks = [advise(log) for log in mapped], list[str]()
     if any(each != advice[0] for each in advice):
-        return (), ("the logs need different options: check them one by one",)
+        clearing = [log for log, it in zip(mapped, advice, strict=True) if it and CLEAR in it[1]]
+        advice = [
+            it and (it[0], {key: it[1][key] for key in it[1] if key != CLEAR}) for it in advice
+        ]
+        names = join_names(log.path for log in clearing)
+        remarks.append(f"`no_return=clear` suits only {names}: the line does without it")
+    needs = defaultdict[str, list[str]](list)
+    for log, each in zip(mapped, advice, strict=True):
+        needs[tell_advice(each)].append(log.path)
+    if len(needs) > 1:
+        differing = "; ".join(f"{join_names(them)}: {need}" for need, them in needs.items())
+        return (), (f"the logs need different options, so check them one by one: {differing}",)
     if not advice or advice[0] is None:
         return (), ()
     name, advised = advice[0]
     command = compose_build([log.path for log in mapped], options, advised)
     if name == "tune":
         command = ("occmap", name, *command[2:-2])
-    left = ", ".join(log.path for log in logs if log not in mapped)
-    return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
+    if left := ", ".join(log.path for log in logs if log not in mapped):
+        remarks.append(f"the line leaves out what cannot be mapped: {left}")
+    return command, tuple(remarks)
+
+
+def tell_advice(advice: tuple[str, dict[str, str]] | None) -> str:
+    """Write what `advise` names, briefly."""
+    if advice is None:
+        return "no line helps"
+    name, advised = advice
+    words = ["`occmap tune`"] * (name == "tune") + [f"`{it}={advised[it]}`" for it in advised]
+    return ", ".join(words) or "no option"
 
 
 def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:

@@ -6,6 +6,7 @@ name ends in .html.
 """
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -37,6 +38,8 @@ from occmap.writers.atomic import open_atomic
 HERE = Path(__file__).parent
 MOST_NAMES = 3
 """Logs that a title names at most"""
+BOKEH_ID = re.compile(r'(?<=")(p\d{4,}|[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12})(?=")')
+"""Drawn at random or counted on through the process: a page numbers them anew, from 0"""
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,11 @@ def compose(page: Page) -> str:
     of_sections = [b.plot for each in page.sections for b in each.blocks if b.kind == "plot"]
     figures = [*(page.stage.plots if page.stage else ()), *of_sections]
     script, divs = components(figures) if figures else ("", ())
+    numbers: dict[str, str] = {}
+    script, *divs = (
+        BOKEH_ID.sub(lambda it: numbers.setdefault(it[0], f"bokeh-{len(numbers)}"), each)
+        for each in (script, *divs)
+    )
     of_stage = len(page.stage.plots) if page.stage else 0
     resources = Resources("inline", components=["bokeh"], minified=True)
     environment = Environment(

@@ -291,7 +291,8 @@
       find("layers").append(button);
     }
     if (find("way")) {
-      find("way-ramp").append(...makeRamp(...DATA.journey.ramp));
+      const [colours, start, end] = DATA.journey.ramp;
+      find("way-ramp").append(...makeRamp(colours, writeTime(start), writeTime(end)));
       find("way").onchange = event => {
         for (const name of ["way", "dropped"]) document_.get_model_by_name(name).visible = event.target.checked;
       };

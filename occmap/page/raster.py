@@ -404,7 +404,7 @@ def add_way(plot: Any, trajectories: Sequence[Trajectory]) -> dict[str, Any]:
     crosses = plot.scatter("x", "y", source=source, name="dropped", **cross)
     tips = [("dropped", "@why"), ("stamp", "@t{0.000} s"), ("drawn at", "the scan before")]
     plot.add_tools(HoverTool(renderers=[crosses], tooltips=tips))
-    return {"ramp": (WAY_COLOURS[::4], f"{start_ns / 1e9:.3f} s", f"{end_ns / 1e9:.3f} s")}
+    return {"ramp": (WAY_COLOURS[::4], start_ns / 1e9, end_ns / 1e9)}
 
 
 def list_lost(trajectory: Trajectory) -> Iterator[tuple[float, float, float, str]]:

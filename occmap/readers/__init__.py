@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 from occmap.choices import option
-from occmap.errors import LogError
+from occmap.errors import DamageError, LogError, name_log
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
 from occmap.values import ZSTD_MAGIC as ZSTD_MAGIC
-from occmap.values import find_separator, name_other, split_header
+from occmap.values import find_separator, name_other, shorten, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"
 
@@ -250,7 +250,8 @@ class HoldingFixes(Protocol):
 
 def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
     """Every pose source of a log, in the way that is quickest for it."""
-    return log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
+    with name_log(log.path):
+        yield from log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
 
 
 def read_recorded(log: Log, topics: Collection[str]) -> Iterator[Recorded]:
@@ -262,14 +263,28 @@ def read_recorded(log: Log, topics: Collection[str]) -> Iterator[Recorded]:
 
 
 def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-    """The scans of some topics of a log, in the way that is quickest for it.
-
-    A scan that names no topic is of the first: a reader of a format with one stream need not say.
-    """
+    """The scans of some topics of a log, in the way that is quickest for it."""
     if isinstance(log, StackingScans):
         return log.stacked_scans(topics)
+    return read_singly(log, topics)
+
+
+def read_singly(log: Log, topics: Collection[str]) -> Iterator[Scan]:
+    """The scans of some topics of a log, one at a time.
+
+    A scan that names no topic is of the first: a reader of a format with one stream need not say.
+
+    Raises
+    ------
+    DamageError
+        A plugin gives what is no scan.
+    """
     name = next(iter(topics), "")
-    return (scan if scan.topic else scan._replace(topic=name) for scan in log.scans(topics))
+    with name_log(log.path):
+        for scan in log.scans(topics):
+            if not isinstance(scan, Scan):
+                raise DamageError(f"its reader gives {shorten(scan)} where a Scan belongs")
+            yield scan if scan.topic else scan._replace(topic=name)
 
 
 class Reader(Protocol):

@@ -59,6 +59,8 @@ class McapSource(RecordSource):
     def __init__(self, path: Path) -> None:
         self._verified: set[int] = set()
         """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
+        self._times: dict[int, tuple[int, int]] = {}
+        """The first and the last record time that chunks of a wrong checksum state of themselves"""
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
@@ -79,7 +81,10 @@ class McapSource(RecordSource):
         return _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
-        """List the records of a chunk; quickly if all are messages, as they are in most."""
+        """List the records of a chunk; quickly if all are messages, as they are in most.
+
+        Of a chunk with a wrong checksum those are left out that lie beside its time.
+        """
         found: list[Record] = []
         at, size = 0, len(block)
         with suppress(struct.error):
@@ -90,13 +95,16 @@ class McapSource(RecordSource):
                     break
                 found.append((key, record_ns, at, start, end))
                 at = end
-        return found if at == size else super()._list_records(position, block)
+        records = found if at == size else super()._list_records(position, block)
+        if times := self._times.get(position):
+            return [each for each in records if each[0] < 0 or times[0] <= each[1] <= times[1]]
+        return records
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
         stream = _open_body(bytes(record[:_MOST_HEAD]))
         try:  # not by Chunk.read, which gives nothing of a chunk that is cut
-            _times, size = stream.read(16), stream.read8()
+            times, size = (stream.read8(), stream.read8()), stream.read8()
             crc, compression, length = stream.read4(), stream.read_prefixed_string(), stream.read8()
         except self.errors:
             self._note(position, "has no head that can be read")
@@ -109,6 +117,7 @@ class McapSource(RecordSource):
             self._verified.add(position)
             if crc and crc != zlib.crc32(block):
                 problem = "has a wrong checksum, and is used as far as it can be read"
+                self._times[position] = times
         if problem:
             self._note(position, problem)
         return block

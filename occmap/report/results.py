@@ -362,16 +362,19 @@ def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -
 
 
 def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
-    """Say that the user's edits hold no shape, or that some lie wholly outside of a map."""
+    """Say that the user's edits hold no shape, or that some change no cell of a map."""
     if writing.edits and not writing.shapes:
         yield f"{writing.edits}: holds no shape, so it edits nothing"
     low_x, low_y, high_x, high_y = facts.extent
-    outside = []
+    vain = []
     for shape in writing.shapes:
-        (x, y), (right, top) = (end.round(3).tolist() for end in shape.measure(facts.resolution))
-        if x >= high_x or right <= low_x or y >= high_y or top <= low_y:
-            outside.append((x, y, right, top))
-    if outside:
-        lie = f"{count(len(outside), 'shape')} outside of the map, and without effect"
-        first = "at" if len(outside) == 1 else "the first at"
-        yield f"{writing.edits}: {lie}: {first} {write_box(outside[0])}"
+        low, high = shape.measure(facts.resolution)
+        (x, y), (right, top) = low.round(3).tolist(), high.round(3).tolist()
+        is_outside = x >= high_x or right <= low_x or y >= high_y or top <= low_y
+        first, last = np.ceil(low / facts.resolution - 0.5), np.floor(high / facts.resolution - 0.5)
+        if is_outside or (first > last).any():
+            vain.append((x, y, right, top))
+    if vain:
+        lie = f"{count(len(vain), 'shape')} outside of the map, or between the middles of cells"
+        at = "at" if len(vain) == 1 else "the first at"
+        yield f"{writing.edits}: without effect: {lie}: {at} {write_box(vain[0])}"

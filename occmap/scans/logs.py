@@ -204,7 +204,7 @@ def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:
 def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
     """Read the first scan or cloud of each topic, and stop reading when all are found."""
     first: dict[str, Scan | Cloud] = {}
-    scans: Iterator[Scan | Cloud] = log.scans(set(topics))
+    scans: Iterator[Scan | Cloud] = readers.read_singly(log, topics)
     if isinstance(log, readers.HoldingClouds):
         scans = chain(scans, log.clouds(set(topics)))
     for scan in scans:

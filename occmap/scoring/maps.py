@@ -16,7 +16,7 @@ from occmap.evidence.manifest import describe_files
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
-from occmap.report import HIDDEN, Count, Finite, Printed, Share
+from occmap.report import HIDDEN, Count, Finite, Printed, Share, join_names
 from occmap.report.results import doubt_agreement
 from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
@@ -203,9 +203,14 @@ def score(
 
 def list_own(written: ClassMap, logs: Sequence[Path]) -> Iterator[str]:
     """Say which logs a map was made of, where it keeps their hashes."""
-    for log in logs if written.inputs else ():
-        if any(entry["sha256"] in written.inputs for entry in describe_files(log)):
-            yield f"{log}: {written.path} was made of it, so what it says is better than it should"
+    own = [
+        str(log)
+        for log in logs
+        if written.inputs and any(it["sha256"] in written.inputs for it in describe_files(log))
+    ]
+    if own:
+        names = join_names(own)
+        yield f"{written.path} was made of {names}, so what these say is better than it should be"
 
 
 def find_place(written: ClassMap) -> Place:

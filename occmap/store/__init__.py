@@ -72,7 +72,8 @@ def open_store(path: Path) -> Blocks:
     if not path.exists():
         raise MapError("no such folder", where=path, fix="check the path")
     if not (path / "zarr.json").is_file():
-        fix = "build one with `outputs=map.zarr`"
+        files = any(path.glob("*.npz"))
+        fix = f"merge {path}/*.npz" if files else "build one with `outputs=map.zarr`"
         raise MapError("is not a store of evidence", where=path, fix=fix)
     zarr = layout.import_zarr()
     with refuse_damage(path):

@@ -93,6 +93,8 @@ class Tuning(Improvement, Scored):
     recommended, or where what was found is not sure"""
     agreement: float | None = field(metadata=HIDDEN)
     """Share of the hits in cells that the map of the best calls occupied; None without any"""
+    doubts: Sequence[str] = field(default=(), metadata=HIDDEN)
+    """Those of the notes that are why nothing is recommended"""
 
     @property
     def doubt(self) -> str:
@@ -152,7 +154,8 @@ def tune(
     if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
         doubts += list_other_cures(paths, options)
     command = search.compose(scorer, best) if best.is_any and not doubts else ()
-    return replace(tuning, command=command, notes=[*remarks.notes, *unsearched, *doubts])
+    notes = [*remarks.notes, *unsearched, *doubts]
+    return replace(tuning, command=command, notes=notes, doubts=doubts)
 
 
 def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:

@@ -335,10 +335,13 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
     Raises
     ------
     OutputError
-        A file cannot be written; the one at fault is not left behind.
+        A file cannot be written, and is not left behind; or a plugin did not write it.
     """
-    return [
-        str(file)
-        for path in outputs
-        for file in find_writer(path).write_product(path, product, options)
-    ]
+    written: list[Path] = []
+    for path in outputs:
+        writer = find_writer(path)
+        files = writer.write_product(path, product, options) or writer.targets(path)
+        written += map(Path, files)
+    for path in (each for each in written if not each.exists()):
+        raise OutputError("its writer did not write it", where=path, fix="choose another format")
+    return list(map(str, written))

@@ -67,6 +67,13 @@ def check_parent(path: Path, folder: Path) -> None:
         raise OutputError(found, where=path, fix="choose another folder")
 
 
+MENDS = {
+    errno.ENOSPC: "make room there, or write to another disk",
+    errno.EFBIG: "raise the largest size of a file: see ulimit -f",
+}
+"""What to do about errors of the system"""
+
+
 @contextmanager
 def refuse_unwritable(path: Path) -> Iterator[None]:
     """Say in one line what keeps the system from writing a file or a folder; raises OutputError."""
@@ -74,7 +81,8 @@ def refuse_unwritable(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or type(error).__name__
-        raise OutputError(f"cannot be written ({reason})", where=path) from None
+        fix = MENDS.get(error.errno or 0, "")
+        raise OutputError(f"cannot be written ({reason})", where=path, fix=fix) from None
 
 
 @contextmanager

@@ -48,6 +48,7 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from glob import has_magic
 from pathlib import Path
 from typing import Any
 
@@ -173,7 +174,8 @@ def refuse_damage(path: Path) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError:
-        raise MapError("no such file", where=path, fix="check the path") from None
+        fix = "leave out its quotes" if has_magic(str(path)) else "check the path"
+        raise MapError("no such file", where=path, fix=fix) from None
     except DAMAGE as error:
         reason = getattr(error, "strerror", None) or "it is cut or altered"
         raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None

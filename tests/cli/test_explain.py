@@ -35,7 +35,7 @@ def test_a_cell_in_lines() -> None:
     result = occmap(ASK)
     assert (result.code, result.err) == (0, "")
     assert result.out.splitlines() == [
-        "cell     row 0, column 3: x 0.3 to 0.4 m, y 0 to 0.1 m",
+        "cell     row 0, column 3 of the lattice: x 0.3 to 0.4 m, y 0 to 0.1 m",
         "class    occupied: probability 0.784 by "
         "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "seen     2 hits and 1 miss",
@@ -66,6 +66,17 @@ def test_eighths_are_told_as_observations_and_json_says_the_unit() -> None:
     assert hits > 0
     seen = occmap(question).out.splitlines()[2].split()
     assert (float(seen[1]), float(seen[4])) == (hits, misses)
+
+
+@pytest.mark.parametrize("logs", ["logs", "logs/*.csv"])
+def test_a_folder_or_a_pattern_stands_for_the_logs_in_it(logs: str) -> None:
+    Path("logs").mkdir()
+    for name in ("a.csv", "b.csv"):
+        Path(name).rename(f"logs/{name}")
+    assert occmap("merge a.npz b.npz -o both.npz").code == 0
+    found = ask(f"explain both.npz 0.37 0.05 --log {logs}")
+    assert (len(found["scans"]), found["scans_used"]) == (3, 4)
+    assert found["notes"] == [f"{logs}: 2 recordings, in the order of their time: a.csv, b.csv"]
 
 
 def test_scans_in_lines() -> None:

@@ -36,9 +36,9 @@ def test_evidence_knows_the_logs_that_it_was_made_of(tmp_path: Path) -> None:
     saved, copy = tmp_path / "m.npz", tmp_path / "copy.mcap"
     copy.write_bytes(DRIVE.read_bytes())
     assert occmap("build", DRIVE, "-o", saved).code == 0
-    words = ["score", saved, "--log", copy, "--log", SAMPLE_LOGS / "drive.bag"]
-    (note,) = [note for note in ask(*words)["notes"] if "made of it" in note]
-    assert note.startswith(f"{copy}: {saved} ")
+    words = ["score", saved, "--log", copy, "--log", SAMPLE_LOGS / "drive.bag", "--log", DRIVE]
+    (note,) = [note for note in ask(*words)["notes"] if "was made of" in note]
+    assert note.startswith(f"{saved} was made of {copy}, {DRIVE}, ")
 
 
 def test_a_map_that_lies_elsewhere_is_moved(made: Path, tmp_path: Path) -> None:

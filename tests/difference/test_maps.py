@@ -83,6 +83,11 @@ def test_negate_turns_black_and_white(tmp_path: Path) -> None:
     assert write_art(load_map(path, OPTIONS).classes) == ".#"
 
 
+def test_a_whole_turn_is_none(tmp_path: Path) -> None:
+    path = write_foreign(tmp_path, META.replace(", 0.0]", ", 6.28318531]") + THRESHOLDS, [[0]])
+    assert load_map(path, OPTIONS).place == Place(0.05, -1, 2)
+
+
 @pytest.mark.parametrize(("free", "art"), [("0.25", "#.."), ("0.196", "#?.")])
 def test_a_threshold_that_makes_what_is_unknown_free_is_told(
     tmp_path: Path, free: str, art: str
@@ -112,6 +117,8 @@ def test_a_threshold_that_makes_what_is_unknown_free_is_told(
         (META.replace("2.0", "1.01e15") + THRESHOLDS, "an origin at (-1, 1.01e+15) m"),
         (META.replace("2.0, 0.0", "2.0") + THRESHOLDS, "where [x, y, yaw] belongs"),
         (META.replace("2.0, 0.0", "2.0, 0.1") + THRESHOLDS, "the map is turned by 0.1 rad"),
+        (META.replace("e: 0", "e: 2") + THRESHOLDS, "negate is '2', where 0 or 1 belongs"),
+        (META + "occupied_thresh: 0.2\nfree_thresh: 0.6\n", "free_thresh is 0.6, and occupied"),
         (META + THRESHOLDS + "mode: grey\n", "'grey' is not a mode of a map"),
         (META.replace("m.pgm", "x.pgm") + THRESHOLDS, "x.pgm: no such file"),
     ],

@@ -111,7 +111,11 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None
         [each.seen] for each in found[:4]
     ]
     hit = found[3]
-    assert (hit.cell.row, hit.cell.column, hit.seen.kind) == (0, 3, EvidenceKind.COUNTS)
+    assert (hit.cell.lattice_row, hit.cell.lattice_column, hit.seen.kind) == (
+        0,
+        3,
+        EvidenceKind.COUNTS,
+    )
     assert hit.cell.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
     (scan,) = hit.scans
     assert (scan.stamp_ns, scan.topic, scan.build) == (0, "scan", 0)
@@ -158,7 +162,7 @@ def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
     evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
     assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
     found = ask(evidence, (-6.45, -6.15))
-    assert (found.cell.row, found.cell.column) == (-62, -65)
+    assert (found.cell.lattice_row, found.cell.lattice_column) == (-62, -65)
     assert found.seen.numbers == (1, 0)
     assert ask(evidence, (-6.45, -6.45)).seen.misses == 1
 

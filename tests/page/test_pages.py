@@ -109,7 +109,9 @@ def test_the_slider_lays_a_scan_over_the_map(drive: Drive) -> None:
     page.choose("scan", 0, "input")
     page.wait("document.body.dataset.scan === '0'")
     page.rest()
-    assert page.text("#when").startswith("1700000000.000 s (2023-11-14 22:13:20 UTC)")
+    start = "1700000000.000 s (2023-11-14 22:13:20 UTC)"
+    assert page.text("#when").startswith(start)
+    assert page.text("#way-ramp").startswith(start)
     hits, x, y = page.run(
         "const d = Bokeh.documents[0].get_model_by_name('scan').data_source.data;"
         "return [d.x.length, d.x[50], d.y[50]]"

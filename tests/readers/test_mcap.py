@@ -131,7 +131,7 @@ def test_messages_of_a_chunk_are_listed_as_one_by_one(
     if block and data.draw(st.booleans()):
         block[data.draw(st.integers(0, len(block) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     source = McapSource.__new__(McapSource)
-    source.notes, source._cut_at = NoteList(), -1
+    source.notes, source._cut_at, source._times = NoteList(), -1, {}
 
     def list_messages(found: Iterable[Record]) -> list[Record]:
         return [record for record in found if record[0] >= 0]

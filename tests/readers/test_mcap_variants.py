@@ -154,6 +154,18 @@ def test_a_wrong_checksum_is_noted_once_and_the_messages_used(tmp_path: Path) ->
     assert "wrong checksum" in note
 
 
+def test_a_message_beside_the_time_of_a_chunk_with_a_wrong_checksum_is_lost(tmp_path: Path) -> None:
+    data = write(FULL)
+    ranges, record_ns = data.find((RANGES + 3).tobytes()), STAMPS[3] + 500_000_000
+    data[data.rfind(struct.pack("<QQ", *[record_ns] * 2), 0, ranges) + 7] ^= 1
+
+    notes, stamps = read_damaged(tmp_path, data)
+
+    assert stamps == STAMPS[:3] + STAMPS[4:]
+    assert ["wrong checksum" in note for note in notes] == [True, False]
+    assert notes[1] == f"{SCANS - 1} messages are read on /scan, where the log announces {SCANS}"
+
+
 @pytest.mark.parametrize("has", [FULL, UNCHECKED, FULL - {"statistics"}], ids=len)
 def test_a_chunk_that_is_gone_is_told_of(tmp_path: Path, has: set[str]) -> None:
     data = write(has, "zstd")

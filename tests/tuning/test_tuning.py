@@ -199,6 +199,8 @@ def test_a_time_that_makes_up_for_the_mount_of_one_of_two_lasers_is_not_recommen
     assert bool(tuning.command) == bool(late_s)
     doubts = [text.split(",")[0] for text in tuning.notes if "mapped alone, gains only" in text]
     assert doubts == ([] if late_s else ["/front", "/rear"])
+    told = list(format_tuning(tuning))[-1].startswith("nothing is recommended: /front")
+    assert told == bool(doubts)  # the reason stands beside it
     assert any("`topics=/front`, then with `topics=/rear`" in text for text in tuning.notes)
 
 

@@ -40,7 +40,10 @@ def test_a_full_disk_is_one_sentence(tmp_path: Path) -> None:
     target = tmp_path / "map.pgm"
     with pytest.raises(OutputError) as caught, open_atomic(target):
         raise OSError(28, "No space left on device")
-    assert str(caught.value) == f"{target}: cannot be written (No space left on device)"
+    assert str(caught.value) == (
+        f"{target}: cannot be written (No space left on device); make room there, or write to "
+        "another disk"
+    )
     assert list(tmp_path.iterdir()) == []
 
 

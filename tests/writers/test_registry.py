@@ -51,16 +51,19 @@ class Foreign:
     needs_evidence = True
 
     def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
-        return path, Path(str(product.report))
+        path.write_text(str(product.report))
+        return (path,)
 
 
+@pytest.mark.usefixtures("here")
 def test_what_a_plugin_does_not_say_is_as_usual(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(writers, "load_plugin", lambda _group, _name: Foreign)
     path, product = Path("m.png"), Product(map_of([[0.5]]), lambda: None, report=7)  # type: ignore[arg-type, return-value]
     writer = find_writer(path)
     assert writer.targets(path) == (path,)
     assert (writer.needs_evidence, writer.shows_journey, writer.is_folder) == (True, True, False)
-    assert write_outputs([path], product, WriteOptions()) == ["m.png", "7"]
+    assert write_outputs([path], product, WriteOptions()) == ["m.png"]
+    assert path.read_text() == "7"
 
 
 @pytest.mark.parametrize(
