@@ -1,5 +1,6 @@
 """Workers and drivers die, disks fill: the same map comes out, or one line and no file."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -251,7 +252,7 @@ def test_that_no_worker_is_left_is_said_once(
     assert told == [f"{address}: no worker is left; waiting for another one"]
 
 
-@pytest.mark.parametrize("error", [CommClosedError, CancelledError])
+@pytest.mark.parametrize("error", [CommClosedError, CancelledError, OSError])
 def test_a_connection_that_closes_while_jobs_run_is_a_scheduler_that_is_gone(
     monkeypatch: pytest.MonkeyPatch, error: type[Exception]
 ) -> None:
@@ -261,6 +262,18 @@ def test_a_connection_that_closes_while_jobs_run_is_a_scheduler_that_is_gone(
     with open_cluster("local", 1, print) as found:
         monkeypatch.setattr(found._client, "map", close)
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
+            found.run("trace", die, [JOB])
+
+
+def test_what_the_system_refuses_a_task_is_not_blamed_on_the_scheduler(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fill(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with open_cluster("local", 1, print) as found:
+        monkeypatch.setattr(found._client, "map", fill)
+        with pytest.raises(OSError, match="No space left"):
             found.run("trace", die, [JOB])
 
 
