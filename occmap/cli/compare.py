@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from occmap.choices import take
+from occmap.choices import Form, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_command, write_rows
 from occmap.cli.declaring import CONFIG, PATH, Answer, command, fail_if
@@ -24,9 +24,11 @@ from occmap.scoring import SMALL, Gain
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
-from occmap.types import BEAM_UPDATES
+from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import WriteOptions
 
+BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
+"""What is told: `combine` says why the update for clouds is none of them"""
 VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
 
 
@@ -35,7 +37,7 @@ VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
     VariantComparison,
     options.LOGS,
     options.field(
-        replace(OPTIONS["update"], kind=BEAM_UPDATES, **VARIED),
+        replace(OPTIONS["update"], kind=BEAM_UPDATES, form=BEAMS, **VARIED),
         metavar=f"[{'|'.join(BEAM_UPDATES)}]",
         show_default="all",
     ),

@@ -52,6 +52,8 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
 
     def convert(self, value: Any, param: click.Parameter | None, _: click.Context | None) -> Any:
         """Read what was typed, or what a file of options states; raises UsageError."""
+        if isinstance(value, str) and NUMBER.fullmatch(value[1:]):  # see `Command.parse_args`
+            value = value.removeprefix(" ")
         if self.known.name or param is None:
             return self.known.read_one(value)
         label = param.opts[-1] if isinstance(param, click.Option) else param.human_readable_name
@@ -93,8 +95,10 @@ class Command(click.Command):
         click has options without a value, too, but they take a log that follows for the number, and
         refuse a negative one. A negative number gets a space before it: no option begins with one.
         """
-        flag, bare, words = OPTIONS["align"].flag, OPTIONS["align"].none[0], []
+        flag, bare, words = OPTIONS["align"].flag, OPTIONS["align"].none[0], list[str]()
         for word, following in zip_longest(args, args[1:], fillvalue=""):
+            if word == "--":  # what follows is no option
+                return super().parse_args(ctx, words + args[args.index("--") :])
             if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
                 fix = f"write {word[:2]} {word[3:]}"
                 raise UsageError("a short option takes no =", where=word, fix=fix)

@@ -185,7 +185,8 @@ class GroundFinder:
             fill(blocks, height, LEVEL_FILLED - FILLED)
             beyond &= height != NO_GROUND
             height[beyond] = plane[beyond]
-        height[find_holes(columns, height, measured, options)] = NO_GROUND
+        holes = find_holes(columns, height, measured, options)
+        height[holes | list_known_holes(blocks, known, measured)] = NO_GROUND
         shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
         note = (
             f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
@@ -305,6 +306,16 @@ def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOp
     found = Found(reached, np.zeros_like(every), np.zeros(0, np.uint8))
     growth.grow_ground(columns.blocks, ways, found, 1, FILLED, np.empty((2, len(every)), np.int64))
     return np.asarray(is_open & (reached == 0))
+
+
+def list_known_holes(blocks: Blocks, known: Ground | None, measured: Bool) -> Bool:
+    """List columns (C,) beside known ground that have none in it, and none was measured now."""
+    had, around = np.full((2, len(blocks.places), BLOCK**2), NO_GROUND, np.int32)
+    if known is not None:
+        at = blocks.table[tuple((known.blocks - blocks.corner).T)]
+        had[at], around[at] = known.height_mm, np.where(known.measured, known.height_mm, NO_GROUND)
+        fill(blocks, around.reshape(-1), FILLED)
+    return np.asarray(~measured & ((around != NO_GROUND) & (had == NO_GROUND)).ravel())
 
 
 def find_nothing(columns: Columns) -> Found:

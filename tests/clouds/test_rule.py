@@ -160,6 +160,18 @@ def test_the_rim_of_a_pit_is_an_edge_that_is_seen_from_above_and_its_inside_is_n
     assert free[find_cells((2.3, 4.0), (3.2, 3.7))].all()
 
 
+def test_a_pit_is_not_free_for_a_session_that_did_not_look_into_it() -> None:
+    posed = drive(Room(pit=PIT))
+    finder = GroundFinder(5)
+    for each in posed[-5:]:
+        finder.add(each)
+    inside = find_cells((2.4, 3.9), (4.2, 4.8))
+
+    for known, is_free in ((find_ground(posed), False), (None, True)):
+        ground, _ = finder.find(CloudOptions(), known)
+        assert count(observe(posed[-5:], ground))[1][inside].any() == is_free
+
+
 def test_a_floor_that_mirrors_has_no_holes() -> None:
     posed = drive(Room([BOX]))
     points = [read_points(each) for each in posed]
