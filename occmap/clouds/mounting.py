@@ -111,8 +111,8 @@ def list_points(part: PosedScans) -> list[tuple[Float64, Float64, Float64]]:
     found = []
     position, rotation = part.at_first_beam
     for cloud, place, turned in zip(part.batch.clouds or (), position, rotation, strict=True):
-        some = cloud.points[:: max(len(cloud.points) // POINTS, 1)].astype(np.float64)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore"):  # where a log is damaged they are of any bits
+            some = cloud.points[:: max(len(cloud.points) // POINTS, 1)].astype(np.float64)
             distance = np.linalg.norm(some, axis=1)
             near = (distance > NEAREST_M) & (distance < FARTHEST_M)
         found.append((some[near], turned, place))

@@ -372,9 +372,11 @@ def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Floa
         return ranges
     clouds = zip(posed.batch.clouds or (), *posed.at_first_beam, ranges, strict=True)
     for cloud, position, rotation, nearest in clouds:
-        points = cloud.points[:, :3].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # where a log is damaged they are of any bits
+            points = cloud.points[:, :3].astype(np.float64)
         distance = np.hypot(points[:, 0], points[:, 1])
         is_near = (distance > options.returns.min_range) & (distance < SEEN_M)
+        is_near &= np.abs(points[:, 2]) < SEEN_M
         points, distance = points[is_near], distance[is_near]
         place = points @ rotation.T + position
         height = place[:, 2] - ground.find_heights(place)
