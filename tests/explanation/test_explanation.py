@@ -158,15 +158,6 @@ def test_neighbours_lie_around_the_cell_and_those_above_come_first(
     assert [[each.numbers for each in row] for row in found] == around
 
 
-def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
-    assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
-    found = ask(evidence, (-6.45, -6.15))
-    assert (found.cell.lattice_row, found.cell.lattice_column) == (-62, -65)
-    assert found.seen.numbers == (1, 0)
-    assert ask(evidence, (-6.45, -6.45)).seen.misses == 1
-
-
 def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]:
     """Of each build: its number, since when and until when (s), and on how many visits."""
     found = ask(evidence, (x, y)).builds
@@ -258,21 +249,6 @@ def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
     ):
         writing = WriteOptions(MapMode.TRINARY, *thresholds)
         assert ask(evidence, END, writing=writing).verdict == verdict
-
-
-def test_json_says_it_all(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [AHEAD])
-    found = ask(evidence, END, tmp_path / "log.csv").to_json()
-    assert found["cell"] == {"row": 0, "column": 3, "extent": pytest.approx([0.3, 0, 0.4, 0.1])}
-    assert found["class"] == "occupied"
-    miss, hit, nothing = (
-        {"hits": hits, "misses": misses, "log_odds": None, "observations": hits + misses}
-        for hits, misses in (CROSSED, HIT, NOTHING)
-    )
-    assert found["seen"] == hit
-    assert found["around"] == [[nothing] * 3, [miss, hit, nothing], [nothing] * 3]
-    (scan,) = found["scans"]
-    assert (scan["stamp_ns"], scan["topic"], scan["seen"]) == (0, "scan", hit)
 
 
 def test_the_numbers_of_a_radial_model_are_log_odds_and_observations(tmp_path: Path) -> None:
