@@ -42,11 +42,8 @@ def all_specs(resolution: float) -> list[GridSpec]:
     ]
 
 
-KINDS_OF_MAP = pytest.mark.parametrize(
-    "kind_of_map",
-    range(6),
-    ids=["beam", "beam-radial", "polygon", "polygon-radial", "surface", "surface-radial"],
-)
+NAMES = [f"{update}{sort}" for update in BEAM_UPDATES for sort in ("", "-radial")]
+KINDS_OF_MAP = pytest.mark.parametrize("kind_of_map", range(6), ids=NAMES)
 each_update = pytest.mark.parametrize("update", BEAM_UPDATES)
 
 
@@ -128,36 +125,6 @@ def test_a_shift_by_whole_cells_shifts_the_map(
     there = scans.observe(spec, [scans.shift(rays, (cols * resolution, rows * resolution))])
     for layer, moved in zip(scans.observe(spec, [rays]), there, strict=True):
         assert {(r + rows, c + cols): n for (r, c), n in layer.items()} == moved
-
-
-@KINDS_OF_MAP
-def test_skipped_beams_leave_no_trace(kind_of_map: int) -> None:
-    rays = scans.make_rays(scans.MIDDLE, scans.aim(0, 0.5, 3), 0.0, Kind.SKIP)
-    assert scans.observe(all_specs(1.0)[kind_of_map], [rays]) == (Counter(), Counter())
-
-
-@each_update
-@pytest.mark.parametrize("distance", [0.0, 0.3])
-def test_a_hit_in_the_sensors_own_cell_is_one_hit(update: Update, distance: float) -> None:
-    rays = scans.make_scan((distance, Kind.HIT))
-    spec = GridSpec(update, Lattice(1.0))
-    lone = 2 if update is Update.SURFACE else 1  # of the 8 that one among its neighbours weighs
-    assert scans.observe(spec, [rays]) == ({(0, 0): lone}, {})
-
-
-def test_free_beam_of_no_length_is_one_miss_by_beam_and_nothing_by_polygon() -> None:
-    rays = scans.make_scan((0.0, Kind.FREE))
-    assert scans.observe(GridSpec(Update.BEAM, Lattice(1.0)), [rays]) == ({}, {(0, 0): 1})
-    assert scans.observe(GridSpec(Update.POLYGON, Lattice(1.0)), [rays]) == ({}, {})
-
-
-def test_every_beam_counts_by_beam_and_every_scan_by_polygon() -> None:
-    rays = scans.make_rays(scans.MIDDLE, scans.aim(0, 0.01, 3), 3.0)
-    assert scans.observe(GridSpec(Update.BEAM, Lattice(1.0)), [rays]) == (
-        {(0, 3): 3},
-        {(0, 0): 3, (0, 1): 3, (0, 2): 3},
-    )
-    assert scans.observe(GridSpec(Update.POLYGON, Lattice(1.0)), [rays]).first == {(0, 3): 1}
 
 
 def make_engine(update: Update = Update.BEAM, resolution: float = 0.05) -> GridEngine:

@@ -15,7 +15,7 @@ from occmap.grid.kernels.units import TABLE_STEPS
 from occmap.grid.tiles import LOG_ODDS_UNIT, WINDOW_CELLS, GridSpec, tabulate
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel
-from occmap.types import BEAM_UPDATES, Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Rays, Update
 from tests.bench.workloads import Sensor, make_office
 from tests.grid import scans
 from tests.grid.radial_reference import Observed, Quadratic, trace_radial
@@ -106,29 +106,6 @@ def count_by_polygon(rays: Rays) -> Counter[Cell]:
     return scans.observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
 
 
-def find_cell(away: float, bearing: float) -> Cell:
-    """The cell so far from the sensor, at a bearing in degrees."""
-    x, y = away * scans.aim(math.radians(bearing), 0, 1)[0] + scans.MIDDLE
-    return Lattice(1.0).to_cell(x, y)
-
-
-def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
-    model, rays = Quadratic(1.0, 0.1), look_around([4.0] * 36, 10.0)
-    plain = (Update.BEAM, Update.POLYGON)
-    counts = [scans.observe(make_spec(update, 1.0, model), [rays]).second[0, 0] for update in plain]
-    assert counts == [36, 1]
-
-
-@pytest.mark.parametrize("beams", [360, 361, 400, 720])
-def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beams: int) -> None:
-    """Nine metres ahead, three behind; the last beam does not speak for the whole turn."""
-    ahead = [math.cos(math.radians(b)) > 0 for b in range(beams)]
-    rays = look_around([9.0 if far else 3.0 for far in ahead], 1.0)
-    observed = count_by_polygon(rays)
-    assert all(observed[0, col] == 1 for col in range(-3, 10))
-    assert observed[0, -4] == observed[0, 10] == 0
-
-
 def test_a_full_circle_leaves_no_cell_out_where_it_closes() -> None:
     """A cell half-way between the last beam and the first belongs to one of them."""
     rng = np.random.default_rng(7)
@@ -141,27 +118,6 @@ def test_a_full_circle_leaves_no_cell_out_where_it_closes() -> None:
     observed = count_by_polygon(rays)
     disc = [(row, col) for row in range(-near, near) for col in range(-near, near)]
     assert {observed[cell] for cell in disc if math.hypot(*cell) < near} == {turns}
-
-
-def test_a_gap_in_the_scan_is_not_observed() -> None:
-    """Three beams 140 degrees apart: each speaks for 60 degrees to each side and no more."""
-    rays = look_around([6.0] * 3, 140.0)
-    observed = count_by_polygon(rays)
-    seen = [observed[find_cell(4, bearing)] for bearing in (0, 50, 65, 75, 90, 205, 215, 280)]
-    assert seen == [1, 1, 0, 0, 1, 0, 0, 1]
-
-
-def test_a_beam_that_points_back_speaks_for_what_others_cover_too() -> None:
-    """Nineteen beams reach 12 m; a last one, which points between two of them, reaches 2 m."""
-    bearings = np.radians([*range(-120, 61, 10), -105])
-    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    kinds = [Kind.HIT] * 18 + [Kind.SKIP, Kind.HIT]
-    observed = count_by_polygon(
-        scans.make_rays(scans.MIDDLE, directions, [12.0] * 19 + [2.0], kinds)
-    )
-    # It covers 60 degrees to each side, as the one before it points 165 degrees away.
-    seen = [observed[find_cell(5, bearing)] for bearing in (-105, -60, -35, 0, 40)]
-    assert seen == [0, 0, 1, 1, 1]
 
 
 def test_no_model_is_so_sure_that_its_sums_overflow() -> None:

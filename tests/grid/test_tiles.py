@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.evidence import render
-from occmap.grid import CellBox, Lattice, tiles
+from occmap.grid import Lattice, tiles
 from occmap.grid.rendering import Reach, find_bounds, paint
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.sensor.models import CountingModel
 from tests.grid import scans
 
 
@@ -67,22 +65,6 @@ def test_a_robot_that_stands_still_for_ten_hours() -> None:
     assert of_map[0, 0] == pytest.approx(-2.1972245773 * times * 1081, rel=1e-5)
 
 
-def test_bounds_are_those_of_the_observed_cells() -> None:
-    grid = scans.make_grid(dict.fromkeys([(5, -200), (70, 3), (-1, 40)], (2, 1)))
-    assert find_bounds(grid) == CellBox(-1, -200, 71, 41)
-
-
-def test_a_map_has_every_cell_where_it_was_observed() -> None:
-    grid = scans.make_grid({(-1, 62): (5, 1), (1, 65): (0, 3)})
-    box = find_bounds(grid)
-    assert box == CellBox(-1, 62, 2, 66)
-    log_odds, observed = paint(grid, np.subtract, -0.7, box)
-    expected = np.full((3, 4), -0.7, np.float32)
-    expected[0, 0], expected[2, 3] = 4, -3
-    np.testing.assert_array_equal(log_odds, expected)
-    np.testing.assert_array_equal(observed, expected != np.float32(-0.7))
-
-
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
     grid = scans.make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
     _, observed = paint(grid, np.subtract, 0.0, find_bounds(grid))
@@ -115,12 +97,6 @@ def test_what_is_surely_too_large_is_refused_while_it_grows(
     grid.refuse_outgrown(most)
     with pytest.raises(MapError, match="more than `max_cells="):
         grid.refuse_outgrown(most - 1)
-
-
-def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
-    grid = scans.make_grid(dict.fromkeys([(0, 0), (2 * 10**8, 2 * 10**8)], (1, 0)), 0.05)
-    with pytest.raises(MapError, match=r"to \(10000000.1, 10000000.1\) m"):
-        render(grid, CountingModel(), 10**9)
 
 
 def test_the_ends_of_hits_say_how_large_a_map_is_at_least() -> None:
