@@ -50,7 +50,9 @@ REFUSED = [
     ("build log.csv -o m.pgm --modle x", 2, "--model"),
     ("build log.csv -o m.tif --georeference 91,0,0", 2, "no place has latitude 91 and longitude 0"),
     ("build log.csv -o m.tif --georeference 0,-181,0", 2, "write degrees: LAT,LON,YAW"),
-    ("build log.csv -o m.keepout.pgm", 2, "--edits"),
+    ("build log.csv -o m.pgm -o m.keepout.pgm", 2, "m.keepout.pgm: a keepout mask is of edits"),
+    ("build log.csv -o m.pgm --edits log.csv", 2, "log.csv: line 4: "),
+    ("build log.csv -o edits.csv --edits edits.csv", 2, "edits.csv: is an input"),
     ("build b.csv --resume none.npz -o m.npz", 1, "none.npz: no such file"),
     ("build b.csv --resume b.csv -o m.npz", 1, "is not an evidence file"),
     ("build b.csv --resume a.npz -o m.npz", 1, "a.npz: its update is beam, that"),
@@ -134,10 +136,11 @@ REFUSED = [
 
 @pytest.fixture(autouse=True, scope="module")
 def _files(workplace: Path) -> None:
-    """Three logs, evidence of two of them and of another model, a map, and half of another."""
+    """Three logs, edits, evidence of two of them and of another model, a map, and half of another."""
     write_csv(workplace / "log.csv", [(0.0, 0.0, 0.0)], [0.3])
     write_csv(workplace / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
     (workplace / "drive.csv").symlink_to(SAMPLE_LOGS / "drive.csv")
+    (workplace / "edits.csv").write_text("free,box,1,2,3,4\n")
     plain = " ".join(PLAIN_WORDS)
     for line in (
         f"{plain} log.csv -o a.npz -o a.pgm",
