@@ -136,7 +136,7 @@ REFUSED = [
 
 @pytest.fixture(autouse=True, scope="module")
 def _files(workplace: Path) -> None:
-    """Three logs, edits, evidence of two of them and of another model, a map, and half of another."""
+    """Three logs, edits, evidence of two logs and of another model, a map, and half of another."""
     write_csv(workplace / "log.csv", [(0.0, 0.0, 0.0)], [0.3])
     write_csv(workplace / "b.csv", [(0.0, 1.0, 0.0)], [0.4])
     (workplace / "drive.csv").symlink_to(SAMPLE_LOGS / "drive.csv")
