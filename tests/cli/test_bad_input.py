@@ -40,12 +40,6 @@ def test_a_link_to_nothing_is_named_as_one() -> None:
     assert fail("dangling.mcap").startswith("dangling.mcap: a link to nowhere.mcap, which is not")
 
 
-def test_a_frame_that_the_log_lacks_is_told_with_those_it_has() -> None:
-    error = fail(SAMPLE_LOGS / "drive.mcap", "m.pgm", "--map-frame", "world")
-    assert "no frame 'world' in the log (known: base_link, laser, map, odom)" in error
-    assert "--map-frame" in error
-
-
 @pytest.mark.parametrize(
     ("name", "content", "found"),
     [

@@ -7,7 +7,7 @@ import pytest
 
 from occmap.cli.build import build_command, read_request
 from occmap.cli.console import Console
-from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection, choose_model
+from occmap.options import BuildOptions, Selection, choose_model
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT, hint_at_tune
@@ -46,6 +46,10 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
     assert BuildOptions(update=Update.POLYGON, model=SimpleModel()).model == SimpleModel()
 
 
+MOUNT = Pose(-0.1, 0, 0, 0, 0, 0, 1)
+EDGE = PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, 0, 1), static=True)
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -66,14 +70,7 @@ def test_the_update_chooses_the_model_where_none_is_named() -> None:
         ),
         (
             "--sensor-pose -0.1,0,0 --static-tf a,b,1,2,3,0,0,0",
-            {
-                "posing": PosingOptions(
-                    sensor_pose=Pose(-0.1, 0, 0, 0, 0, 0, 1),
-                    static_transforms=(
-                        PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, 0, 1), static=True),
-                    ),
-                )
-            },
+            {"posing": PosingOptions(sensor_pose=MOUNT, static_transforms=(EDGE,))},
         ),
     ],
 )
@@ -169,13 +166,6 @@ def test_where_poses_stand_beside_scans_no_time_mends_them(command: str) -> None
     assert "another trajectory by --poses FILE" in told.err + told.out
     for vain in ("tune", "--time-offset", "--deskew"):
         assert vain not in told.err + told.out
-
-
-def test_json_is_one_object_and_nothing_else() -> None:
-    result = occmap("build", DRIVE, "--json", "-o", "m.pgm")
-    assert result.json["scans"] == {"read": 414, "used": 414, "dropped": {}}
-    assert result.json["map"]["update"] == DEFAULT_UPDATE.value
-    assert result.err == ""
 
 
 def test_damage_is_a_note_and_with_strict_an_error_after_the_map(here: Path) -> None:

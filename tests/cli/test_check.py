@@ -3,12 +3,16 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from occmap.choices import format_mount, format_static
 from occmap.options import OPTIONS
 from occmap.types import Float64
+from tests.bench.plans import cast_scans
 from tests.cli.runner import ask, occmap
+from tests.csv_logs import write_scans
+from tests.grid.test_pictures import box
 from tests.inspection_logs import SCANS, Drive, write_bag, write_csv
 from tests.readers.ros import RANGES, ROS2, Written, drive, scan, write_mcap
 from tests.samples import SAMPLE_LOGS
@@ -116,18 +120,13 @@ def test_a_wall_beside_a_parked_robot_is_not_the_robot() -> None:
 
 def test_a_wall_that_a_robot_follows_is_not_the_robot() -> None:
     """Round a square of 8 m, 0.4 m from its walls: beams ahead meet the wall that others follow."""
-    ways = [(k / 4, 0.0, 0.0) for k in range(29)], [(7.2, k / 4, math.pi / 2) for k in range(29)]
-    lines = []
-    for number, (x, y, yaw) in enumerate([*ways[0], *ways[1]]):
-        ranges = []
-        for beam in range(90):
-            along = yaw + math.radians(4 * beam)
-            to_x = ((7.6 if math.cos(along) > 0 else -0.4) - x) / (math.cos(along) or 1e-9)
-            to_y = ((7.6 if math.sin(along) > 0 else -0.4) - y) / (math.sin(along) or 1e-9)
-            ranges.append(f"{min(to_x, to_y):.3f}")
-        lines.append(f"{number},{x},{y},{yaw},{','.join(ranges)}\n")
-    head = f"# angle_min: 0\n# angle_increment: {math.radians(4)}\n# range_max: 30\nstamp,x,y,yaw,"
-    Path("wall.csv").write_text(f"{head}{','.join(f'r{i}' for i in range(90))}\n{''.join(lines)}")
+    poses = [(k / 4, 0.0, 0.0) for k in range(29)]
+    poses += [(7.2, k / 4, math.pi / 2) for k in range(29)]
+    step = math.radians(4)
+    walls = np.array(box(-0.4, -0.4, 7.6, 7.6))
+    ranges = cast_scans(np.array(poses), step * np.arange(90, dtype=np.float64), walls)
+    shape = {"angle_min": 0, "angle_increment": step, "range_max": 30}
+    write_scans(Path("wall.csv"), range(58), ranges, poses, **shape)
     assert ask("check wall.csv")["logs"][0]["scans"][0]["ranges"]["body"] is None
 
 

@@ -12,7 +12,7 @@ from occmap import build_map
 from occmap.page.pages import describe_product
 from occmap.writers import Product
 from occmap.writers.npz import read_evidence
-from tests.cli.runner import ask, occmap, read_error
+from tests.cli.runner import ask, occmap
 from tests.samples import SAMPLE_LOGS
 
 DRIVE = SAMPLE_LOGS / "drive.mcap"
@@ -84,24 +84,6 @@ def test_a_keepout_mask_has_what_is_forbidden() -> None:
     assert (pixels == 0).sum() == 20 * 10
     assert (pixels == 254).sum() == 322 * 243 - 200
     assert "mode: trinary" in Path("keepout.yaml").read_text()
-
-
-@pytest.mark.parametrize(
-    ("edits", "words", "found"),
-    [
-        ("", "-o m.pgm -o site.keepout.pgm", ["site.keepout.pgm", "--edits"]),
-        ("free,box,1,2\n", "-o m.pgm --edits edits.csv", ["edits.csv: line 1"]),
-        ("free,box,1,2,3,4\n", "-o edits.csv --edits edits.csv", ["edits.csv: is an input"]),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused_before_the_work(
-    edits: str, words: str, found: list[str]
-) -> None:
-    Path("edits.csv").write_text(edits)
-    error = read_error(occmap("build", DRIVE, *words.split()), 2)
-    assert all(each in error for each in found)
-    assert Path("edits.csv").read_text() == edits
-    assert not list(Path().glob("*.pgm"))
 
 
 def test_edits_may_come_from_a_pipe() -> None:

@@ -37,24 +37,19 @@ def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lists, "load_plugins", fail)
 
 
-@pytest.mark.parametrize(("error", "code"), [(OccmapError, 1), (LogError, 1), (UsageError, 2)])
-def test_an_error_knows_its_exit_code(
-    monkeypatch: pytest.MonkeyPatch, error: type[OccmapError], code: int
-) -> None:
-    fail_with(error("found\nthis", where="a.log:3", fix="do that"), monkeypatch)
-    assert read_error(occmap("readers"), code) == "a.log:3: found this; do that"
-
-
 @pytest.mark.parametrize(
     ("error", "code", "found"),
     [
+        (OccmapError("found\nthis"), 1, "found this"),
+        (LogError("found", where="a.log:3", fix="do that"), 1, "a.log:3: found; do that"),
+        (UsageError("found", where="-r x", fix="do that"), 2, "-r x: found; do that"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (MemoryError(), 1, "out of memory; try a coarser --resolution"),
         (OSError(36, "File name too long", "aaa"), 1, "aaa: File name too long"),
         (OSError("no number"), 1, "OSError"),
     ],
 )
-def test_what_no_layer_foresees_is_one_line(
+def test_each_error_is_one_line_and_an_exit_code(
     monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int, found: str
 ) -> None:
     fail_with(error, monkeypatch)

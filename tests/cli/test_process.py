@@ -17,12 +17,6 @@ from tests.samples import SAMPLE_LOGS
 DRIVE = str(SAMPLE_LOGS / "drive.mcap")
 
 
-def test_python_m_occmap() -> None:
-    done = spawn("--version")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("occmap ")
-
-
 def test_a_closed_pipe_is_no_error(tmp_path: Path) -> None:
     target = tmp_path / "m.pgm"
     for words in (["build", DRIVE, "-o", str(target)], ["--help"], ["models", "--json"]):

@@ -139,7 +139,9 @@ def test_halves_that_are_merged_are_no_loss() -> None:
 def test_what_evidence_does_not_hold_is_refused_before_it_is_read() -> None:
     Path("damaged.npz").write_bytes(b"")
     told = occmap("merge", "damaged.npz", "a.npz", "-o", "way.tum")
-    assert "way.tum: evidence does not say where the robot went" in read_error(told, 2)
+    error = read_error(told, 2)
+    assert error.startswith("way.tum: evidence does not say where the robot went")
+    assert "build it from the logs: `occmap build`" in error
 
 
 def test_evidence_is_a_map_to_diff() -> None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from occmap import jit
@@ -17,6 +18,7 @@ from occmap.readers import decimals
 from occmap.scoring.compare import combine, compare
 from occmap.sensor.models import parse_model
 from occmap.types import BEAM_UPDATES, Update
+from tests.csv_logs import write_poses, write_scans
 from tests.samples import SAMPLE_LOGS
 
 HALL = SAMPLE_LOGS / "hall.mcap"
@@ -37,12 +39,9 @@ def compiled_ahead() -> None:
 
 def write_log(folder: Path) -> tuple[Path, Path]:
     """A CSV that states the time between beams, and its poses."""
-    log, poses = folder / "drive.csv", folder / "drive.tum"
-    names = {"angle_min": 0, "angle_increment": 0.5, "time_increment": 0.01}
-    lines = [*(f"# {name}: {value}" for name, value in names.items()), "stamp,r0,r1,r2"]
-    log.write_text("\n".join([*lines, *(f"{stamp}.5,1,2,3" for stamp in range(9))]) + "\n")
-    poses.write_text("".join(f"{stamp} 0 {stamp} 0 0 0 0 1\n" for stamp in range(10)))
-    return log, poses
+    shape = {"angle_min": 0, "angle_increment": 0.5, "time_increment": 0.01}
+    log = write_scans(folder / "drive.csv", np.arange(9) + 0.5, [[1, 2, 3]] * 9, **shape)
+    return log, write_poses(folder / "poses.csv", range(10), [(0, s, 0) for s in range(10)])
 
 
 @pytest.mark.parametrize("deskew", [Deskew.OFF, Deskew.ON])

@@ -26,6 +26,8 @@ from tests.csv_logs import write_poses, write_scans
 from tests.evidence.saving import DRIVE, choose, each_combination, save
 from tests.samples import PLAIN, REAL_LOGS, Planar, write_csv
 
+pytestmark = pytest.mark.usefixtures("here")
+LOG = Path("log.csv")
 TENTH = replace(PLAIN, resolution=0.1)
 """Cells of 0.1 m"""
 AHEAD: Planar = (0.05, 0.05, 0.0)
@@ -35,12 +37,9 @@ END = (0.35, 0.05)
 CROSSED, HIT, NOTHING = (0, 1), (1, 0), (0, 0)
 
 
-def observe(
-    folder: Path, poses: Sequence[Planar], options: BuildOptions = TENTH, name: str = "log"
-) -> Evidence:
+def observe(poses: Sequence[Planar], options: BuildOptions = TENTH, log: Path = LOG) -> Evidence:
     """Evidence of a log of scans a second apart, each with one beam of 0.32 m."""
-    log = write_csv(folder / f"{name}.csv", poses, [0.32])
-    return save(folder / f"{name}.npz", options, log)
+    return save(log.with_suffix(".npz"), options, write_csv(log, poses, [0.32]))
 
 
 def ask(evidence: Evidence, point: tuple[float, float], *logs: Path, **more: Any) -> Explanation:
@@ -59,8 +58,8 @@ def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
 
 
 @each_combination
-def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -> None:
-    evidence = save(tmp_path / "m.npz", choose(update, model))
+def test_scans_of_the_drive_add_up(update: Update, model: str) -> None:
+    evidence = save(Path("m.npz"), choose(update, model))
     for point in choose_points(evidence, 4):
         found = ask(evidence, point, DRIVE)
         assert found.seen.observations
@@ -69,8 +68,8 @@ def test_scans_of_the_drive_add_up(tmp_path: Path, update: Update, model: str) -
         assert found.notes == ()
 
 
-def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
-    evidence = save(tmp_path / "m.npz", BuildOptions())
+def test_a_cell_is_judged_as_the_map_is() -> None:
+    evidence = save(Path("m.npz"), BuildOptions())
     judges: list[models.SensorModel] = [
         models.SimpleModel(0.9, 0.25, 0.3),
         models.CountingModel(0.4, cut=0.2),
@@ -92,17 +91,17 @@ def test_a_cell_is_judged_as_the_map_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
-def test_scans_of_a_real_log_add_up(tmp_path: Path) -> None:
+def test_scans_of_a_real_log_add_up() -> None:
     log = REAL_LOGS / "carmen" / "freiburg-079-corrected.log.gz"
-    evidence = save(tmp_path / "m.npz", BuildOptions(jobs=2), log)
+    evidence = save(Path("m.npz"), BuildOptions(jobs=2), log)
     found = ask(evidence, choose_points(evidence, 0)[0], log)
     assert add_up(found.scans) == found.seen.numbers
     assert found.seen.numbers[0] > 20
 
 
-def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None:
-    evidence, log = observe(tmp_path, [AHEAD]), tmp_path / "log.csv"
-    found = [ask(evidence, (x, 0.05), log) for x in (0.05, 0.15, 0.25, 0.35, 0.45)]
+def test_one_beam_clears_three_cells_and_hits_the_fourth() -> None:
+    evidence = observe([AHEAD])
+    found = [ask(evidence, (x, 0.05), LOG) for x in (0.05, 0.15, 0.25, 0.35, 0.45)]
     assert [each.seen.numbers for each in found] == [(0, 1), (0, 1), (0, 1), (1, 0), (0, 0)]
     assert [each.seen.observations for each in found] == [1, 1, 1, 1, 0]
     assert [each.verdict for each in found] == ["free"] * 3 + ["occupied", "unknown"]
@@ -111,21 +110,18 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth(tmp_path: Path) -> None
         [each.seen] for each in found[:4]
     ]
     hit = found[3]
-    assert (hit.cell.lattice_row, hit.cell.lattice_column, hit.seen.kind) == (
-        0,
-        3,
-        EvidenceKind.COUNTS,
-    )
+    assert (hit.cell.lattice_row, hit.cell.lattice_column) == (0, 3)
+    assert hit.seen.kind is EvidenceKind.COUNTS
     assert hit.cell.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
     (scan,) = hit.scans
     assert (scan.stamp_ns, scan.topic, scan.build) == (0, "scan", 0)
-    assert (scan.log, scan.x, scan.y) == (str(log), 0.05, 0.05)
+    assert (scan.log, scan.x, scan.y) == ("log.csv", 0.05, 0.05)
     assert scan.distance == pytest.approx(0.3)  # to the middle of the cell, x = 0.35
 
 
-def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
+def test_a_wall_seen_twice_and_then_crossed() -> None:
     poses = [AHEAD, (0.65, 0.05, math.pi), (5, 5, 0.0), (0.25, 0.05, 0.0)]
-    found = ask(observe(tmp_path, poses), END, tmp_path / "log.csv")
+    found = ask(observe(poses), END, LOG)
     seconds = [each.stamp_ns / 1e9 for each in found.scans]
     assert seconds == [0, 1, 3]  # the scan at 2 s was elsewhere
     assert [each.seen.numbers for each in found.scans] == [(1, 0), (1, 0), (0, 1)]
@@ -135,9 +131,9 @@ def test_a_wall_seen_twice_and_then_crossed(tmp_path: Path) -> None:
     assert found.scans_used == 4
 
 
-def test_a_cell_that_nothing_observed(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [AHEAD, (0.05, 0.25, 0.0)])
-    found = ask(evidence, (0.15, 0.15), tmp_path / "log.csv")
+def test_a_cell_that_nothing_observed() -> None:
+    evidence = observe([AHEAD, (0.05, 0.25, 0.0)])
+    found = ask(evidence, (0.15, 0.15), LOG)
     assert (found.verdict, found.scans, found.notes) == ("unknown", (), ())
     assert found.map_extent == pytest.approx((0, 0, 0.4, 0.3))
     assert ask(subtract(evidence, evidence), END).map_extent is None
@@ -152,19 +148,10 @@ def test_a_cell_that_nothing_observed(tmp_path: Path) -> None:
     ],
 )
 def test_neighbours_lie_around_the_cell_and_those_above_come_first(
-    yaw: float, point: tuple[float, float], around: list[list[tuple[int, int]]], tmp_path: Path
+    yaw: float, point: tuple[float, float], around: list[list[tuple[int, int]]]
 ) -> None:
-    found = ask(observe(tmp_path, [(0.05, 0.05, yaw)]), point).around
+    found = ask(observe([(0.05, 0.05, yaw)]), point).around
     assert [[each.numbers for each in row] for row in found] == around
-
-
-def test_cells_below_zero_are_in_tiles_below_zero(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [(-6.45, -6.45, math.pi / 2)])
-    assert evidence.tiles.tolist() == [[-2, -2], [-1, -2]]  # the beam goes up across row -64
-    found = ask(evidence, (-6.45, -6.15))
-    assert (found.cell.lattice_row, found.cell.lattice_column) == (-62, -65)
-    assert found.seen.numbers == (1, 0)
-    assert ask(evidence, (-6.45, -6.45)).seen.misses == 1
 
 
 def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]:
@@ -175,10 +162,10 @@ def list_visits(evidence: Evidence, x: float, y: float) -> list[tuple[int, ...]]
     return [span + visit for span, visit in zip(spans, visits, strict=True)]
 
 
-def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
+def test_slices_are_told_build_by_build_and_together() -> None:
     """A scan a second; slices of ten seconds are of 10 scans each, and 30 s lie between visits."""
-    once = observe(tmp_path, [AHEAD])
-    long = observe(tmp_path, [*[AHEAD] * 12, *[(0.05, 9.05, 0.0)] * 30, AHEAD])
+    once = observe([AHEAD])
+    long = observe([*[AHEAD] * 12, *[(0.05, 9.05, 0.0)] * 30, AHEAD])
     both = merge([once, long])
     assert list_visits(once, *END) == [(0, 0, 10, 1, 1)]
     assert list_visits(both, *END) == [(0, 0, 10, 1, 1), (1, 0, 50, 2, 2)]
@@ -192,31 +179,28 @@ def test_slices_are_told_build_by_build_and_together(tmp_path: Path) -> None:
     assert ask(both, (50.0, 9.05)).visits is None
 
 
-def test_scans_come_by_time_whatever_the_order_of_the_file(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "log.csv", [AHEAD] * 3, [0.32])
+def test_scans_come_by_time_whatever_the_order_of_the_file() -> None:
+    log = write_csv(LOG, [AHEAD] * 3, [0.32])
     lines = log.read_text().splitlines()
     log.write_text("\n".join([*lines[:-3], lines[-1], lines[-3], lines[-2], ""]))
-    found = ask(save(tmp_path / "m.npz", TENTH, log), END, log)
+    found = ask(save(Path("m.npz"), TENTH, log), END, log)
     assert [each.stamp_ns / 1e9 for each in found.scans] == [0, 1, 2]
 
 
-def test_only_the_scans_that_a_build_used_are_named(tmp_path: Path) -> None:
+def test_only_the_scans_that_a_build_used_are_named() -> None:
     early, third = (
-        observe(tmp_path, [AHEAD] * 10, replace(TENTH, selection=selection))
+        observe([AHEAD] * 10, replace(TENTH, selection=selection))
         for selection in (Selection(end_s=2.5), Selection(start_s=4, stride=3))
     )
-    found = ask(merge([early, third]), END, tmp_path / "log.csv")
+    found = ask(merge([early, third]), END, LOG)
     used = [(each.build, each.stamp_ns / 1e9) for each in found.scans]
     assert used == [(0, 0), (0, 1), (0, 2), (1, 4), (1, 7)]
     assert (found.scans_used, found.notes) == (3 + 2, ())
 
 
-def test_what_the_logs_at_hand_do_not_explain_is_said(tmp_path: Path) -> None:
-    a, b = tmp_path / "a.csv", tmp_path / "b.csv"
-    parts = [
-        observe(tmp_path, [(x, 0.05, 0.0)], name=name) for x, name in ((0.05, "a"), (0.15, "b"))
-    ]
-    both = merge(parts)
+def test_what_the_logs_at_hand_do_not_explain_is_said() -> None:
+    a, b = Path("a.csv"), Path("b.csv")
+    both = merge([observe([AHEAD], log=a), observe([(0.15, 0.05, 0.0)], log=b)])
     (note,) = ask(both, END, a).notes
     assert "explain 1 hit and 0 misses of 1 hit and 1 miss" in note
     assert "b.csv" in note
@@ -225,10 +209,10 @@ def test_what_the_logs_at_hand_do_not_explain_is_said(tmp_path: Path) -> None:
     assert ask(both, (0.05, 0.05), a).notes == ()  # all of that cell is in a.csv
 
 
-def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
-    part = observe(tmp_path, [AHEAD] * 4, replace(TENTH, selection=Selection(end_s=0.5)))
-    rest = subtract(observe(tmp_path, [AHEAD] * 4), part)
-    bounds, note = ask(rest, END, tmp_path / "log.csv").notes
+def test_what_was_subtracted_is_said() -> None:
+    part = observe([AHEAD] * 4, replace(TENTH, selection=Selection(end_s=0.5)))
+    rest = subtract(observe([AHEAD] * 4), part)
+    bounds, note = ask(rest, END, LOG).notes
     assert "upper bounds" in bounds
     assert "explain 4 hits and 0 misses of 3 hits and 0 misses" in note
     assert "subtracted" in note
@@ -236,20 +220,20 @@ def test_what_was_subtracted_is_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 @pytest.mark.parametrize("update", BEAM_UPDATES)
-def test_deskewed_scans_add_up(tmp_path: Path, update: Update, model: str) -> None:
+def test_deskewed_scans_add_up(update: Update, model: str) -> None:
     shape = {"angle_min": -0.4, "angle_increment": 0.1, "time_increment": 0.1}
-    log = write_scans(tmp_path / "turning.csv", [0, 0.8], np.ones((2, 8)), **shape)
-    path = write_poses(tmp_path / "path.csv", [0, 1, 2], [(0, 0, 0), (0.5, 0.1, 1), (1, 0.5, 2)])
+    log = write_scans(Path("turning.csv"), [0, 0.8], np.ones((2, 8)), **shape)
+    path = write_poses(Path("path.csv"), [0, 1, 2], [(0, 0, 0), (0.5, 0.1, 1), (1, 0.5, 2)])
     posing = PosingOptions(poses=str(path), deskew=Deskew.ON)
     options = replace(TENTH, update=update, model=models.parse_model(model), posing=posing)
-    evidence = save(tmp_path / "m.npz", options, log)
+    evidence = save(Path("m.npz"), options, log)
     for point in choose_points(evidence, 8):
         found = ask(evidence, point, log, poses=(path,))
         assert add_up(found.scans) == found.seen.numbers
 
 
-def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [AHEAD])
+def test_thresholds_decide_what_a_cell_is() -> None:
+    evidence = observe([AHEAD])
     for thresholds, verdict in (
         ((0.69, 0.1), "occupied"),
         ((0.71, 0.1), "undecided"),
@@ -260,25 +244,10 @@ def test_thresholds_decide_what_a_cell_is(tmp_path: Path) -> None:
         assert ask(evidence, END, writing=writing).verdict == verdict
 
 
-def test_json_says_it_all(tmp_path: Path) -> None:
-    evidence = observe(tmp_path, [AHEAD])
-    found = ask(evidence, END, tmp_path / "log.csv").to_json()
-    assert found["cell"] == {"row": 0, "column": 3, "extent": pytest.approx([0.3, 0, 0.4, 0.1])}
-    assert found["class"] == "occupied"
-    miss, hit, nothing = (
-        {"hits": hits, "misses": misses, "log_odds": None, "observations": hits + misses}
-        for hits, misses in (CROSSED, HIT, NOTHING)
-    )
-    assert found["seen"] == hit
-    assert found["around"] == [[nothing] * 3, [miss, hit, nothing], [nothing] * 3]
-    (scan,) = found["scans"]
-    assert (scan["stamp_ns"], scan["topic"], scan["seen"]) == (0, "scan", hit)
-
-
-def test_the_numbers_of_a_radial_model_are_log_odds_and_observations(tmp_path: Path) -> None:
+def test_the_numbers_of_a_radial_model_are_log_odds_and_observations() -> None:
     for scans in (1, 2):
         options = replace(TENTH, model=models.QuadraticModel(p_min=0.2))
-        found = ask(observe(tmp_path, [AHEAD] * scans, options), (0.05, 0.05))
+        found = ask(observe([AHEAD] * scans, options), (0.05, 0.05))
         assert found.seen.kind is EvidenceKind.LOG_ODDS
         seen = found.to_json()["seen"]
         # p = 0.2 near the sensor, and log-odds are kept to 1/65536.

@@ -98,15 +98,6 @@ def test_the_first_occupied_cell_is_found_to_two_cells(
     assert cast(probability, 10.5, 10.5, angle, reach + 0.5).found == found
 
 
-def test_the_likelihood_of_a_wall_behind_half_free_cells() -> None:
-    probability = np.array([[0.5, 0.0, 0.25, 0.25, 0.0, 1.0]], np.float32)
-    beam = cast(probability, 0.0, 0.5, 0.0, 5.5)
-    assert beam.stopped == pytest.approx(0.5 * 0.75 * (0.25 + 0.75 * 1))
-    assert (beam.found, beam.free, beam.end) == (1, 5, 1.0)
-    costs = [UNKNOWN_COST, 0, -math.log(0.75), -math.log(0.75), 0]
-    assert beam.cost == pytest.approx(sum(costs), rel=1e-6)
-
-
 @pytest.mark.parametrize(("cut", "found"), [(0.5, 0), (0.32, 1)])
 def test_what_the_map_calls_occupied_is_found_however_probable_it_is(
     cut: float, found: int

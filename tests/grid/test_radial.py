@@ -15,21 +15,11 @@ from occmap.grid.kernels.units import TABLE_STEPS
 from occmap.grid.tiles import LOG_ODDS_UNIT, WINDOW_CELLS, GridSpec, tabulate
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel
-from occmap.types import BEAM_UPDATES, Kind, Rays, Update
+from occmap.types import BEAM_UPDATES, Rays, Update
 from tests.bench.workloads import Sensor, make_office
+from tests.grid import scans
 from tests.grid.radial_reference import Observed, Quadratic, trace_radial
 from tests.grid.reference import Cell
-from tests.grid.scans import (
-    FEW,
-    MIDDLE,
-    Drive,
-    Evidence,
-    aim,
-    drives,
-    make_rays,
-    observe,
-    upright_drives,
-)
 
 
 def tolerance(model: Quadratic) -> float:
@@ -52,7 +42,7 @@ def make_spec(update: Update, resolution: float, model: Quadratic) -> GridSpec:
     return GridSpec(update, Lattice(resolution), radial=tables)
 
 
-def check(evidence: Evidence, expected: Observed, model: Quadratic) -> None:
+def check(evidence: scans.Evidence, expected: Observed, model: Quadratic) -> None:
     """The same observations of every cell that is not doubtful, and log-odds within tolerance."""
     counts = {cell: len(seen) for cell, seen in expected.probabilities.items()}
     sums, observations = evidence
@@ -64,8 +54,8 @@ def check(evidence: Evidence, expected: Observed, model: Quadratic) -> None:
 
 
 @pytest.mark.parametrize("update", BEAM_UPDATES)
-@pytest.mark.parametrize("scene", [drives, upright_drives])
-@FEW
+@pytest.mark.parametrize("scene", [scans.drives, scans.upright_drives])
+@scans.FEW
 @given(
     data=st.data(),
     cells_deep=st.sampled_from([0.5, 1.0, 3.3]),
@@ -74,7 +64,7 @@ def check(evidence: Evidence, expected: Observed, model: Quadratic) -> None:
 )
 def test_every_update_follows_its_rule(
     update: Update,
-    scene: Callable[[], st.SearchStrategy[Drive]],
+    scene: Callable[[], st.SearchStrategy[scans.Drive]],
     data: st.DataObject,
     cells_deep: float,
     p_min: float,
@@ -83,15 +73,15 @@ def test_every_update_follows_its_rule(
     """Also with beams straight up and down."""
     rays, resolution = data.draw(scene())
     model = Quadratic(cells_deep * resolution, p_min)
-    evidence = observe(make_spec(update, resolution, model), [rays], window_cells)
+    evidence = scans.observe(make_spec(update, resolution, model), [rays], window_cells)
     check(evidence, trace_radial(update, rays, resolution, model), model)
 
 
 def look_around(distance: list[float], degrees: float) -> Rays:
     """One scan from the middle of cell (0, 0) of cells of a metre, its first beam along x."""
     beams = len(distance)
-    directions = aim(0.0, math.radians(degrees), beams)
-    return make_rays(MIDDLE, directions, distance, full_circle=beams * degrees >= 360)
+    directions = scans.aim(0.0, math.radians(degrees), beams)
+    return scans.make_rays(scans.MIDDLE, directions, distance, full_circle=beams * degrees >= 360)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +91,7 @@ def look_around(distance: list[float], degrees: float) -> Rays:
 def test_the_cells_of_one_beam_worked_out_by_hand(update: Update, beams: int) -> None:
     """Range 4, depth 1: free before 3 with p = (d / 3)^2 / 2, the hit from 3 to 5."""
     model = Quadratic(depth=1.0, p_min=0.1)
-    evidence = observe(make_spec(update, 1.0, model), [look_around([4.0] * beams, 10.0)])
+    evidence = scans.observe(make_spec(update, 1.0, model), [look_around([4.0] * beams, 10.0)])
     ahead = [(0, col) for col in range(6)]
     weight = 2 if update is Update.SURFACE else 1
     assert [evidence.second[cell] for cell in ahead] == [weight] * 6
@@ -113,63 +103,21 @@ def test_the_cells_of_one_beam_worked_out_by_hand(update: Update, beams: int) ->
 
 def count_by_polygon(rays: Rays) -> Counter[Cell]:
     """How many scans observed each cell."""
-    return observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
-
-
-def find_cell(away: float, bearing: float) -> Cell:
-    """The cell so far from the sensor, at a bearing in degrees."""
-    x, y = away * aim(math.radians(bearing), 0, 1)[0] + MIDDLE
-    return Lattice(1.0).to_cell(x, y)
-
-
-def test_near_cells_are_observed_by_every_beam_but_once_by_a_scan() -> None:
-    model, rays = Quadratic(1.0, 0.1), look_around([4.0] * 36, 10.0)
-    plain = (Update.BEAM, Update.POLYGON)
-    counts = [observe(make_spec(update, 1.0, model), [rays]).second[0, 0] for update in plain]
-    assert counts == [36, 1]
-
-
-@pytest.mark.parametrize("beams", [360, 361, 400, 720])
-def test_a_scan_of_more_than_a_turn_has_its_ranges_where_they_were_measured(beams: int) -> None:
-    """Nine metres ahead, three behind; the last beam does not speak for the whole turn."""
-    ahead = [math.cos(math.radians(b)) > 0 for b in range(beams)]
-    rays = look_around([9.0 if far else 3.0 for far in ahead], 1.0)
-    observed = count_by_polygon(rays)
-    assert all(observed[0, col] == 1 for col in range(-3, 10))
-    assert observed[0, -4] == observed[0, 10] == 0
+    return scans.observe(make_spec(Update.POLYGON, 1.0, Quadratic(0.5, 0.1)), [rays]).second
 
 
 def test_a_full_circle_leaves_no_cell_out_where_it_closes() -> None:
     """A cell half-way between the last beam and the first belongs to one of them."""
     rng = np.random.default_rng(7)
-    scans, beams, near = 2000, 48, 30
-    noise = math.pi / beams + rng.normal(0, 1e-4, scans)
-    headings = rng.integers(0, 4, scans) * math.pi / 2 + noise
-    directions = np.stack([aim(heading, math.tau / beams, beams) for heading in headings])
-    reach = rng.uniform(near + 1, near + 4, (scans, beams))
-    rays = make_rays(MIDDLE, directions, reach, full_circle=True)
+    turns, beams, near = 2000, 48, 30
+    noise = math.pi / beams + rng.normal(0, 1e-4, turns)
+    headings = rng.integers(0, 4, turns) * math.pi / 2 + noise
+    directions = np.stack([scans.aim(heading, math.tau / beams, beams) for heading in headings])
+    reach = rng.uniform(near + 1, near + 4, (turns, beams))
+    rays = scans.make_rays(scans.MIDDLE, directions, reach, full_circle=True)
     observed = count_by_polygon(rays)
     disc = [(row, col) for row in range(-near, near) for col in range(-near, near)]
-    assert {observed[cell] for cell in disc if math.hypot(*cell) < near} == {scans}
-
-
-def test_a_gap_in_the_scan_is_not_observed() -> None:
-    """Three beams 140 degrees apart: each speaks for 60 degrees to each side and no more."""
-    rays = look_around([6.0] * 3, 140.0)
-    observed = count_by_polygon(rays)
-    seen = [observed[find_cell(4, bearing)] for bearing in (0, 50, 65, 75, 90, 205, 215, 280)]
-    assert seen == [1, 1, 0, 0, 1, 0, 0, 1]
-
-
-def test_a_beam_that_points_back_speaks_for_what_others_cover_too() -> None:
-    """Nineteen beams reach 12 m; a last one, which points between two of them, reaches 2 m."""
-    bearings = np.radians([*range(-120, 61, 10), -105])
-    directions = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    kinds = [Kind.HIT] * 18 + [Kind.SKIP, Kind.HIT]
-    observed = count_by_polygon(make_rays(MIDDLE, directions, [12.0] * 19 + [2.0], kinds))
-    # It covers 60 degrees to each side, as the one before it points 165 degrees away.
-    seen = [observed[find_cell(5, bearing)] for bearing in (-105, -60, -35, 0, 40)]
-    assert seen == [0, 0, 1, 1, 1]
+    assert {observed[cell] for cell in disc if math.hypot(*cell) < near} == {turns}
 
 
 def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
@@ -178,7 +126,7 @@ def test_no_model_is_so_sure_that_its_sums_overflow() -> None:
     spec = GridSpec(Update.BEAM, Lattice(1.0), radial=tabulate(model.free, model.hit, 1.0))
     beams = 1 << 19
     rays = look_around([30.0] * beams, 0.0)
-    evidence = observe(spec, [rays])
+    evidence = scans.observe(spec, [rays])
     assert evidence.second[0, 0] == beams
     # The sensor's own cell is looked up in the middle of the first of the table's steps.
     p = 1 / (4 * TABLE_STEPS)
@@ -210,9 +158,9 @@ def test_windows_change_nothing_in_an_office_of_many_doors() -> None:
     """A span may bridge a gap between two others: its cells are observed once all the same."""
     office = make_office("office", Sensor.spanning(360, 360, 30.0), 200)
     rays = [interpret(posed, ReturnOptions())[0] for posed in office.pose_scans()]
-    scans = [rays[0].take(slice(3, 4)), rays[0].take(slice(19, 20))]
+    pair = [rays[0].take(slice(3, 4)), rays[0].take(slice(19, 20))]
     spec = make_spec(Update.POLYGON, 0.05, Quadratic(0.025, 0.4))
     spec = replace(spec, hit_offset=0.5)
-    whole = observe(spec, scans)
-    assert observe(spec, scans, window_cells=4096) == whole
-    assert max(whole.second.values()) <= len(scans)
+    whole = scans.observe(spec, pair)
+    assert scans.observe(spec, pair, window_cells=4096) == whole
+    assert max(whole.second.values()) <= len(pair)

@@ -63,17 +63,6 @@ def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, u
         assert (painted[~observed] == -1).all()
 
 
-def test_a_lone_hit_in_the_corner_of_a_tile_by_hand() -> None:
-    """Nine cells in four tiles: 1 in the middle, 0.1 beside it, 0.01 at corners."""
-    tiles = SpreadHits(make_grid({(TILE, TILE): (1, 0)}), 0.1)
-    box = find_bounds(tiles)
-    hits, observed = paint(tiles, lambda hits, _: hits, 0.0, box)
-    assert box == CellBox(TILE - 1, TILE - 1, TILE + 2, TILE + 2)
-    assert observed.all()
-    expected = [[0.01, 0.1, 0.01], [0.1, 1.0, 0.1], [0.01, 0.1, 0.01]]
-    np.testing.assert_allclose(hits, expected, rtol=1e-6)
-
-
 def test_nothing_observed_has_no_bounds_whatever_is_spread() -> None:
     for nothing in (make_grid(), SpreadHits(make_grid(), 0.1)):
         with pytest.raises(MapError, match="no beam of any scan observed a cell"):

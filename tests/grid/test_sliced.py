@@ -16,20 +16,8 @@ from occmap.errors import MapError
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack
 from occmap.types import Rays
+from tests.grid import scans
 from tests.grid.reference import Cell
-from tests.grid.scans import (
-    FEW,
-    MIDDLE,
-    Drive,
-    aligned_drives,
-    assert_same_slices,
-    draw_scans,
-    drives,
-    make_rays,
-    observe,
-    read_cells,
-    take,
-)
 from tests.grid.test_engine import KINDS_OF_MAP, WINDOWS, all_specs
 
 SLICE = 10
@@ -56,8 +44,8 @@ def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expe
     cells: Expected = defaultdict(lambda: Seen(set(), set()))
     for s, stamp in enumerate(rays.stamp_ns.tolist()):
         engine = GridEngine(spec)
-        engine.add(take(rays, [s]))
-        first, second = read_cells(engine.finish())
+        engine.add(scans.take(rays, [s]))
+        first, second = scans.read_cells(engine.finish())
         hit = set(first) if spec.radial is None else set()
         for cell in hit | set(second):
             cells[cell].seen.add(stamp // slice_ns)
@@ -94,18 +82,18 @@ def keep(
     for rays in batches:
         engine.add(rays)
         plain.add(rays)
-    assert read_cells(engine.finish()) == read_cells(plain.finish())
+    assert scans.read_cells(engine.finish()) == scans.read_cells(plain.finish())
     (slices,) = engine.read_slices()
     return slices
 
 
 @KINDS_OF_MAP
-@pytest.mark.parametrize("scene", [drives, aligned_drives])
-@FEW
+@pytest.mark.parametrize("scene", [scans.drives, scans.aligned_drives])
+@scans.FEW
 @given(data=st.data(), window_cells=WINDOWS, slice_ns=st.sampled_from([1, 7, SLICE, 1000]))
 def test_slices_are_those_of_the_scans_that_observed_a_cell(
     kind_of_map: int,
-    scene: Callable[[], st.SearchStrategy[Drive]],
+    scene: Callable[[], st.SearchStrategy[scans.Drive]],
     data: st.DataObject,
     window_cells: int,
     slice_ns: int,
@@ -119,18 +107,19 @@ def test_slices_are_those_of_the_scans_that_observed_a_cell(
 
 
 @KINDS_OF_MAP
-@FEW
-@given(drive=drives(), window_cells=WINDOWS)
+@scans.FEW
+@given(drive=scans.drives(), window_cells=WINDOWS)
 def test_batches_windows_and_order_change_no_byte(
-    kind_of_map: int, drive: Drive, window_cells: int
+    kind_of_map: int, drive: scans.Drive, window_cells: int
 ) -> None:
     rays, resolution = drive
     spec = all_specs(resolution)[kind_of_map]
     whole = keep(spec, [rays])
-    scans = range(len(rays.kind))
-    for order in islice(permutations(scans), 0, None, 5):
-        assert_same_slices(keep(spec, [take(rays, list(order))], window_cells), whole)
-        assert_same_slices(keep(spec, [take(rays, [s]) for s in order], window_cells), whole)
+    for order in islice(permutations(range(len(rays.kind))), 0, None, 5):
+        scans.assert_same_slices(keep(spec, [scans.take(rays, list(order))], window_cells), whole)
+        scans.assert_same_slices(
+            keep(spec, [scans.take(rays, [s]) for s in order], window_cells), whole
+        )
 
 
 @pytest.mark.parametrize("slice_ns", [None, SLICE])
@@ -138,12 +127,12 @@ def test_batches_windows_and_order_change_no_byte(
 def test_threads_give_the_same_sums_and_slices(kind_of_map: int, slice_ns: int | None) -> None:
     """A scan every 3 ns, and a pause of 40 after every fifth."""
     stamps = np.array([3 * s + 40 * (s // 5) - 100 for s in range(24)])
-    rays = draw_scans(np.random.default_rng(5), 24, 0.02, 100)._replace(stamp_ns=stamps)
-    scans, spec = [take(rays, [s]) for s in range(24)], all_specs(0.05)[kind_of_map]
+    rays = scans.draw_scans(np.random.default_rng(5), 24, 0.02, 100)._replace(stamp_ns=stamps)
+    alone, spec = [scans.take(rays, [s]) for s in range(24)], all_specs(0.05)[kind_of_map]
     engine = GridEngine(spec, window_cells=1 << 16, slice_ns=slice_ns)
     with ThreadPoolExecutor(4) as threads:
-        list(threads.map(engine.add, scans))
-    assert read_cells(engine.finish()) == observe(spec, scans)
+        list(threads.map(engine.add, alone))
+    assert scans.read_cells(engine.finish()) == scans.observe(spec, alone)
     for slices in engine.read_slices():
         assert spread(slices) == look_scan_by_scan(spec, rays)
 
@@ -153,50 +142,34 @@ def test_a_map_that_slices_make_too_large_is_refused() -> None:
     engine = GridEngine(all_specs(1.0)[0], max_cells=1000, slice_ns=SLICE)
     far = one_beam([0, 1000, 2000])
     for s in range(2):
-        engine.add(take(far, [s])._replace(origin=np.full((1, 1, 2), 640.5 * s)))
+        engine.add(scans.take(far, [s])._replace(origin=np.full((1, 1, 2), 640.5 * s)))
     with pytest.raises(MapError, match="more than `max_cells=1000`"):
         engine.finish()
 
 
 def one_beam(stamps: list[int]) -> Rays:
     """Along x, from cell 0 to a hit in cell 2, at each of these times."""
-    return make_rays(MIDDLE, (1, 0), np.full((len(stamps), 1), 2.0), stamp_ns=stamps)
-
-
-@pytest.mark.parametrize(
-    ("stamps", "visits"),
-    [
-        ([5], 1),
-        ([0, 9, 10, 19], 1),  # two slices, one after the other
-        ([0, 20], 2),  # a whole slice between them
-        ([9, 20], 2),
-        ([-1, 0], 1),
-        ([-11, 0], 2),
-        ([55, 5, 30, 6], 3),
-    ],
-)
-def test_two_visits_are_a_slice_apart(stamps: list[int], visits: int) -> None:
-    found = spread_visits(keep(all_specs(1.0)[0], [one_beam(stamps)]))
-    assert found == {(0, 0): (0, visits), (0, 1): (0, visits), (0, 2): (visits, visits)}
+    return scans.make_rays(scans.MIDDLE, (1, 0), np.full((len(stamps), 1), 2.0), stamp_ns=stamps)
 
 
 @pytest.mark.parametrize(
     ("hits", "visits"),
     [
         ([0], 1),
-        ([0, 40], 1),  # in between the cell was seen, and it was free: the same visit
-        ([10, 20, 40], 1),
-        ([40, 100], 2),
+        ([0, 20], 1),  # in between the cell was seen, and it was free: the same visit
+        ([20, 40], 2),  # in between only other cells were seen
+        ([40, 50, 100], 2),
         ([110], 1),
         ([], 0),
     ],
 )
 def test_a_visit_that_hits_again_and_again_is_one(hits: list[int], visits: int) -> None:
-    """Seven scans along x, some of which go on through cell 2 and hit cell 4."""
-    rays = one_beam([0, 10, 20, 30, 40, 100, 110])
+    """Scans along x: one ends in cell 1, some in cell 2, and others go on through it to cell 4."""
+    rays = one_beam([0, 10, 20, 30, 40, 50, 100, 110])
     rays.distance[~np.isin(rays.stamp_ns, hits)] = 4
+    rays.distance[rays.stamp_ns == 30] = 1
     slices = keep(all_specs(1.0)[0], [rays])
-    assert spread_visits(slices)[0, 2] == (visits, 2)
+    assert spread_visits(slices)[0, 2] == (visits, 3)
 
 
 def test_every_stamp_that_there_can_be_has_a_slice() -> None:

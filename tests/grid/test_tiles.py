@@ -11,44 +11,35 @@ from numpy.typing import NDArray
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.grid import CellBox, Lattice, tiles
+from occmap.grid import Lattice, tiles
 from occmap.grid.rendering import Reach, find_bounds, paint
 from occmap.grid.tiles import TILE, EvidenceKind
 from occmap.sensor.models import CountingModel
-from tests.grid.scans import (
-    FEW,
-    MIDDLE,
-    add_cell,
-    assert_same_slices,
-    make_grid,
-    make_rays,
-    read_cells,
-    take,
-)
+from tests.grid import scans
 
 
 def test_a_tile_widens_before_a_sum_can_overflow() -> None:
-    grid = make_grid({(0, 0): (tiles.INT32_LIMIT, 0)})
+    grid = scans.make_grid({(0, 0): (tiles.INT32_LIMIT, 0)})
     assert grid.tiles[0, 0].dtype == np.int32
-    add_cell(grid, 0, 0, 1, 5)
+    scans.add_cell(grid, 0, 0, 1, 5)
     assert grid.tiles[0, 0].dtype == np.int64
-    add_cell(grid, 0, 1, 0, 7)
-    assert read_cells(grid) == ({(0, 0): tiles.INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
+    scans.add_cell(grid, 0, 1, 0, 7)
+    assert scans.read_cells(grid) == ({(0, 0): tiles.INT32_LIMIT + 1}, {(0, 0): 5, (0, 1): 7})
 
 
 def test_a_sum_that_was_widened_is_never_narrowed() -> None:
     """What was stacked has no bound that the grid knows of: adding one must not make it 32 bits."""
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, :, 0, 0] = 3_000_000_000, 4
-    grid = make_grid()
+    grid = scans.make_grid()
     tiles.add_stack(grid, np.zeros((1, 2), np.int64), cells)
-    add_cell(grid, 0, 0, 1, 0)
-    assert read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
+    scans.add_cell(grid, 0, 0, 1, 0)
+    assert scans.read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
 
 
 def test_a_tile_does_not_keep_the_window_that_it_is_a_part_of() -> None:
     """Of three tiles of a window only two are new: the third need not stay in memory with them."""
-    grid, window = make_grid({(0, 0): (1, 0)}), np.ones((3, 2, TILE, TILE), np.int32)
+    grid, window = scans.make_grid({(0, 0): (1, 0)}), np.ones((3, 2, TILE, TILE), np.int32)
     grid.add(dict(zip([(0, 0), (0, 1), (0, 2)], window, strict=True)), 1)
     assert grid.tiles[0, 0][:, 0, 0].tolist() == [2, 1]
     assert not any(np.shares_memory(tile, window) for tile in grid.tiles.values())
@@ -57,49 +48,33 @@ def test_a_tile_does_not_keep_the_window_that_it_is_a_part_of() -> None:
 def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
     cells = np.zeros((1, 2, TILE, TILE), np.int64)
     cells[0, 0, 0, 0] = 3_000_000_000
-    mine, other = make_grid({(0, 0): (5, 0)}), make_grid()
+    mine, other = scans.make_grid({(0, 0): (5, 0)}), scans.make_grid()
     tiles.add_stack(other, np.zeros((1, 2), np.int64), cells)
     mine.merge(other)
-    assert read_cells(mine).first == {(0, 0): 3_000_000_005}
+    assert scans.read_cells(mine).first == {(0, 0): 3_000_000_005}
 
 
 def test_a_robot_that_stands_still_for_ten_hours() -> None:
     """40 scans a second of 1081 beams, all through one cell at p = 0.1: exact, not overflowed."""
-    scans, log_odds = 10 * 3600 * 40, round(-2.1972245773362196 / tiles.LOG_ODDS_UNIT)
-    grid = make_grid(kind=EvidenceKind.LOG_ODDS)
+    times, log_odds = 10 * 3600 * 40, round(-2.1972245773362196 / tiles.LOG_ODDS_UNIT)
+    grid = scans.make_grid(kind=EvidenceKind.LOG_ODDS)
     per_minute = 60 * 40 * 1081
-    for _ in range(scans // 2400):
-        add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
+    for _ in range(times // 2400):
+        scans.add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
     tile = grid.tiles[0, 0]
-    assert tile[:, 4, 4].tolist() == [log_odds * scans * 1081, scans * 1081]
+    assert tile[:, 4, 4].tolist() == [log_odds * times * 1081, times * 1081]
     of_map, _ = paint(grid, lambda sums, _: sums * tiles.LOG_ODDS_UNIT, 0.0, find_bounds(grid))
-    assert of_map[0, 0] == pytest.approx(-2.1972245773 * scans * 1081, rel=1e-5)
-
-
-def test_bounds_are_those_of_the_observed_cells() -> None:
-    grid = make_grid(dict.fromkeys([(5, -200), (70, 3), (-1, 40)], (2, 1)))
-    assert find_bounds(grid) == CellBox(-1, -200, 71, 41)
-
-
-def test_a_map_has_every_cell_where_it_was_observed() -> None:
-    grid = make_grid({(-1, 62): (5, 1), (1, 65): (0, 3)})
-    box = find_bounds(grid)
-    assert box == CellBox(-1, 62, 2, 66)
-    log_odds, observed = paint(grid, np.subtract, -0.7, box)
-    expected = np.full((3, 4), -0.7, np.float32)
-    expected[0, 0], expected[2, 3] = 4, -3
-    np.testing.assert_array_equal(log_odds, expected)
-    np.testing.assert_array_equal(observed, expected != np.float32(-0.7))
+    assert of_map[0, 0] == pytest.approx(-2.1972245773 * times * 1081, rel=1e-5)
 
 
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
-    grid = make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
+    grid = scans.make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
     _, observed = paint(grid, np.subtract, 0.0, find_bounds(grid))
     assert observed.tolist() == [[True, False, True]]
 
 
 def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
-    grid = make_grid({(-3, -5): (1, 0), (6, 14): (1, 0)}, 0.25)
+    grid = scans.make_grid({(-3, -5): (1, 0), (6, 14): (1, 0)}, 0.25)
     box = find_bounds(grid)
     assert (box.rows, box.cols) == (10, 20)
     tiles.refuse_large(box, grid.lattice, 200)
@@ -120,26 +95,26 @@ def test_a_map_as_large_as_allowed_is_made_and_a_larger_one_refused() -> None:
 def test_what_is_surely_too_large_is_refused_while_it_grows(
     cells: list[tuple[int, int]], most: int
 ) -> None:
-    grid = make_grid(dict.fromkeys(cells, (1, 0)))
+    grid = scans.make_grid(dict.fromkeys(cells, (1, 0)))
     grid.refuse_outgrown(most)
     with pytest.raises(MapError, match="more than `max_cells="):
         grid.refuse_outgrown(most - 1)
 
 
 def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
-    grid = make_grid(dict.fromkeys([(0, 0), (2 * 10**8, 2 * 10**8)], (1, 0)), 0.05)
+    grid = scans.make_grid(dict.fromkeys([(0, 0), (2 * 10**8, 2 * 10**8)], (1, 0)), 0.05)
     with pytest.raises(MapError, match=r"to \(10000000.1, 10000000.1\) m"):
         render(grid, CountingModel(), 10**9)
 
 
 def test_the_ends_of_hits_say_how_large_a_map_is_at_least() -> None:
     """Hits in cells (0, 2) and (300, 302): 301 x 301 cells, or some fewer, as hits are rounded."""
-    rays = make_rays([[MIDDLE], [(300.5, 300.5)]], (1, 0), 2.0)
+    rays = scans.make_rays([[scans.MIDDLE], [(300.5, 300.5)]], (1, 0), 2.0)
     Reach(Lattice(1.0), max_cells=301 * 301 - 1).stretch(rays)
     reach = Reach(Lattice(1.0), max_cells=160 * 160)
-    reach.stretch(take(rays, [0]))
+    reach.stretch(scans.take(rays, [0]))
     with pytest.raises(MapError, match=r"from \(2, 0\) to \(303, 301\) m: 301 x 301 cells"):
-        reach.stretch(take(rays, [1]))
+        reach.stretch(scans.take(rays, [1]))
 
 
 CELLS = st.lists(st.tuples(st.integers(0, 1), st.integers(0, 63), st.integers(0, 63)), max_size=9)
@@ -180,7 +155,7 @@ def assert_equal(found: Tables, expected: Tables) -> None:
         assert np.array_equal(found[key], table), key
 
 
-@FEW
+@scans.FEW
 @given(tables=TABLES)
 def test_what_is_packed_comes_out_again(tables: Tables) -> None:
     slices = pack_tables(tables)
@@ -202,7 +177,7 @@ def test_rows_like_the_one_before_cost_nothing() -> None:
 
 
 @pytest.mark.parametrize("block", [1, 2, 4096])
-@FEW
+@scans.FEW
 @given(one=TABLES, other=TABLES, third=TABLES)
 def test_a_union_has_what_any_part_has_in_order(
     block: int, one: Tables, other: Tables, third: Tables
@@ -217,10 +192,10 @@ def test_a_union_has_what_any_part_has_in_order(
         again = tiles.unite([pack_tables(third), tiles.unite(map(pack_tables, (other, one)))])
     assert_equal(read_tables(united), expected)
     assert list(read_tables(united)) == sorted(expected)
-    assert_same_slices(united, again)
+    scans.assert_same_slices(united, again)
 
 
-@FEW
+@scans.FEW
 @given(tables=TABLES)
 def test_tiles_are_split(tables: Tables) -> None:
     found: Tables = {}
@@ -236,7 +211,7 @@ def test_what_is_not_observed_any_more_is_forgotten() -> None:
     for number, (row, col) in enumerate(cells):
         table = tables.setdefault((row // TILE, col // TILE, number), draw([], full=False))
         table[:, row % TILE, col % TILE] = True
-    grid = make_grid({(-1, 5): (0, 1)})
+    grid = scans.make_grid({(-1, 5): (0, 1)})
     rest = tiles.restrict(pack_tables(tables), grid)
     assert_equal(read_tables(rest), {(-1, 0, 1): tables[-1, 0, 1]})
     assert len(tiles.restrict(Slices.join([]), grid).tiles) == 0

@@ -18,8 +18,11 @@ def tree_of(*names: str) -> FrameTree:
 
 
 def path_of(tree: FrameTree, upper: str, lower: str) -> list[str] | None:
+    """The steps from a frame to one below it; < is one that was recorded the other way round."""
     steps = tree.find_path(upper, lower)
-    return steps if steps is None else [f"{step.parent}>{step.child}" for step in steps]
+    if steps is None:
+        return None
+    return [f"{step.parent}{'<' if step.inverted else '>'}{step.child}" for step in steps]
 
 
 def test_the_path_goes_from_the_upper_frame_to_the_lower() -> None:
@@ -30,12 +33,7 @@ def test_the_path_goes_from_the_upper_frame_to_the_lower() -> None:
 
 def test_a_frame_that_hangs_below_the_robot_can_be_the_map() -> None:
     tree = tree_of("base>laser", "base>map")
-    steps = tree.find_path("map", "laser")
-    assert steps is not None
-    assert [(step.parent, step.child, step.inverted) for step in steps] == [
-        ("map", "base", True),
-        ("base", "laser", False),
-    ]
+    assert path_of(tree, "map", "laser") == ["map<base", "base>laser"]
 
 
 def test_there_is_no_path_between_two_trees() -> None:

@@ -19,19 +19,8 @@ from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Reading, ignore_progress
 from occmap.scoring import GOLDEN, Gain, Sample, Trial
 from occmap.scoring.compare import Variant, compare
-from occmap.tuning import list_other_cures, list_unlike, tune
-from occmap.tuning.search import (
-    TIME,
-    YAW,
-    Correction,
-    KeptLog,
-    Scorer,
-    Verdict,
-    X,
-    find_mount,
-    is_better,
-    keep_logs,
-)
+from occmap.tuning import Tuning, list_other_cures, list_unlike, search, tune
+from occmap.tuning.search import Correction, Verdict
 from occmap.types import Float64, Pose, ScanBatch
 from tests.bench.plans import cast_scans
 from tests.csv_logs import write_poses, write_scans
@@ -40,7 +29,8 @@ from tests.readers.ros import SECOND
 from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
 from tests.tuning.simulated import ROOM, read_drive, write_drive, write_parts, write_two_lasers
 
-STEP_S, STEP_RAD, STEP_M = TIME.steps[-1], YAW.steps[-1], X.steps[-1]
+pytestmark = pytest.mark.usefixtures("here")
+STEP_S, STEP_RAD, STEP_M = (each.steps[-1] for each in (search.TIME, search.YAW, search.X))
 
 
 def follow(poses: Path, mount: Planar | None = None, **posing: Any) -> BuildOptions:
@@ -50,12 +40,15 @@ def follow(poses: Path, mount: Planar | None = None, **posing: Any) -> BuildOpti
     return BuildOptions(resolution=0.1, posing=posed)
 
 
+def tune_drive(late_s: float = 0.0, mount: Planar = (0.0, 0.0, 0.0), **known: Any) -> Tuning:
+    """Tune a drive whose scans are stamped so much too late, and whose laser sits at a mount."""
+    scans, poses = write_drive(Path(), lambda _: late_s, mount)
+    return tune([scans], follow(poses, **known))
+
+
 @pytest.mark.parametrize(("late", "given"), [(0.13, 0.0), (-0.31, 0.0), (0.6, -0.5)])
-def test_a_known_time_offset_is_found_and_added_to_what_is_given(
-    late: float, given: float, tmp_path: Path
-) -> None:
-    scans, poses = write_drive(tmp_path, lambda _: late)
-    tuning = tune([scans], follow(poses, time_offset_s=given))
+def test_a_known_time_offset_is_found_and_added_to_what_is_given(late: float, given: float) -> None:
+    tuning = tune_drive(late, time_offset_s=given)
     found = tuning.correction.time_s
     assert tuning.time.verdict is Verdict.FOUND
     assert found == pytest.approx(-late - given, abs=STEP_S + 1e-9)
@@ -67,11 +60,10 @@ def test_a_known_time_offset_is_found_and_added_to_what_is_given(
 
 @pytest.mark.parametrize(("last_reach_s", "is_sure"), [(2.0, True), (0.5, False)])
 def test_where_the_best_is_at_the_edge_of_what_is_tried_larger_offsets_are(
-    last_reach_s: float, is_sure: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    last_reach_s: float, is_sure: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("occmap.tuning.search.LAST_REACH_S", last_reach_s)
-    scans, poses = write_drive(tmp_path, lambda _: 0.9)
-    tuning = tune([scans], follow(poses))
+    tuning = tune_drive(0.9)
     found = pytest.approx(-0.9, abs=STEP_S + 1e-9)
     assert (tuning.correction.time_s == found) == bool(tuning.command) == is_sure
     assert tuning.mount.verdict is (Verdict.NOTHING if is_sure else Verdict.UNSEEN)
@@ -86,19 +78,18 @@ def test_where_the_best_is_at_the_edge_of_what_is_tried_larger_offsets_are(
     ],
 )
 def test_no_command_is_given_for_what_is_not_sure(
-    bound: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bound: str, why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scans, poses = write_drive(tmp_path, lambda _: 0.13)
     monkeypatch.setattr(bound, 1e9)  # no log has so many, or fits so well
-    tuning = tune([scans], follow(poses))
+    tuning = tune_drive(0.13)
     assert tuning.correction.time_s == pytest.approx(-0.13, abs=STEP_S + 1e-9)
     assert tuning.command == ()
     assert why in tuning.notes[-1]
 
 
-def test_a_known_error_of_the_mount_is_found(tmp_path: Path) -> None:
+def test_a_known_error_of_the_mount_is_found() -> None:
     true, thought = (0.25, 0.0, 0.0), (0.29, -0.03, math.radians(3))
-    scans, poses = write_drive(tmp_path, mount=true)
+    scans, poses = write_drive(Path(), mount=true)
     options = follow(poses, thought)
     tuning = tune([scans], options)
     assert tuning.time.verdict is Verdict.NOTHING
@@ -137,40 +128,36 @@ def write_spin(folder: Path, increment_s: float) -> tuple[Path, Path]:
     return scans, write_poses(folder / "poses.csv", moments, place(moments).T)
 
 
-def test_scans_that_take_long_need_a_pose_for_each_beam(tmp_path: Path) -> None:
-    scans, poses = write_spin(tmp_path, 0.0025)
+def test_scans_that_take_long_need_a_pose_for_each_beam() -> None:
+    scans, poses = write_spin(Path(), 0.0025)
     tuning = tune([scans], follow(poses))
     assert tuning.deskew.verdict is Verdict.FOUND
     assert tuning.correction == Correction(deskew=True)
     assert tuning.share > 0.98 > tuning.share_before + 0.2
     assert tuning.command[-4:-2] == ("--deskew", "on")
     (warning,) = inspect([scans], replace(follow(poses), resolution=0.02)).warnings
-    assert (
-        "20% of the hits of a sample of scans lie in occupied cells, and 99% with `deskew=on`"
-        in (warning)
-    )
+    assert "20% of the hits of a sample of scans lie in occupied cells, and 99% with `d" in warning
 
 
 def test_no_command_is_given_where_the_other_times_fit_better(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The clock of a laser jumps by three seconds, in which its robot turns by 0.33 rad."""
 
     def jump(stamp: int) -> int:
         return stamp + 3 * SECOND * (stamp >= 120 * SECOND)
 
-    log = write_bag(tmp_path / "jump.bag", Drive(), [(0.0, 0.0)], scan_stamp=jump)
+    log = write_bag(Path("jump.bag"), Drive(), [(0.0, 0.0)], scan_stamp=jump)
     (told,) = list_other_cures([log], BuildOptions())
     assert "tune again with `stamps=record`" in told
     monkeypatch.setattr(tuning_package, "list_other_cures", lambda *_: [told])
-    scans, poses = write_drive(tmp_path, lambda _: 0.1)
-    tuning = tune([scans], follow(poses))
+    tuning = tune_drive(0.1)
     assert (tuning.time.verdict, tuning.command) == (Verdict.FOUND, ())
     assert told in tuning.notes
 
 
-def test_no_command_is_given_where_poses_jump(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path, lambda _: 0.1)
+def test_no_command_is_given_where_poses_jump() -> None:
+    scans, poses = write_drive(Path(), lambda _: 0.1)
     table = np.loadtxt(poses, delimiter=",", skiprows=1)
     table[207:, 1] += 2
     tuning = tune([scans], follow(write_poses(poses, table[:, 0], table[:, 1:])))
@@ -188,10 +175,10 @@ def seat_lasers(poses: Path, rear_x: float) -> BuildOptions:
 
 @pytest.mark.parametrize(("late_s", "rear_x"), [(0.1, -0.3), (0.0, -0.2)])
 def test_a_time_that_makes_up_for_the_mount_of_one_of_two_lasers_is_not_recommended(
-    late_s: float, rear_x: float, tmp_path: Path
+    late_s: float, rear_x: float
 ) -> None:
     """Both halves show it, and certainly; but a clock that is late shows in each laser's map."""
-    log, poses = write_two_lasers(tmp_path, late_s)
+    log, poses = write_two_lasers(Path(), late_s)
     tuning = tune([log], seat_lasers(poses, rear_x))
     assert tuning.time.verdict is Verdict.FOUND
     assert all(half.certain for half in tuning.time.halves)
@@ -212,15 +199,13 @@ def test_a_half_that_may_gain_by_chance_is_told() -> None:
         each: Trial(np.pad(predict(near), [(0, 0), (0, 4)]), np.zeros((1, 3)), None)
         for each, near in fared.items()
     }
-    scorer = Scorer([], BuildOptions(), None, lambda: None, tried=tried)
+    scorer = search.Scorer([], BuildOptions(), None, lambda: None, tried=tried)
     (told,) = list_unlike(scorer, best)
     assert told.startswith("the first half of the scans gains only 0.2000 +- 0.2000 ")
 
 
-def test_the_mount_of_one_of_two_lasers_is_given_as_a_transform_to_its_frame(
-    tmp_path: Path,
-) -> None:
-    log, poses = write_two_lasers(tmp_path, 0.0)
+def test_the_mount_of_one_of_two_lasers_is_given_as_a_transform_to_its_frame() -> None:
+    log, poses = write_two_lasers(Path(), 0.0)
     options = seat_lasers(poses, -0.2)
     tuning = tune([log], replace(options, selection=Selection(topics=("/rear",))))
     found = tuning.correction
@@ -233,16 +218,18 @@ def test_the_mount_of_one_of_two_lasers_is_given_as_a_transform_to_its_frame(
     assert "--sensor-pose" not in tuning.command
 
 
-def test_better_is_what_surely_gains(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path, lambda _: 0.1)
+def test_better_is_what_surely_gains() -> None:
+    scans, poses = write_drive(Path(), lambda _: 0.1)
     logs, _ = keep(scans, follow(poses))
-    scorer = Scorer(logs, follow(poses), None, lambda: None)
-    late, right, far = (Correction(time_s=-each) for each in (0.0, 0.1, 0.5))
-    assert [is_better(scorer, late, each) for each in (late, right, far)] == [True, True, False]
+    scorer = search.Scorer(logs, follow(poses), None, lambda: None)
+    late = Correction()
+    assert search.is_better(scorer, late, late)
+    assert search.is_better(scorer, late, Correction(time_s=-0.1))
+    assert not search.is_better(scorer, late, Correction(time_s=-0.5))
 
 
-def test_scans_that_only_say_that_they_take_long_are_left_as_they_are(tmp_path: Path) -> None:
-    scans, poses = write_spin(tmp_path, 0.0)
+def test_scans_that_only_say_that_they_take_long_are_left_as_they_are() -> None:
+    scans, poses = write_spin(Path(), 0.0)
     tuning = tune([scans], follow(poses))
     assert tuning.deskew.verdict is Verdict.NOTHING
     assert tuning.correction == Correction()
@@ -251,9 +238,8 @@ def test_scans_that_only_say_that_they_take_long_are_left_as_they_are(tmp_path: 
     assert decided.deskew.verdict is Verdict.UNSEEN
 
 
-def test_a_time_offset_that_a_wrong_mount_hides_is_found(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path, lambda _: 0.05, mount=(0.15, 0.05, 0.0))
-    tuning = tune([scans], follow(poses))
+def test_a_time_offset_that_a_wrong_mount_hides_is_found() -> None:
+    tuning = tune_drive(0.05, mount=(0.15, 0.05, 0.0))
     assert tuning.mount.verdict is tuning.together.verdict is Verdict.FOUND
     found = tuning.correction
     assert found.time_s == pytest.approx(-0.05, abs=STEP_S + 1e-9)
@@ -276,8 +262,8 @@ def test_a_right_log_has_nothing_to_gain_and_scores_what_compare_scores(name: st
         assert scored == (result.score.beams, result.score.share)
 
 
-def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path, lambda number: 0.1 if number < 207 else -0.1)
+def test_halves_that_want_different_times_are_told_and_not_averaged() -> None:
+    scans, poses = write_drive(Path(), lambda number: 0.1 if number < 207 else -0.1)
     tuning = tune([scans], follow(poses))
     assert tuning.time.verdict is Verdict.DISAGREE
     first, second = tuning.time.halves
@@ -287,10 +273,10 @@ def test_halves_that_want_different_times_are_told_and_not_averaged(tmp_path: Pa
     assert (tuning.correction, tuning.command) == (Correction(), ())
 
 
-def keep(path: Path, options: BuildOptions) -> tuple[list[KeptLog], list[str]]:
+def keep(path: Path, options: BuildOptions) -> tuple[list[search.KeptLog], list[str]]:
     """Read a log as tune does; give what is kept, and the notes."""
     reading = Reading(open_scans([path], options), options, ignore_progress)
-    return keep_logs(reading), reading.remarks.notes
+    return search.keep_logs(reading), reading.remarks.notes
 
 
 @pytest.mark.parametrize(
@@ -299,7 +285,7 @@ def keep(path: Path, options: BuildOptions) -> tuple[list[KeptLog], list[str]]:
 def test_the_mount_that_a_log_states_is_where_the_search_begins(name: str, x: float) -> None:
     options = BuildOptions()
     logs, _ = keep(SAMPLE_LOGS / name, options)
-    mount = find_mount(logs)
+    mount = search.find_mount(logs)
     assert mount is not None
     assert mount == pytest.approx((x, 0, 0, 0, 0, 0, 1), abs=1e-9)
     moved = Correction(x=0.005).apply(options.posing, mount).sensor_pose
@@ -310,17 +296,15 @@ def test_the_mount_that_a_log_states_is_where_the_search_begins(name: str, x: fl
 def test_a_mount_that_is_given_as_it_is_changes_no_pose() -> None:
     options = BuildOptions()
     logs, _ = keep(SAMPLE_LOGS / "drive.bag", options)
-    given = replace(options.posing, sensor_pose=find_mount(logs))
+    given = replace(options.posing, sensor_pose=search.find_mount(logs))
     for one, other in zip(logs[0].pose(options.posing), logs[0].pose(given), strict=True):
         np.testing.assert_allclose(one.position, other.position, atol=1e-9)
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
 
 
 def test_equal_bytes_for_any_number_of_threads() -> None:
-    one, two = (
-        tune([SAMPLE_LOGS / "drive.csv"], BuildOptions(resolution=0.1, jobs=jobs))
-        for jobs in (1, 2)
-    )
+    options = BuildOptions(resolution=0.1)
+    one, two = (tune([SAMPLE_LOGS / "drive.csv"], replace(options, jobs=n)) for n in (1, 2))
     assert one.to_json() == two.to_json()
 
 
@@ -333,9 +317,9 @@ def test_equal_bytes_for_any_number_of_threads() -> None:
     ],
 )
 def test_only_what_the_motion_shows_is_searched(
-    poses: list[Planar], searched: set[str], note: str, tmp_path: Path
+    poses: list[Planar], searched: set[str], note: str
 ) -> None:
-    log = write_csv(tmp_path / "log.csv", poses, [1.0, 2.0, 1.5], 0.3)
+    log = write_csv(Path("log.csv"), poses, [1.0, 2.0, 1.5], 0.3)
     tuning = tune([log], BuildOptions())
     names = ("time_s", "yaw", "x", "y")
     assert {name for each in tuning.tried for name in names if getattr(each, name)} == searched
@@ -349,12 +333,12 @@ def test_lasers_at_different_places_have_no_one_mount() -> None:
     assert any("no single `sensor_pose`" in text for text in tuning.notes)
 
 
-def test_logs_of_one_robot_are_sure_together_where_none_is_alone(tmp_path: Path) -> None:
+def test_logs_of_one_robot_are_sure_together_where_none_is_alone() -> None:
     """The laser is thought to be turned by 1.2 degrees; each part has 12 held-out scans."""
     off = math.radians(1.2)
     posing = PosingOptions(sensor_pose=Pose.planar(0, 0, off))
     options = BuildOptions(resolution=0.1, posing=posing)
-    parts = write_parts(tmp_path, [0, 0, 0], scans=60)
+    parts = write_parts(Path(), [0, 0, 0], scans=60)
     alone = [tune([part], options) for part in parts]
     assert [each.command for each in alone] == [()] * 3
     together = tune(parts, options)
@@ -369,11 +353,9 @@ def test_logs_of_one_robot_are_sure_together_where_none_is_alone(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("last", "verdict"), [(1, Verdict.FOUND), (0, Verdict.DISAGREE)])
-def test_no_command_is_given_where_one_of_the_logs_loses(
-    last: float, verdict: Verdict, tmp_path: Path
-) -> None:
+def test_no_command_is_given_where_one_of_the_logs_loses(last: float, verdict: Verdict) -> None:
     """Three lasers are turned by 3 degrees from what is thought, the last one by less."""
-    parts = write_parts(tmp_path, [3, 3, 3, last], scans=100)
+    parts = write_parts(Path(), [3, 3, 3, last], scans=100)
     tuning = tune(parts, BuildOptions(resolution=0.1))
     assert tuning.mount.verdict is verdict
     assert [each.loses for each in tuning.by_log] == [False, False, False, True]
@@ -382,22 +364,22 @@ def test_no_command_is_given_where_one_of_the_logs_loses(
     assert f"{parts[3]} loses 0." in tuning.notes[-1]
 
 
-def test_scans_without_a_pose_at_some_offset_are_in_no_map(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path)
+def test_scans_without_a_pose_at_some_offset_are_in_no_map() -> None:
+    scans, poses = write_drive(Path())
     ((log,), _) = keep(scans, follow(poses))
     assert log.scans == 414 - 2 * 3  # three of five a second at either end
 
 
-def test_too_short_a_log_is_refused(tmp_path: Path) -> None:
-    scans, poses = write_drive(tmp_path)
-    few = tmp_path / "few.csv"
+def test_too_short_a_log_is_refused() -> None:
+    scans, poses = write_drive(Path())
+    few = Path("few.csv")
     few.write_text("\n".join(poses.read_text().splitlines()[:5]))
     with pytest.raises(PoseError, match="give a longer log"):
         tune([scans], follow(few))
 
 
-def test_nothing_to_score_by_is_refused(tmp_path: Path) -> None:
-    log = write_csv(tmp_path / "blind.csv", [(0.1 * i, 0.0, 0.0) for i in range(20)], [math.nan])
+def test_nothing_to_score_by_is_refused() -> None:
+    log = write_csv(Path("blind.csv"), [(0.1 * i, 0.0, 0.0) for i in range(20)], [math.nan])
     with pytest.raises(LogError, match="measured a range"):
         tune([log], BuildOptions())
 
@@ -489,7 +471,7 @@ def test_a_corrected_log_has_nothing_to_gain() -> None:
     askew = [
         each.share
         for each in tuning.tried
-        if (each.time_s, each.x, each.y) == (0, 0, 0) and abs(each.yaw) > YAW.steps[-1] / 2
+        if (each.time_s, each.x, each.y) == (0, 0, 0) and abs(each.yaw) > STEP_RAD / 2
     ]
-    assert len(askew) == 2 * len(YAW.steps)
+    assert len(askew) == 2 * len(search.YAW.steps)
     assert max(askew) < tuning.share_before

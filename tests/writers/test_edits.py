@@ -100,13 +100,6 @@ def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
     assert np.argwhere(find_forbidden(grid, shapes)).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
 
 
-def test_a_part_of_a_map_is_drawn_like_the_whole(tmp_path: Path) -> None:
-    grid, lines = make_map(), ("occupied,line,-0.75,2.25,2.75,4.75", "free,polygon,0,2,3,2,3,4")
-    shapes = read(tmp_path, *lines)
-    part = apply_edits(grid.take(slice(1, 4), slice(2, 7)), shapes)
-    assert (part.classes == apply_edits(grid, shapes).classes[1:4, 2:7]).all()
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -145,7 +138,8 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_parts_and_the_whole_agree_where_edges_lie_on_the_middles_of_cells(tmp_path: Path) -> None:
     corners = [(0.05 + 0.1 * a, 0.15 + 0.1 * b) for a, b in ((-7, 3), (2, -9), (11, 4), (-3, 17))]
     boxes = (f"free,box,{x:.2f},{y:.2f},{x + 0.7:.2f},{y + 0.4:.2f}" for x, y in corners)
-    shapes = read(tmp_path, *boxes)
+    others = "occupied,line,-0.75,-1.25,1.75,1.75,0.2", "free,polygon,0,-1,2,-1,2,1"
+    shapes = read(tmp_path, *boxes, *others)
     grid = map_of_places((40, 40), (-1.3, -1.7), (np.s_[:], 0.0))
     whole = apply_edits(grid, shapes).classes
     assert (whole == 1).any()

@@ -12,7 +12,7 @@ from occmap import writers
 from occmap.cells import Decision, OccupancyMap
 from occmap.errors import OutputError
 from occmap.writers import MapMode, WriteOptions
-from occmap.writers.pgm import PgmWriter, describe_map, written_thresholds
+from occmap.writers.pgm import PgmWriter, written_thresholds
 from tests.map_loaders import Grid, load_nav2, load_ros1, read_pgm
 from tests.writers.maps import map_of, map_of_art
 
@@ -21,15 +21,15 @@ ART = """
 #-..
 ?..#
 """
+pytestmark = pytest.mark.usefixtures("workplace")
 TRINARY = WriteOptions()
 Loader = Callable[[Path], Grid]
 each_loader = pytest.mark.parametrize("load", [load_ros1, load_nav2])
 
 
-def write(folder: Path, grid: OccupancyMap, options: WriteOptions) -> Path:
-    image, yaml = PgmWriter().write(folder / "map.pgm", grid, options)
-    assert image == folder / "map.pgm"
-    assert yaml == folder / "map.yaml"
+def write(grid: OccupancyMap, options: WriteOptions = TRINARY) -> Path:
+    image, yaml = PgmWriter().write(Path("map.pgm"), grid, options)
+    assert (image, yaml) == (Path("map.pgm"), Path("map.yaml"))
     return yaml
 
 
@@ -46,10 +46,10 @@ def expected_classes(grid: OccupancyMap, occupied: float, free: float) -> list[l
     return [[classify(lo, seen) for lo, seen in zip(*row, strict=True)] for row in rows]
 
 
-def test_golden_file(tmp_path: Path) -> None:
-    write(tmp_path, map_of_art(ART), TRINARY)
+def test_golden_file() -> None:
+    write(map_of_art(ART))
     black, grey, white = b"\x00", b"\xcd", b"\xfe"
-    assert (tmp_path / "map.pgm").read_bytes() == (
+    assert Path("map.pgm").read_bytes() == (
         b"P5\n4 3\n255\n"
         + (black + black + grey + white)
         + (black + grey + white + white)
@@ -57,8 +57,8 @@ def test_golden_file(tmp_path: Path) -> None:
     )
 
 
-def test_golden_yaml(tmp_path: Path) -> None:
-    yaml = write(tmp_path, map_of([[0.5]], origin=(-12.350000000000001, 1e5)), TRINARY)
+def test_golden_yaml() -> None:
+    yaml = write(map_of([[0.5]], origin=(-12.350000000000001, 1e5)))
     assert yaml.read_text() == (
         "image: map.pgm\n"
         "mode: trinary\n"
@@ -77,27 +77,17 @@ def test_golden_yaml(tmp_path: Path) -> None:
         *((name, True) for name in ("map-0.05.pgm", "v1.2.pgm", "no.pgm")),
     ],
 )
-def test_yaml_names_the_image_whatever_it_is_called(
-    tmp_path: Path, name: str, is_plain: bool
-) -> None:
+def test_yaml_names_the_image_whatever_it_is_called(name: str, is_plain: bool) -> None:
     """Names with dots and words alone need no quotes."""
-    image, yaml = PgmWriter().write(tmp_path / name, map_of([[0.5]]), TRINARY)
+    image, yaml = PgmWriter().write(Path(name), map_of([[0.5]]), TRINARY)
     assert YAML(typ="safe").load(yaml)["image"] == image.name == name
     assert yaml.stem == image.stem
     assert (yaml.read_text().splitlines()[0] == f"image: {name}") == is_plain
 
 
-def test_numbers_are_python_floats_in_full() -> None:
-    cell = np.zeros((1, 1), np.float32), np.ones((1, 1), np.bool_)
-    grid = OccupancyMap(*cell, 0.0125, (1 / 3, 0.1 + 0.2))
-    fields = describe_map("m.pgm", grid, TRINARY)
-    assert fields["resolution"] == 0.0125
-    assert fields["origin"] == [1 / 3, 0.30000000000000004, 0.0]
-
-
-def test_numbers_are_numbers_to_yaml_1_1_too(tmp_path: Path) -> None:
+def test_numbers_are_numbers_to_yaml_1_1_too() -> None:
     """It takes 1e-05, without a dot, for text."""
-    yaml = write(tmp_path, map_of([[0.5]], origin=(1e-05, -2.5e-07)), TRINARY)
+    yaml = write(map_of([[0.5]], origin=(1e-05, -2.5e-07)))
     assert "origin: [1.0e-05, -2.5e-07, 0.0]\n" in yaml.read_text()
 
 
@@ -110,30 +100,26 @@ AROUND = [0.01, 0.19, 0.1935, 0.1985, 0.2, 0.5, 0.6475, 0.6525, 0.66, 0.99, np.n
     ("occupied", "free"),
     [(0.65, 0.196), (0.65, 0.25), (0.9, 0.4), (0.3, 0.1), (0.15, 0.05), (0.9999, 1e-4)],
 )
-def test_trinary_classes_survive_both_loaders(
-    tmp_path: Path, load: Loader, occupied: float, free: float
-) -> None:
+def test_trinary_classes_survive_both_loaders(load: Loader, occupied: float, free: float) -> None:
     options = WriteOptions(MapMode.TRINARY, occupied, free)
     grid = map_of([AROUND, AROUND[::-1]])
-    assert load(write(tmp_path, grid, options)).tolist() == expected_classes(grid, occupied, free)
+    assert load(write(grid, options)).tolist() == expected_classes(grid, occupied, free)
 
 
 @each_loader
-def test_a_cell_on_a_threshold_is_undecided(tmp_path: Path, load: Loader) -> None:
+def test_a_cell_on_a_threshold_is_undecided(load: Loader) -> None:
     for mode in (MapMode.TRINARY, MapMode.SCALE):
         # 0.2 is exactly the grey 204: no loader agrees with the other on that pixel.
         grid = map_of([[0.6, 0.2, 0.601, 0.199]])
-        found = load(write(tmp_path, grid, WriteOptions(mode, 0.6, 0.2)))[0].tolist()
+        found = load(write(grid, WriteOptions(mode, 0.6, 0.2)))[0].tolist()
         assert found[2:] == [100, 0]
         assert all(each == -1 or 0 < each < 100 for each in found[:2])
 
 
 @each_loader
-def test_trinary_is_what_the_map_decides_and_the_yaml_tells_greys_apart(
-    tmp_path: Path, load: Loader
-) -> None:
+def test_trinary_is_what_the_map_decides_and_the_yaml_tells_greys_apart(load: Loader) -> None:
     grid = replace(map_of([[0.31, 0.32, 0.33, np.nan]]), decision=Decision(0.32, 0.32))
-    yaml = write(tmp_path, grid, TRINARY)
+    yaml = write(grid)
     assert load(yaml).tolist() == [[0, -1, 100, -1]]
     fields = YAML(typ="safe").load(yaml)
     assert (fields["occupied_thresh"], fields["free_thresh"]) == (0.65, 0.196)
@@ -174,14 +160,14 @@ def test_who_decides_what_a_cell_is(
     thresholds=st.tuples(st.floats(0.02, 0.98), st.floats(0.02, 0.98)).map(sorted),
 )
 def test_scale_classes_survive_both_loaders(
-    tmp_path_factory: pytest.TempPathFactory, probabilities: list[float], thresholds: list[float]
+    probabilities: list[float], thresholds: list[float]
 ) -> None:
     free, occupied = thresholds[0], max(thresholds[1], thresholds[0] + 0.00801)
     options = WriteOptions(MapMode.SCALE, occupied, free)
     # Not nearer to a threshold than single precision can tell.
     kept = [p for p in probabilities if min(abs(p - free), abs(p - occupied)) > 1e-6]
     grid = map_of([[*kept, 0.999]])
-    yaml = write(tmp_path_factory.mktemp("scale"), grid, options)
+    yaml = write(grid, options)
     expected = np.select([grid.probability > occupied, grid.probability < free], [100, 0], -1)
     for load in (load_ros1, load_nav2):
         loaded = load(yaml)
@@ -215,42 +201,38 @@ def test_scale_classes_survive_both_loaders(
     ],
 )
 def test_scale_has_nav2s_greys_but_never_those_of_another_class(
-    tmp_path: Path,
-    probabilities: list[float],
-    thresholds: tuple[float, float],
-    greys: list[int],
-    loaded: list[int],
+    probabilities: list[float], thresholds: tuple[float, float], greys: list[int], loaded: list[int]
 ) -> None:
-    yaml = write(tmp_path, map_of([probabilities]), WriteOptions(MapMode.SCALE, *thresholds))
+    yaml = write(map_of([probabilities]), WriteOptions(MapMode.SCALE, *thresholds))
     assert read_pgm(yaml.with_suffix(".pgm"))[0].tolist() == greys
     assert load_nav2(yaml)[0].tolist() == loaded
 
 
 @pytest.mark.parametrize("free", [0.55, 0.05])
-def test_unknown_is_never_a_class_in_scale(tmp_path: Path, free: float) -> None:
-    yaml = write(tmp_path, map_of([[np.nan]]), WriteOptions(MapMode.SCALE, free + 0.1, free))
+def test_unknown_is_never_a_class_in_scale(free: float) -> None:
+    yaml = write(map_of([[np.nan]]), WriteOptions(MapMode.SCALE, free + 0.1, free))
     assert 0 < load_ros1(yaml)[0, 0] < 100
     assert 0 < load_nav2(yaml)[0, 0] < 100
 
 
 @each_loader
-def test_raw_is_per_cent_and_255(tmp_path: Path, load: Loader) -> None:
+def test_raw_is_per_cent_and_255(load: Loader) -> None:
     grid = map_of([[0.003, 0.196, 0.5, 0.651, 0.999, np.nan]])
-    yaml = write(tmp_path, grid, WriteOptions(MapMode.RAW))
+    yaml = write(grid, WriteOptions(MapMode.RAW))
     assert load(yaml).tolist() == [[0, 20, 50, 65, 100, -1]]
     assert read_pgm(yaml.with_suffix(".pgm"))[0, -1] == 255
 
 
-def test_even_odds_are_undecided(tmp_path: Path) -> None:
+def test_even_odds_are_undecided() -> None:
     grid = replace(map_of([[0.5] * 3]), log_odds=np.array([[0.0, 1e-6, -1e-6]], np.float32))
-    assert load_nav2(write(tmp_path, grid, TRINARY)).tolist() == [[-1, 100, 0]]
+    assert load_nav2(write(grid)).tolist() == [[-1, 100, 0]]
 
 
-def test_extreme_log_odds(tmp_path: Path) -> None:
+def test_extreme_log_odds() -> None:
     log_odds = np.array([[-3e38, 3e38, -1e4, 1e4]], np.float32)
     grid = replace(map_of([[0.5] * 4]), log_odds=log_odds)
     for mode in MapMode:
-        yaml = write(tmp_path, grid, WriteOptions(mode))
+        yaml = write(grid, WriteOptions(mode))
         assert load_nav2(yaml).tolist() == [[0, 100, 0, 100]]
 
 
@@ -261,11 +243,11 @@ def test_written_thresholds_keep_the_users_where_the_greys_allow() -> None:
 
 
 @pytest.mark.parametrize("mode", list(MapMode))
-def test_bands_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: MapMode) -> None:
+def test_bands_do_not_show(monkeypatch: pytest.MonkeyPatch, mode: MapMode) -> None:
     grid = map_of(np.random.default_rng(1).uniform(0.01, 0.99, (37, 11)))
-    whole = write(tmp_path, grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes()
+    whole = write(grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes()
     monkeypatch.setattr(writers, "BAND_CELLS", 25)
-    assert write(tmp_path, grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes() == whole
+    assert write(grid, WriteOptions(mode)).with_suffix(".pgm").read_bytes() == whole
 
 
 def test_when_the_yaml_cannot_be_written_there_is_no_image_either(tmp_path: Path) -> None:
