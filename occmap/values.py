@@ -183,7 +183,7 @@ OTHER_FILES = {
         "take its poses out: cartographer_dev_pbstream_trajectories_to_rosbag -input PATH -output "
         "poses.bag",
     ),
-    rb"#ROS(RECORD|BAG) V[01]\.": (
+    rb"#ROS(RECORD|BAG) V[01]": (
         "a bag of a format before 2.0",
         "convert it with ROS 1's `rosbag fix PATH NEW.bag`",
     ),

@@ -5,7 +5,7 @@ http://wiki.ros.org/Bags/Format/2.0 says what their records are.
 
 import re
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 from occmap.readers import records
@@ -104,8 +104,7 @@ class Bag1Source(RecordSource):
             self._note(position, problem)
         return block
 
-    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
-        found: dict[int, Channel] = {}
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         for record, position in descriptions.items():
             try:
                 header = parse_header(record)
@@ -119,8 +118,7 @@ class Bag1Source(RecordSource):
                 encoding="ros1",
                 definition=fields.text(b"message_definition"),
             )
-            found.setdefault(header.number(b"conn"), described)
-        return found
+            yield header.number(b"conn"), described
 
     def _read_summary(self, file: FileBytes) -> Summary:
         """Read the index at the end, which is there if the bag was closed."""
@@ -138,7 +136,7 @@ class Bag1Source(RecordSource):
                 chunks += 1
                 for key, messages in _INFO_ENTRY.iter_unpack(record[header.size :]):
                     summary.counts[key] += messages
-        summary.channels = self._describe(descriptions)
+        summary.channels = self._name_channels(descriptions)
         announced = bag.number(b"conn_count"), bag.number(b"chunk_count")
         if announced != (len(summary.channels), chunks) or summary.counts.keys() - summary.channels:
             raise ValueError("it has not what the start of the bag says")

@@ -205,12 +205,16 @@ class CarmenLog(TextLog):
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
         self._front_offset: PoseSample | None = None
+        self._bad_params, self._first_bad_param = 0, (0, "")
+        """How many lines should state it and do not, and the first one, with what is wrong"""
         stamps: set[int] = set()
         for some in self._survey(self._survey_block):
             self._count_scans(some)
             if len(stamps) < 2:
                 stamps.update(np.atleast_1d(some.stamp_ns).tolist())
         self._words = +self._words  # drops keywords of which no line was a scan
+        if self._bad_params:
+            self._tell_malformed(self._bad_params, self._words.total(), *self._first_bad_param)
         if len(stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
             self.notes.add("all scans have one time: they are taken in their order")
         frames = {word: SCAN_LINES[word].frame for word in self._words if word in SCAN_LINES}
@@ -288,7 +292,9 @@ class CarmenLog(TextLog):
                 found = parse_front_offset(block.get_line(row).raw.split())
                 self._front_offset = self._front_offset or found
             except ValueError as error:
-                self.notes.add_damage(f"line {block.number + row} is not used: {error}")
+                if not self._bad_params:
+                    self._first_bad_param = block.number + row, str(error)
+                self._bad_params += 1
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
     def _count_scans(self, some: Scan | ScanRun) -> None:

@@ -218,8 +218,20 @@ class CsvLog(TextLog):
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the rows behind the header."""
-        rows, _ = _sort_lines(block)
+        """Find the rows behind the header; refuse a constant that comes too late for those before.
+
+        Raises
+        ------
+        LogError
+            A comment states what neither a column nor a comment at the top of the file states.
+        """
+        rows, comments = _sort_lines(block)
+        for line in comments:
+            name, _ = split_comment(line.text)
+            if name in NAMES and name not in self._stated:
+                found = f"the comment states {name} for all rows, too far behind the header"
+                fix = "move it to the top of the file"
+                raise LogError(found, where=f"{self.path}:{line.number}", fix=fix)
         rows = [row for row in rows if row > self._header_line - block.number]
         return {TOPIC: rows} if rows else {}
 

@@ -6,7 +6,7 @@ https://mcap.dev/spec says what their records are.
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -32,6 +32,12 @@ _SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_H
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
+_CHUNK_HEAD = re.compile(
+    rb".{25}(?!\x00{8})(.{8}).{4}(?:\x00{4}\1|\x03\x00{3}lz4|\x04\x00{3}zstd)", re.DOTALL
+)
+"""How a chunk begins, whatever its opcode: times, size, checksum and compression; without one, the
+length of its records is their size."""
+_LONGEST_CHUNK_HEAD = 49
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_HEAD = 1 << 10
@@ -64,8 +70,8 @@ class McapSource(RecordSource):
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
-        head = block[at : at + _LONG]
-        if len(head) == _LONG:
+        head = block[at : at + _LONGEST_CHUNK_HEAD]
+        if len(head) >= _LONG:
             opcode, length, key, _, record_ns = _unpack_message_head(head)
             start, end = at + _MESSAGE_DATA, at + _SHORT + length
             if opcode == _MESSAGE and start <= end:
@@ -78,7 +84,8 @@ class McapSource(RecordSource):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:
             return None
-        return _KINDS.get(opcode, records.OTHER), 0, at, at, end
+        is_chunk = _CHUNK_HEAD.match(head[: end - at]) is not None
+        return records.CHUNK if is_chunk else _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; quickly if all are messages, as they are in most.
@@ -109,6 +116,8 @@ class McapSource(RecordSource):
         except self.errors:
             self._note(position, "has no head that can be read")
             return b""
+        if record[0] != Opcode.CHUNK:
+            self._note(position, "is marked as another kind of record, and is used")
         data = record[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
@@ -122,7 +131,7 @@ class McapSource(RecordSource):
             self._note(position, problem)
         return block
 
-    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
         schemas: dict[int, Schema] = {}
         channels: list[McapChannel] = []
         for record, position in descriptions.items():
@@ -134,7 +143,6 @@ class McapSource(RecordSource):
                 schemas.setdefault(schema.id, schema)
             except self.errors:
                 self._note(position, "holds a channel that cannot be read")
-        found: dict[int, Channel] = {}
         for channel in channels:  # only now, as a schema may come after its channel after damage
             schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
             is_text = schema.encoding in {"ros1msg", "ros2msg"}
@@ -145,8 +153,7 @@ class McapSource(RecordSource):
                 definition=schema.data.decode(errors="replace") if is_text else "",
                 descriptors=schema.data if schema.encoding == "protobuf" else b"",
             )
-            found.setdefault(channel.id, described)
-        return found
+            yield channel.id, described
 
     def _read_summary(self, file: FileBytes) -> Summary:
         """Read the records at the end of the file, which may have none."""
@@ -177,7 +184,7 @@ class McapSource(RecordSource):
                 summary.chunks[index.chunk_start_offset] = index.message_index_offsets
             elif record[0] == Opcode.STATISTICS:
                 statistics = Statistics.read(_open_body(record))
-        summary.channels = self._describe(descriptions)
+        summary.channels = self._name_channels(descriptions)
         if statistics is not None:
             summary.counts.update(statistics.channel_message_counts)
             if summary.counts.total() != statistics.message_count:

@@ -16,7 +16,7 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import BinaryIO, ClassVar, NoReturn, TypeAlias
@@ -143,8 +143,18 @@ class RecordSource(ABC):
         """Decompress the chunk at a position, and note what is wrong with it."""
 
     @abstractmethod
-    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
+    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+        """Make channels of the records that describe them, and give them with their numbers."""
+
+    def _name_channels(self, descriptions: Descriptions) -> dict[int, Channel]:
         """Make channels of the records that describe them; of one number, the first counts."""
+        found: dict[int, Channel] = {}
+        for key, other in self._describe(descriptions):
+            known = found.setdefault(key, other)
+            if astuple(known) != astuple(other):
+                text = f"{self.unit} {key} is described in two ways: it is taken for {known.topic}"
+                self.notes.add_damage(text)
+        return found
 
     def _sum_up(self, file: FileBytes) -> Summary:
         """Find the channels, and count their messages: from the end of the file, or from all of it.
@@ -168,7 +178,7 @@ class RecordSource(ABC):
                     descriptions.setdefault(bytes(block[start:end]), position)
         if problem and not self.notes:
             self.notes.add_damage(f"{problem}: what should be in it is not known")
-        summary.channels |= self._describe(descriptions)
+        summary.channels |= self._name_channels(descriptions)
         summary.counts = Counter({**held, **summary.counts})
         return summary
 

@@ -72,7 +72,7 @@ class SqliteSource:
         further behind it are asked for, until there are some again. A note says so, if none does.
         """
         query = (
-            f"SELECT rowid, topic_id, timestamp, {what} FROM messages NOT INDEXED"
+            f"SELECT rowid, CAST(topic_id AS INTEGER), timestamp, {what} FROM messages NOT INDEXED"
             f" WHERE rowid >= ? AND topic_id IN ({','.join('?' * len(topics))})"
             " AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
             " ORDER BY rowid"
@@ -92,18 +92,21 @@ class SqliteSource:
 
     def _count_messages(self, database: apsw.Connection, topics: Collection[int]) -> Counter[int]:
         """Count the messages of each topic that can be read; the index says how many there are."""
-        announced = None
+        announced = 0
         with suppress(*_ERRORS):
             query = "SELECT count(timestamp) FROM messages INDEXED BY timestamp_idx"
             ((announced,),) = database.execute(query)
         try:
-            query = "SELECT topic_id, count(*) FROM messages NOT INDEXED GROUP BY 1"
+            query = (
+                "SELECT CAST(topic_id AS INTEGER), count(*) FROM messages NOT INDEXED GROUP BY 1"
+            )
             counts = Counter(dict(database.execute(query)))
         except _ERRORS:
             rows = self._read_rows(database, "length(data)", topics, self.notes)
             counts = Counter(topic for _, topic, _, _ in rows)
-        found = sum(counts[key] for key in topics)
-        if announced not in {found, None}:
+        # An index that lacks rows, or is missing, loses none.
+        announced = max(announced, counts.total())
+        if (found := sum(counts[key] for key in topics)) < announced:
             text = f"{found} of {announced} messages are found in the storage file"
             self.notes.add_damage(
                 f"{text}: others are damaged, or of a topic that it does not name"

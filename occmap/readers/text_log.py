@@ -297,6 +297,10 @@ class TextLog(ABC):
             words, found = parse_words(block.text, block.starts[rest], *pattern[:3])
             alike = rest[words.alike].tolist()
             rest = np.delete(rest, words.alike)
+            at = pattern.columns.get("time_increment")
+            increments = np.zeros(0) if at is None else words.numbers[at]
+            for line in np.flatnonzero(~np.isfinite(increments)).tolist():
+                found.setdefault(line, f"time_increment is {increments[line]}, which is not a time")
             faults |= {alike[line]: fault for line, fault in found.items()}
             yaw = words.numbers[pattern.columns["yaw"]] if "yaw" in pattern.columns else ()
             if doubt := suspect_degrees(yaw):

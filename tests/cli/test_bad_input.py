@@ -59,7 +59,9 @@ def test_a_link_to_nothing_is_named_as_one() -> None:
         ("map.pgm", "P5\n2 1\n255\nab", "a map, not a log: `occmap diff` compares maps"),
         ("map.yaml", "image: map.pgm\n", "a map, not a log: `occmap diff` compares maps"),
         ("map.png", b"\x89PNG\r\n", "a picture, not a log"),
-        ("old.bag", "#ROSRECORD V1.2\n", "convert it with ROS 1's `rosbag fix"),
+        ("old.bag", "#ROSBAG V1.2\n", "convert it with ROS 1's `rosbag fix"),
+        ("older.bag", "#ROSRECORD V1\n", "convert it with ROS 1's `rosbag fix"),
+        ("new.bag", "#ROSBAG V2.0\n", "holds nothing behind its first bytes"),
         ("drive.mcap", "version https://git-lfs.github.com/spec/v1\n", "fetch it: git lfs pull"),
     ],
 )

@@ -54,7 +54,7 @@ def limit_memory() -> None:
         ("origin", "[" * 900 + "]" * 900, ""),
         ("origin", "[" * 9000 + "]" * 9000, ""),
         ("occupied_thresh", "1" + "0" * 400, "occupied_thresh is '1000"),
-        ("negate", "[1]", "negate is ['1'], where 0 or 1 belongs"),
+        ("negate", "[1]", "negate is \"['1']\", where 0 or 1 belongs"),
     ],
 )
 def test_a_yaml_with_numbers_beyond_their_types(name: str, value: str, found: str) -> None:

@@ -224,6 +224,9 @@ def test_front_offset(line: str, offset: float | None) -> None:
 
 @pytest.mark.parametrize("value", ["", " far", " nan"])
 def test_a_front_offset_that_is_no_number_is_damage(value: str) -> None:
-    log = open_lines("PARAM robot_length 0.4 1 merci 1", f"PARAM robot_frontlaser_offset{value}")
+    bad = f"PARAM robot_frontlaser_offset{value}"
+    log = open_lines("PARAM robot_length 0.4 1 merci 1", bad, bad)
     assert list(log.poses()) == []
-    assert any(note.damage and "number" in note.text for note in log.notes)
+    (damage,) = (note.text for note in log.notes if note.damage)
+    assert damage.startswith("2 of 4 lines are malformed and left out, the first is line 3: ")
+    assert "number" in damage

@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Stream, probe_path
 from occmap.readers.csv import CsvReader
+from occmap.readers.text_log import BLOCK_BYTES
 from occmap.types import Pose, Scan
 from tests.readers.runs import expect_equal, open_csv
 
@@ -140,6 +143,7 @@ def test_a_header_alone_is_a_log_without_scans(tmp_path: Path) -> None:
 
 COLUMNS = ("stamp", "angle_min", "angle_increment", "yaw", "r0", "r1")
 SMALL = "stamp,r0\n1,2\n"
+MANY = "1,2,3\n" * (BLOCK_BYTES // 6)
 
 
 @pytest.mark.parametrize(
@@ -154,6 +158,7 @@ SMALL = "stamp,r0\n1,2\n"
         (f"{CONSTANTS}# range_max: 8 m\n{SMALL}", "3: range_max is '8 m' where a number"),
         (f"{CONSTANTS}# range_max: nan\n{SMALL}", "3: range_max is nan, .*; write `# range_max: "),
         (f"{CONSTANTS}# time_increment: inf\n{SMALL}", "3: time_increment is inf, which is not"),
+        (f"{CONSTANTS}stamp,r0,r1\n{MANY}# frame: x\n", f"{len(MANY) // 6 + 4}: .*frame.*top of"),
         (f"{HEADER}\n" + f"{ROW},1\n" * 1200, r"2: 13 cells .*12 \(1,200 of 1,200 lines are mal"),
         *(
             (ROSTOPIC.replace("1555061575561518641", stamp), "2: stamp: .* not a time in nanosec")
@@ -177,6 +182,8 @@ def test_what_is_no_log_of_scans_is_refused_with_its_line(
         (",0.25,", ",wide,", "angle_increment is 'wide' where a number belongs"),
         (",-1.5,", ",,", "angle_min is '' where a number belongs"),
         (",-1.5,", ",inf,", "angle_min is inf, which is not an angle or a time"),
+        (",0.001,", ",nan,", "time_increment is nan, which is not a time"),
+        (",0.001,", ",inf,", "time_increment is inf, which is not a time"),
         (",8,", ",nan,", "range_max is nan, which is not a limit"),
         (",1,2,", ",1,north,", "y is 'north' where a number belongs"),
         ("1700000000.123456789", "noon", "stamp: 'noon' is not a time in seconds"),
@@ -232,6 +239,21 @@ def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
         assert told.startswith("line 6, the last, has no line end")
         assert has_all_cells or "1 of 3 lines are malformed" in damage[0]
         assert log.streams[0].count == len(stamps)
+
+
+@settings(max_examples=30)
+@given(
+    rows=st.lists(st.lists(st.floats(width=32), min_size=2, max_size=2), min_size=1),
+    stamp_ns=st.integers(0, 2**62),
+)
+def test_what_is_written_is_read(
+    tmp_path_factory: pytest.TempPathFactory, rows: list[list[float]], stamp_ns: int
+) -> None:
+    stamp = f"{stamp_ns // 10**9}.{stamp_ns % 10**9:09}"
+    content = "".join(f"{stamp},{row[0]!r},{row[1]!r}\n" for row in rows)
+    scans = read_text(tmp_path_factory.mktemp("csv"), f"{CONSTANTS}stamp,r0,r1\n{content}")
+    assert [scan.stamp_ns for scan in scans] == [stamp_ns] * len(rows)
+    np.testing.assert_array_equal([scan.ranges for scan in scans], np.array(rows, np.float32))
 
 
 @pytest.mark.parametrize(

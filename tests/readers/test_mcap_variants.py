@@ -107,17 +107,21 @@ def test_a_chunk_of_a_wrong_length_is_read(
 
 
 @pytest.mark.parametrize("compression", PACK)
+@pytest.mark.parametrize("has", [BARE, INDEXED, FULL], ids=len)
 @pytest.mark.parametrize("opcode", [0, 1, 3, 4, 5, 7, 9, 12, 15, 22, 0x46, 0x86])
-def test_a_chunk_under_another_opcode_is_told_of_where_messages_are_counted(
-    tmp_path: Path, compression: str, opcode: int
+def test_a_chunk_under_another_opcode_is_told_of(
+    tmp_path: Path, has: set[str], compression: str, opcode: int
 ) -> None:
-    data = write(FULL, compression)
+    data = write(has, compression)
     at, _ = list_records(data, Opcode.CHUNK)[4]
     data[at] = opcode
 
-    _, stamps = read_damaged(tmp_path, data)
+    notes, stamps = read_damaged(tmp_path, data)
 
     assert len(stamps) >= len(STAMPS) - MESSAGES
+    marked = f"the chunk at byte {at} is marked as another kind of record, and is used"
+    assert notes == [marked] or opcode in {0, Opcode.MESSAGE, 22, 0x46}
+    assert stamps == STAMPS or notes != [marked]
 
 
 @pytest.mark.parametrize("compression", ["", "zstd"])
@@ -164,6 +168,19 @@ def test_a_message_beside_the_time_of_a_chunk_with_a_wrong_checksum_is_lost(tmp_
     assert stamps == STAMPS[:3] + STAMPS[4:]
     assert ["wrong checksum" in note for note in notes] == [True, False]
     assert notes[1] == f"{SCANS - 1} messages are read on /scan, where the log announces {SCANS}"
+
+
+def test_two_chunks_of_which_nothing_can_be_read_are_not_one_that_is_there_twice(
+    tmp_path: Path,
+) -> None:
+    data = write(FULL - {"statistics"}, "zstd")
+    for at, _ in list_records(data, Opcode.CHUNK)[2:4]:
+        data[data.index(zstandard.FRAME_HEADER, at)] ^= 1
+
+    notes, stamps = read_damaged(tmp_path, data)
+
+    assert set(stamps) < set(STAMPS)
+    assert len([note for note in notes if ": 0 of its" in note]) == 2
 
 
 @pytest.mark.parametrize("has", [FULL, UNCHECKED, FULL - {"statistics"}], ids=len)
@@ -236,6 +253,16 @@ def test_a_channel_that_lost_its_schema_is_told_of(tmp_path: Path) -> None:
     notes, _ = read_damaged(tmp_path, data)
 
     assert notes[0] == "the type of the messages on /tf is not stated"
+
+
+def test_a_channel_that_is_described_in_two_ways_is_told_of(tmp_path: Path) -> None:
+    data = write(BARE)
+    (_, _), (at, _), _ = list_records(data, Opcode.CHANNEL)
+    struct.pack_into("<H", data, at + 9, 1)
+
+    notes, _ = read_damaged(tmp_path, data)
+
+    assert "channel 1 is described in two ways: it is taken for /tf_static" in notes
 
 
 def test_an_index_without_checksum_is_not_relied_on(tmp_path: Path) -> None:

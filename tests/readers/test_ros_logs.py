@@ -14,6 +14,7 @@ from rosbags.typesys.store import Typestore
 from occmap.readers import Log, Role, Stream, open_log
 from occmap.types import Pose, PoseSample
 from tests.readers.ros import RANGES, ROS1, ROS2, SECOND, Bag2, Write, drive, write_bag1, write_mcap
+from tests.readers.runs import count_scans
 
 SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
 FILES, MESSAGES = CompressionMode.FILE, CompressionMode.MESSAGE
@@ -124,3 +125,17 @@ def test_publishers_of_one_topic_are_one_stream(tmp_path: Path) -> None:
 
     assert Stream("/scan", "sensor_msgs/msg/LaserScan", 4, Role.SCAN) in log.streams
     assert len(list(log.scans({"/scan"}))) == 4
+
+
+@pytest.mark.parametrize("name", ["bag", "mcap"])
+def test_what_lies_before_a_cut_is_read(name: str, tmp_path: Path) -> None:
+    store, write = WRITERS[name]
+    path = write(tmp_path / "drive", drive(store))
+    data = path.read_bytes()
+    behind = RANGES.nbytes + 4 + 4 * 3  # the ranges, and the intensities with their number
+    ends = [data.find((RANGES + k).tobytes()) + behind for k in range(6)]
+    for cut in range(ends[0], len(data), 97):
+        path.write_bytes(data[:cut])
+        log = open_log(path)
+        assert count_scans(log) == sum(end <= cut for end in ends), cut
+        assert [note.damage for note in log.notes] == [True] * len(log.notes) != []

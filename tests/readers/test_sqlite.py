@@ -129,14 +129,40 @@ def test_rows_that_a_page_no_longer_counts_are_told_of(path: Path) -> None:
     assert f"{left} of {SCANS} messages are found" in notes[0]
 
 
-def test_rows_of_an_unknown_topic_are_told_of(path: Path) -> None:
+@pytest.mark.parametrize("change", ["REINDEX", "DROP INDEX timestamp_idx"])
+def test_rows_of_an_unknown_topic_are_told_of(path: Path, change: str) -> None:
     with edit(path) as database:
         database.execute("UPDATE messages SET topic_id = 77 WHERE id < 6")
+        database.execute(change)
 
     stamps, (note,) = read(path)
 
     assert stamps == ALL[5:]
     assert f"{SCANS - 5} of {SCANS} messages are found" in note
+
+
+def test_rows_that_the_index_lacks_are_told_of_where_they_are_not_read(path: Path) -> None:
+    with edit(path) as database:
+        database.execute("ALTER TABLE messages RENAME TO others")
+        database.execute(TABLE)
+        database.execute("INSERT INTO messages SELECT * FROM others")
+        database.execute("UPDATE messages SET timestamp = NULL WHERE id < 6")
+        database.execute("DROP INDEX timestamp_idx")
+        database.execute("CREATE INDEX timestamp_idx ON messages(timestamp)")
+
+    stamps, (note,) = read(path)
+
+    assert stamps == ALL[5:]
+    assert note == f"{SCANS - 5} messages are read on /scan, where the log announces {SCANS}"
+
+
+def test_topics_may_be_numbered_by_text(path: Path) -> None:
+    with edit(path) as database:
+        database.execute("ALTER TABLE messages RENAME TO others")
+        database.execute(TABLE.replace("topic_id INT", "topic_id TEXT"))
+        database.execute("INSERT INTO messages SELECT * FROM others")
+
+    assert read(path) == (ALL, [])
 
 
 @pytest.fixture
