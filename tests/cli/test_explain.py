@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.runner import ask, occmap
+from tests.cli.runner import ask, occmap, read_error
 from tests.samples import PLAIN_WORDS, write_csv
 
 ACROSS = [(0.05, 0.05, 0.0), (0.65, 0.05, math.pi), (0.25, 0.05, 0.0)]
@@ -147,6 +147,13 @@ def test_coordinates_may_be_negative(point: str) -> None:
     found = occmap(f"explain --json b.npz {point}").json
     assert (found["cell"]["row"], found["cell"]["column"]) == (-6, -17)
     assert found["seen"] == {"hits": 1, "misses": 0, "log_odds": None, "observations": 1}
+
+
+def test_a_log_may_have_the_name_of_a_number() -> None:
+    Path("-5").write_bytes(Path("a.csv").read_bytes())
+    assert occmap("check -- -5").out.startswith("-5\n")
+    message = read_error(occmap("build a.csv -o m.pgm --extent -2 -2 2 2"), 2)
+    assert message.startswith("--extent -2: 1 value")
 
 
 def test_a_cell_that_nothing_observed() -> None:
