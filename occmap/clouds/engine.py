@@ -108,9 +108,8 @@ def make_band(options: CloudOptions, returns: ReturnOptions) -> Band:
 class Extent:
     """The box around all points that observe their cells; it grows by the clouds that it sees."""
 
-    def __init__(self, lattice: Lattice, ground: Ground, band: Band) -> None:
-        self._lattice, self._band = lattice, band
-        self._columns = lay_columns(ground)
+    def __init__(self, lattice: Lattice, columns: Columns, band: Band) -> None:
+        self._lattice, self._columns, self._band = lattice, columns, band
         self._edges = np.array([np.inf, np.inf, -np.inf, -np.inf])
         self._place = np.empty((3, SOME))
 
@@ -164,7 +163,7 @@ class CloudEngine(Engine):
         self._box = lattice.enclose(corners[:, ::-1] * (BLOCK * COLUMN_MM / 1000)).align(TILE)
         self._make_sheet = partial(Sheet, lattice, columns, self._box.shrink(TILE))
         self._band, self._max_cells = band, max_cells
-        self._extent = Extent(lattice, ground, band)
+        self._extent = Extent(lattice, columns, band)
 
     def add(self, posed: PosedScans) -> None:
         """Observe the cells of some clouds; raises MapError where the map gets too large."""

@@ -186,7 +186,9 @@ class GroundFinder:
             beyond &= height != NO_GROUND
             height[beyond] = plane[beyond]
         holes = find_holes(columns, height, measured, options)
-        height[holes | list_known_holes(blocks, known, measured)] = NO_GROUND
+        if known is not None:
+            holes |= list_known_holes(blocks, known, measured)
+        height[holes] = NO_GROUND
         shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
         note = (
             f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
@@ -285,10 +287,13 @@ def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32
     return smooth
 
 
-def fill(blocks: Blocks, height: Int32, rounds: int) -> None:
-    """Fill columns without ground (C,) by the mean of those beside them, one ring a round."""
+def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) -> None:
+    """Fill columns without ground (C,) from those beside them, one ring a round.
+
+    They take the mean of these, or a peak near it where there are peaks.
+    """
     found = Found(height, np.zeros_like(height), np.zeros(0, np.uint8))
-    growth.grow_ground(blocks, NO_PEAKS, found, 1, rounds, np.empty((2, len(height)), np.int64))
+    growth.grow_ground(blocks, peaks, found, 1, rounds, np.empty((2, len(height)), np.int64))
 
 
 def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
@@ -303,18 +308,16 @@ def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOp
     reached = np.where(~measured & (deep >= FEWEST_POINTS), 0, NO_GROUND).astype(np.int32)
     every = np.arange(len(height), dtype=np.int32)
     ways = Peaks(every, is_open.astype(np.int32), np.zeros_like(every), np.ones_like(every))
-    found = Found(reached, np.zeros_like(every), np.zeros(0, np.uint8))
-    growth.grow_ground(columns.blocks, ways, found, 1, FILLED, np.empty((2, len(every)), np.int64))
+    fill(columns.blocks, reached, FILLED, ways)
     return np.asarray(is_open & (reached == 0))
 
 
-def list_known_holes(blocks: Blocks, known: Ground | None, measured: Bool) -> Bool:
+def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
     """List columns (C,) beside known ground that have none in it, and none was measured now."""
     had, around = np.full((2, len(blocks.places), BLOCK**2), NO_GROUND, np.int32)
-    if known is not None:
-        at = blocks.table[tuple((known.blocks - blocks.corner).T)]
-        had[at], around[at] = known.height_mm, np.where(known.measured, known.height_mm, NO_GROUND)
-        fill(blocks, around.reshape(-1), FILLED)
+    at = blocks.table[tuple((known.blocks - blocks.corner).T)]
+    had[at], around[at] = known.height_mm, np.where(known.measured, known.height_mm, NO_GROUND)
+    fill(blocks, around.reshape(-1), FILLED)
     return np.asarray(~measured & ((around != NO_GROUND) & (had == NO_GROUND)).ravel())
 
 

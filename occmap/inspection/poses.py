@@ -270,7 +270,7 @@ def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground
     from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
 
     band = engine.make_band(options.clouds, options.returns)
-    extent = engine.Extent(Lattice(options.resolution), ground, band)
+    extent = engine.Extent(Lattice(options.resolution), engine.lay_columns(ground), band)
     for posed in Drive(log, poser, options).read(Tally()):  # it knows by now what leaps away
         for cloud in list_clouds(posed):
             extent.add(cloud)
