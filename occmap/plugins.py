@@ -75,6 +75,9 @@ def load(entry: EntryPoint) -> Any:
     for names in NEEDED[cast(Group, entry.group)]:
         if not any(hasattr(plugin, name) for name in names.split(" or ")):
             raise TypeError(f"{entry.value} has no {names}")
+    if entry.group == "occmap.models" and plugin.name != entry.name:
+        # Evidence holds the one, and is read by the other.
+        raise TypeError(f"{entry.value} calls itself {plugin.name}")
     return plugin
 
 

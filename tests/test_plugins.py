@@ -19,6 +19,7 @@ csv = made_up_plugin:Reader
 plain = made_up_plugin:NotModel
 priorless = made_up_plugin:Priorless
 odd = made_up_plugin:Model
+even = made_up_plugin:Model
 [occmap.writers]
 txt = made_up_plugin:Writer
 """
@@ -92,6 +93,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
     [
         ("models", "plain", "made_up_plugin:NotModel is no dataclass"),
         ("models", "priorless", "made_up_plugin:Priorless has no prior"),
+        ("models", "even", "made_up_plugin:Model calls itself odd"),
         ("readers", "csv", "made_up_plugin:Reader has the name of another one"),
     ],
 )
