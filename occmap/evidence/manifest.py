@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -250,14 +250,16 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
 
 def list_repeated(builds: Sequence[BuildRecord]) -> Iterator[str]:
     """Say which logs count more than once. Parts of one log that share no scan do not."""
-    uses = defaultdict(list)
-    for build in builds:
+    uses: dict[str, dict[Any, Any]] = defaultdict(dict)
+    for number, build in enumerate(builds):
+        times = Counter[str]()
         for entry in list_inputs(build):
-            # Of a folder, the inputs are called folder/file.
-            name = entry["name"].partition("/")[0]
-            uses[entry["sha256"]].append((name, build["options"]["selection"]))
-    pairs = (pair for of_file in uses.values() for pair in combinations(of_file, 2))
-    names = dict.fromkeys(name for (_, one), (name, other) in pairs if overlap(one, other))
+            times[entry["name"]] += 1
+            # Of a folder, the inputs are called folder/file; some may be equal, as empty clouds.
+            log = entry["name"].partition("/")[0], number, times[entry["name"]]
+            uses[entry["sha256"]][log] = build["options"]["selection"]
+    pairs = (pair for logs in uses.values() for pair in combinations(logs.items(), 2))
+    names = dict.fromkeys(name for (_, one), ((name, *_), other) in pairs if overlap(one, other))
     if names:
         are, they, them = ("is", "it", "it") if len(names) == 1 else ("are", "they", "them")
         yield (

@@ -210,6 +210,16 @@ def test_a_log_is_named_once_and_a_folder_is_one_log() -> None:
     assert name_repeated(build_of(*names), build_of(names[0], "day/metadata2.yaml")) == ["day"]
 
 
+def test_equal_files_of_a_folder_count_once_for_each_time_that_it_is_given() -> None:
+    """As the clouds of a sensor that stands still."""
+    (entry,) = build_of("clouds/0.pcd")["inputs"]
+    once, twice = build_of(), build_of()
+    once["inputs"] = [entry, entry | {"name": "clouds/1.pcd"}]
+    twice["inputs"] = 2 * once["inputs"]
+    assert name_repeated(once) == []
+    assert name_repeated(twice) == name_repeated(once, once) == ["clouds"]
+
+
 def test_logs_that_share_a_trajectory_are_not_the_same() -> None:
     builds = [build_of(name, "path.txt", poses="path.txt") for name in ("a.csv", "b.csv")]
     assert name_repeated(*builds) == []
