@@ -17,9 +17,11 @@ from occmap.evidence.manifest import (
     plan_manifest,
 )
 from occmap.grid.tiles import add_tiles
-from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
+from occmap.options import BuildOptions
+from occmap.readers import Role
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
+from occmap.scans.logs import suit_kinds
 from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
@@ -121,9 +123,8 @@ def open_past(
     past = read_all(open_saved(path))
     if options.posing.align is None:
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
-    if past.manifest.update == Update.CLOUD and options.update is DEFAULT_UPDATE:
-        model = choose_model(Update.CLOUD)
-        options = replace(options, update=Update.CLOUD, model=model)
+    if past.manifest.update == Update.CLOUD:
+        options = suit_kinds({Role.CLOUD: past.where}, options)
     refuse_different(plan_manifest(options), past)
     if not options.fit:
         return past, options, []

@@ -107,6 +107,20 @@ def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None
     )
 
 
+@pytest.mark.parametrize(
+    ("model", "shown"), [("counting:cut=0.2", "cut=0.2,"), ("simple", "simple:")]
+)
+def test_a_session_that_is_added_is_read_by_the_model_that_is_named(
+    tmp_path: Path, model: str, shown: str
+) -> None:
+    first = tmp_path / "first.npz"
+    assert occmap("build", HALL, "--end", "2", "-o", first).code == 0
+    line = ("build", HALL, "--start", "2", "--model", model, "-o", tmp_path / "more.npz")
+    told = ask(*line, "--resume", first)["map"]["model"]
+    assert told == ask(*line)["map"]["model"]
+    assert shown in told
+
+
 def test_a_session_counts_the_columns_that_its_own_clouds_show(tmp_path: Path) -> None:
     first = tmp_path / "first.npz"
     assert occmap("build", HALL, "-o", first).code == 0
