@@ -45,7 +45,11 @@ class Map(OccupancyMap):
     @classmethod
     def of(cls, made: Build, writing: WriteOptions, inputs: Sequence[Path]) -> Self:
         """Add to a map what was found beside it, and how and over what it may be saved."""
-        found: dict[str, Any] = {it.name: getattr(made.map, it.name) for it in fields(OccupancyMap)}
+        whole = made.map
+        if isinstance(whole, publishing.BlockMap):
+            painted, _ = whole.paint_all()
+            whole = replace(painted, about=whole.about)
+        found: dict[str, Any] = {it.name: getattr(whole, it.name) for it in fields(OccupancyMap)}
         found |= {"report": made.report, "tiles": made.observed, "evidence": made.evidence}
         return cls(**found, writing=writing, inputs=tuple(inputs))
 

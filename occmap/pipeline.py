@@ -6,16 +6,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from occmap.cells import Evidence, Manifest, OccupancyMap, sum_tiles
+from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
-from occmap.evidence import list_contradictions, list_misfit, measure_steady, render_lasting
-from occmap.evidence.manifest import (
-    describe_about,
-    describe_build,
-    list_doubts,
-    measure_files,
-    plan_manifest,
-)
+from occmap.evidence import list_contradictions, list_misfit, measure_steady
+from occmap.evidence.manifest import describe_build, list_doubts, measure_files, plan_manifest
 from occmap.grid.tiles import add_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Role
@@ -28,9 +22,16 @@ from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ign
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import open_saved, read_all
 from occmap.store.merging import refuse_different
-from occmap.store.publishing import sum_scans
+from occmap.store.publishing import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
-from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
+from occmap.writers import (
+    Product,
+    check_outputs,
+    want_evidence,
+    want_journey,
+    want_whole,
+    write_outputs,
+)
 from occmap.writers.atomic import hold_alone
 
 
@@ -66,7 +67,7 @@ def build(
 
         manifest = plan_manifest(options, past.manifest if past else None)
         with tally.time("render"):
-            grid, lost = paint(paths, seen, manifest)
+            grid, facts = paint(paths, seen, manifest, want_whole(outputs))
         with tally.time("write"):  # to hash the logs takes time
             wants_evidence = want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
@@ -74,10 +75,9 @@ def build(
             is_told = wants_evidence or is_compared
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = replace(manifest, builds=(*manifest.builds, *made))
-        facts = results.describe_map(grid, options.writing)
         steady = measure_steady(seen.tiles) if tally.points else 1.0
         seen.remarks.notes += [
-            *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),
+            *(*unaligned, *fitted, *misfit, *facts.lost, *list_doubts(manifest)),
             *list_contradictions(steady, tally.points),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
@@ -179,14 +179,12 @@ def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]
 
 
 def paint(
-    paths: Sequence[Path], seen: Observed, manifest: Manifest
-) -> tuple[OccupancyMap, list[str]]:
-    """Render what was observed, as it is to be shown; say of what it is, and what does not last."""
-    options = seen.options
-    painted, lost = render_lasting(seen.tiles, seen.slices, options.model, options)
-    name = manifest.identify(sum_tiles(seen.tiles.tiles))
-    about = describe_about(manifest, name, options, (path.name for path in paths))
-    return replace(options.writing.edit(painted), about=about), lost
+    paths: Sequence[Path], seen: Observed, manifest: Manifest, is_whole: bool
+) -> tuple[Any, MapFacts]:
+    """Render what was observed, as `paint_saved` does."""
+    it, kept = seen.options, Evidence(manifest, seen.tiles.tiles, seen.slices)
+    options = RenderOptions(None, it.writing, it.max_cells, it.framing, it.min_passes)
+    return paint_saved(kept, it.model, options, is_whole, [path.name for path in paths])
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:

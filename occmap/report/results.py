@@ -176,6 +176,7 @@ class Build(NamedTuple):
     """A map and how it came about."""
 
     map: OccupancyMap
+    """Maybe a `BlockMap`, where no output needs the whole of a large one"""
     report: Report
     observed: TileGrid
     """What the map was made of, before `min_passes` forgets anything"""

@@ -26,14 +26,16 @@ from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
-from occmap.store import Blocks, Saved, identify, read_all, read_part
-from occmap.store.layout import Block, list_blocks
+from occmap.store import Blocks, Saved, as_blocks, identify, read_all, read_part
+from occmap.store.layout import SIDE, Block, list_blocks
 from occmap.types import Int64, UInt8
 from occmap.writers import WriteOptions
 from occmap.writers.npz import refuse_damage
 
 KEPT_BLOCKS = 18
 """How many blocks are kept that were read last, up to 8 MiB each"""
+LARGE_TILES = 1 << 13
+"""A map that spans more tiles, most of them maybe empty, is painted in parts"""
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
@@ -88,11 +90,18 @@ class BlockMap:
     """Lowest x and y, highest x and y (m)"""
     decision: Decision
     """How its cells are decided"""
+    logs: Sequence[str] = ()
+    """Names of those that the manifest does not have"""
 
     @cached_property
     def about(self) -> About:
         """What it is of; a sum of stores is read once more for that."""
-        return describe_about(self.source.manifest, identify(self.source), self.options)
+        return describe_about(self.source.manifest, identify(self.source), self.options, self.logs)
+
+    @property
+    def origin(self) -> tuple[float, float]:
+        """As of `OccupancyMap`."""
+        return self.extent[:2]
 
     def take(self, rows: slice, cols: slice) -> OccupancyMap:
         """Paint a part of it."""
@@ -111,6 +120,13 @@ class BlockMap:
             made.log_odds[window], made.observed[window] = piece.log_odds, piece.observed
             found += of_piece
         return made, found
+
+    def paint_all(self) -> tuple[OccupancyMap, list[str]]:
+        """Paint the whole, and say what does not last; raises MapError where it is too large."""
+        refuse_large(self.box, Lattice(self.resolution), self.options.max_cells)
+        made, found = self.paint(self.box)
+        agreement, lost = evidence.sum_up(found)
+        return replace(made, agreement=agreement), lost
 
     def list_pieces(self, box: CellBox) -> Iterator[Piece]:
         """Paint all of it, or a part, piece by piece; the rest of that was not observed.
@@ -260,15 +276,9 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
     OccmapError
         As `render_kept`, or an output cannot be written.
     """
-    formats = [writers.find_writer(path) for path in outputs]
     saved, model = settle_model(saved, options)
     blocks = None if isinstance(saved, Evidence) else saved
-    grid: Any
-    if blocks and options.overview is None and all(writer.in_parts for writer in formats):
-        grid = open_map(blocks, model, options)
-        facts = survey_blocks(grid)
-    else:
-        grid, facts = paint_saved(saved, model, options)
+    grid, facts = paint_saved(saved, model, options, writers.want_whole(outputs))
     report = summarise(saved.manifest, facts, options, outputs)
     product = writers.Product(grid, cache(lambda: read_all(saved)), report=report, blocks=blocks)
     files = writers.write_outputs(outputs, product, options.writing)
@@ -285,7 +295,7 @@ def render_kept(kept: Evidence, options: RenderOptions) -> Build:
         would be too large.
     """
     kept, model = settle_model(kept, options)
-    grid, facts = paint_saved(kept, model, options)
+    grid, facts = paint_saved(kept, model, options, is_whole=True)
     report = summarise(kept.manifest, facts, options)
     return Build(grid, report, evidence.to_grid(kept), kept)
 
@@ -306,31 +316,50 @@ def settle_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, Sen
 
 
 def paint_saved(
-    saved: Saved, model: SensorModel, options: RenderOptions
-) -> tuple[OccupancyMap, MapFacts]:
+    saved: Saved,
+    model: SensorModel,
+    options: RenderOptions,
+    is_whole: bool,
+    logs: Sequence[str] = (),
+) -> tuple[Any, MapFacts]:
     """Paint a map, or the part of it that is wanted, measure it, and say what it is of.
+
+    Parameters
+    ----------
+    is_whole
+        Else a large map is a `BlockMap`, and never there as a whole.
+    logs
+        Names of those that the manifest does not have.
 
     Raises
     ------
     OccmapError
         Nothing is left of it, it would be too large, or there is no such overview.
     """
+    notes = saved.notes if isinstance(saved, Evidence) else ()
     lost: Sequence[str] = ()
     if options.overview is not None:
         shown = options.writing.edit(read_overview(saved, options.overview, options))
+    elif not is_whole and is_large(saved):
+        made = replace(open_map(as_blocks(saved), model, options), logs=logs)
+        facts = survey_blocks(made)
+        return made, facts._replace(lost=[*notes, *facts.lost])
     elif isinstance(saved, Evidence):
         grid = evidence.to_grid(saved)
         shown, lost = evidence.render_lasting(grid, saved.slices, model, options)
-        shown, lost = options.writing.edit(shown), [*saved.notes, *lost]
+        shown = options.writing.edit(shown)
     else:
-        made = open_map(saved, model, options)
-        refuse_large(made.box, Lattice(made.resolution), options.max_cells)
-        shown, found = made.paint(made.box)
-        agreement, lost = evidence.sum_up(found)
-        shown = replace(shown, agreement=agreement)
-    about = describe_about(saved.manifest, identify(saved), options)
-    facts = results.describe_map(shown, options.writing)._replace(lost=lost)
+        shown, lost = open_map(saved, model, options).paint_all()
+    about = describe_about(saved.manifest, identify(saved), options, logs)
+    facts = results.describe_map(shown, options.writing)._replace(lost=[*notes, *lost])
     return replace(shown, about=about), facts
+
+
+def is_large(saved: Saved) -> bool:
+    """Whether the map of all evidence would be large, be it of little."""
+    keys, side = (saved.tiles, 1) if isinstance(saved, Evidence) else (saved.blocks, SIDE)
+    places = np.array([*keys]).reshape(-1, 2)
+    return len(places) > 0 and float(np.prod((np.ptp(places, axis=0) + 1.0) * side)) > LARGE_TILES
 
 
 def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyMap:

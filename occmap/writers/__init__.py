@@ -26,6 +26,8 @@ from occmap.writers.edits import Shape, apply_edits, read_edits
 BAND_CELLS = 1 << 18
 """Cells that are turned into pixels at once: what is worked out for them fits a core's cache, and a
 large map needs no second copy in floats."""
+PAINTED_ROWS = 512
+"""Rows of a map in parts that are painted at once: with fewer, parts are read more often."""
 
 
 class MapMode(StrEnum):
@@ -212,11 +214,13 @@ class Writer:
 
 
 def bands_from_top(grid: OccupancyMap) -> Iterator[OccupancyMap]:
-    """Cut a map into bands of whole rows, highest y first; each is a view, not a copy."""
+    """Cut a map into bands of whole rows, highest y first; of one in memory they are views."""
     rows, cols = grid.shape
     height = max(1, BAND_CELLS // max(1, cols))
-    for stop in range(rows, 0, -height):
-        yield grid.take(slice(max(0, stop - height), stop), slice(None))
+    for top in range(rows, 0, -PAINTED_ROWS):
+        painted = grid.take(slice(max(0, top - PAINTED_ROWS), top), slice(0, cols))
+        for stop in range(painted.shape[0], 0, -height):
+            yield painted.take(slice(max(0, stop - height), stop), slice(0, cols))
 
 
 def find_writer(path: Path) -> Writer:
@@ -308,6 +312,11 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
 def want_evidence(outputs: Sequence[Path]) -> bool:
     """Whether any output is of what was observed, or shows when it was."""
     return any(find_writer(path).needs_evidence for path in outputs)
+
+
+def want_whole(outputs: Sequence[Path]) -> bool:
+    """Whether any output is made of a map that is there as a whole."""
+    return not all(find_writer(path).in_parts for path in outputs)
 
 
 def want_journey(outputs: Sequence[Path]) -> bool:

@@ -81,7 +81,7 @@ class NpzWriter(Writer):
     """What was observed, to be rendered, merged and resumed."""
 
     description = "evidence, not yet a map: to render, merge and resume"
-    needs_evidence = True
+    needs_evidence = in_parts = True
 
     def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
         """Write the evidence, by the name that the map has for it; return its path."""

@@ -36,6 +36,7 @@ class PgmWriter(Writer):
     """8-bit binary PGM, first row = largest y, with the map_server YAML of the same stem."""
 
     description = "PGM image and YAML for ROS 1 map_server and nav2"
+    in_parts = True
 
     def targets(self, path: Path) -> tuple[Path, ...]:
         """Return the image and the YAML."""
@@ -56,8 +57,9 @@ class PgmWriter(Writer):
         with open_atomic(image_path, yaml_path) as (image, yaml):
             rows, cols = grid.shape
             image.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
-            for band in bands_from_top(replace(grid, decision=options.decide(grid.decision))):
-                image.write(to_pixels(band)[::-1].tobytes())
+            decision = options.decide(grid.decision)
+            for band in bands_from_top(grid):
+                image.write(to_pixels(replace(band, decision=decision))[::-1].tobytes())
             write_yaml(yaml, describe_map(image_path.name, grid, options), grid.about)
         return image_path, yaml_path
 
@@ -66,6 +68,7 @@ class KeepoutWriter(PgmWriter):
     """The cells that edits forbid, as the mask that nav2's keepout filter loads."""
 
     description = "keepout mask for nav2: what edits forbid, as a PGM and its YAML"
+    in_parts = False
 
     def check(self, path: Path, options: WriteOptions) -> None:
         """Refuse a mask where no edits are given; raises UsageError."""

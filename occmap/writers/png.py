@@ -27,6 +27,7 @@ class PngWriter(Writer):
     """8-bit grey with alpha, first row = largest y; dark or light is occupied."""
 
     description = "PNG image of the probability, unknown transparent"
+    in_parts = True
 
     def check(self, path: Path, options: WriteOptions) -> None:
         """Refuse a name beside which no world file can be written; raises OutputError."""
@@ -95,7 +96,7 @@ def paint_bands(grid: OccupancyMap, options: WriteOptions) -> Iterator[UInt8]:
     levels = limit_levels(decision)
     light = levels if options.shade is Shade.LIGHT_OCCUPIED else 255 - levels
     shades = (light + 0xFF00).astype("<u2")  # alpha is the higher of the two bytes
-    for band in bands_from_top(replace(grid, decision=decision)):
+    for band in (replace(each, decision=decision) for each in bands_from_top(grid)):
         level = 255 - np.rint(255 * (1 - band.probability))
         pixels = shades.take(256 * band.classes.astype(np.uint16) + level.astype(np.uint8))
         pixels[~band.observed] = HIDDEN_GREY

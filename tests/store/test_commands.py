@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import rasterio
 
+from occmap import build_map, evidence
 from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
-from occmap.store import open_store
+from occmap.store import open_store, publishing
 from occmap.types import Update
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence
@@ -306,3 +307,33 @@ def test_an_overview_that_is_cut_says_so(built: Path, tmp_path: Path) -> None:
 def test_overviews_that_cannot_be(built: Path, here: Path, words: str, found: str) -> None:
     assert found in read_error(occmap(f"render {built}/{words} -o m.pgm"), 2)
     assert not list(here.iterdir())
+
+
+@pytest.mark.parametrize("more", ["", "--min-passes 2", "--extent 0,0,6,5"])
+def test_large_maps_in_memory_are_painted_in_parts(
+    built: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: str
+) -> None:
+    lines = [f"render {built}/whole.npz -o OUT.{suffix} {more}" for suffix in ("tif", "pgm", "png")]
+    lines.append(f"build {DRIVE} -o OUT.npz {more}")
+
+    def run_all(name: str) -> tuple[list[object], list[bytes]]:
+        asked = [ask(line.replace("OUT", f"{tmp_path}/{name}")) for line in lines]
+        files = [Path(made["files"][0]).read_bytes() for made in asked]
+        return [(made["map"], made["notes"]) for made in asked], files
+
+    whole = run_all("whole"), build_map(DRIVE)
+    monkeypatch.setattr(publishing, "LARGE_TILES", 0)
+    monkeypatch.setattr(evidence, "render_lasting", None)  # would make the whole map
+    assert run_all("parts") == whole[0]
+    shown = build_map(DRIVE)
+    np.testing.assert_array_equal(shown.probability, whole[1].probability)
+    assert (shown.agreement, shown.about) == (whole[1].agreement, whole[1].about)
+
+
+def test_nothing_lies_between_two_sites_far_apart(built: Path, tmp_path: Path) -> None:
+    near, far = f"{built}/early.npz", f"{tmp_path}/far.npz"
+    ask(f"build {DRIVE} --resolution {FINE} --pass-gap 3 -o {far} --transform 90000,90000,0")
+    both = ask(f"merge {near} {far} -o {tmp_path}/both.npz")["map"]
+    cells = [ask(f"render {each} -o {tmp_path}/one.pgm")["map"] for each in (near, far)]
+    observed = [it["columns"] * it["rows"] * (1 - it["unknown"]) for it in (both, *cells)]
+    assert observed[0] == pytest.approx(observed[1] + observed[2], rel=1e-3)
