@@ -397,21 +397,24 @@ class Ground:
     def find_heights(self, place: Float64) -> Float64:
         """Find how high it was measured at places (N, 2 or more) (m); NaN where it was not."""
         column = np.floor(place[:, 1::-1] * (1000 / COLUMN_MM)).astype(np.int64)
-        block, inside = column >> BLOCK_BITS, column & ((1 << BLOCK_BITS) - 1)
-        table = np.full((*(np.ptp(self.blocks, axis=0) + 3),), -1, np.int64)
-        corner = self.blocks.min(axis=0) - 1
-        table[tuple((self.blocks - corner).T)] = np.arange(len(self.blocks))
-        at: Int64 = np.clip(block - corner, 0, np.array(table.shape) - 1)
-        number, flat = table[tuple(at.T)], (inside[:, 0] << BLOCK_BITS) + inside[:, 1]
-        known = (number >= 0) & self.measured[number, flat]
-        return np.where(known, self.height_mm[number, flat] / 1000, np.nan)
+        at, inside = self.find_blocks(column >> BLOCK_BITS), column & ((1 << BLOCK_BITS) - 1)
+        flat = (inside[:, 0] << BLOCK_BITS) + inside[:, 1]
+        known = (at >= 0) & self.measured[at, flat]
+        return np.where(known, self.height_mm[at, flat] / 1000, np.nan)
+
+    def find_blocks(self, places: Int64) -> Int64:
+        """Find which of its blocks lies at each of some places (N, 2); -1 where none does."""
+        keys, wanted = ((each[:, 0] << 32) + each[:, 1] for each in (self.blocks, places))
+        keys = np.append(keys, np.iinfo(np.int64).max)  # behind all that there are
+        at = np.searchsorted(keys, wanted)
+        return np.where(keys[at] == wanted, at, -1)
 
     def measure_rise(self, other: "Ground") -> Int32:
         """How much higher another ground is in each column that both measured (N,; mm)."""
-        mine, its = ((each.blocks[:, 0] << 32) + each.blocks[:, 1] for each in (self, other))
-        _, mine, its = np.intersect1d(mine, its, return_indices=True)
-        both = self.measured[mine] & other.measured[its]
-        return (other.height_mm[its] - self.height_mm[mine])[both]
+        its = other.find_blocks(self.blocks)
+        mine = its >= 0
+        both = self.measured[mine] & other.measured[its[mine]]
+        return (other.height_mm[its[mine]] - self.height_mm[mine])[both]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
