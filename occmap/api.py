@@ -11,7 +11,6 @@ from occmap import difference, explanation, inspection, page, tuning
 from occmap.cells import Evidence, OccupancyMap
 from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_failures, require
-from occmap.grid import CellBox
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.options import OF_A_SCORED_MAP, OF_ONE_MAP, BuildOptions
 from occmap.pipeline import build, list_inputs
@@ -121,7 +120,7 @@ class Map(OccupancyMap):
             name, _, _ = self.report.map.model.partition(":")
             found = f"the model {name} sums up log-odds: it keeps no hits and misses"
             raise UsageError(found, fix='build with model="counting" or model="simple"')
-        return self.tiles.read(CellBox.of(self))
+        return self.tiles.read(self.box)
 
 
 AnyPath = str | Path

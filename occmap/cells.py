@@ -2,10 +2,11 @@
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
+from itertools import product
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
@@ -82,6 +83,112 @@ def list_captions(about: About | None) -> dict[str, str]:
     return {name: str(value) for name, value in said.items() if value}
 
 
+class CellBox(NamedTuple):
+    """A rectangle of cells; the ends are not part of it."""
+
+    row: int
+    col: int
+    row_end: int
+    col_end: int
+
+    @classmethod
+    def around(cls, mask: Bool, row: int, col: int) -> Self | None:
+        """The smallest box around the cells of a mask (H, W) that are true; None: no cell is.
+
+        The mask begins at cell (row, col).
+        """
+        rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        if not rows.size:
+            return None
+        edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
+        return cls(*map(int, edges)).move(row, col)
+
+    @classmethod
+    def at(cls, row: int, col: int) -> Self:
+        """The box of a single cell."""
+        return cls(row, col, row + 1, col + 1)
+
+    @property
+    def rows(self) -> int:
+        """Height in cells."""
+        return self.row_end - self.row
+
+    @property
+    def cols(self) -> int:
+        """Width in cells."""
+        return self.col_end - self.col
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.rows, self.cols
+
+    @property
+    def cells(self) -> int:
+        """How many cells it covers."""
+        return self.rows * self.cols
+
+    def contains(self, other: Self) -> bool:
+        """Whether `other` lies wholly in this box."""
+        return self.clip(other) == other
+
+    def find(self, places: Int64) -> Int64:
+        """Which of the rows and columns (N, 2) lie in this box."""
+        return np.flatnonzero(((places >= self[:2]) & (places < self[2:])).all(axis=1))
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """Its rows and columns in an array that begins at cell (0, 0)."""
+        return slice(self.row, self.row_end), slice(self.col, self.col_end)
+
+    def within(self, outer: Self) -> tuple[slice, slice]:
+        """Its rows and columns in the array of a box around it."""
+        return self.move(-outer.row, -outer.col).slices
+
+    def clip(self, other: Self) -> Self:
+        """The part of `other` that lies in this box."""
+        return type(self)(
+            min(max(other.row, self.row), self.row_end),
+            min(max(other.col, self.col), self.col_end),
+            max(min(other.row_end, self.row_end), self.row),
+            max(min(other.col_end, self.col_end), self.col),
+        )
+
+    def move(self, rows: int, cols: int) -> Self:
+        """Move the box up by `rows` and to the right by `cols`."""
+        ends = (self.row + rows, self.col + cols, self.row_end + rows, self.col_end + cols)
+        return type(self)(*ends)
+
+    def grow(self, cells: int) -> Self:
+        """The box with so many cells more on each side."""
+        ends = self.row_end + cells, self.col_end + cells
+        return type(self)(self.row - cells, self.col - cells, *ends)
+
+    def align(self, side: int) -> Self:
+        """The smallest box around this one that is made of squares of `side` by `side` cells."""
+        ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
+        return type(self)(self.row // side * side, self.col // side * side, *ends)
+
+    def scale(self, side: int) -> Self:
+        """The box in cells, where it counts squares of `side` by `side` cells."""
+        return type(self)(*(edge * side for edge in self))
+
+    def shrink(self, side: int) -> Self:
+        """Count the box in squares of `side` by `side` cells, of which it is made."""
+        return type(self)(*(edge // side for edge in self))
+
+    def cut(self, side: int) -> Iterator[Self]:
+        """The parts of the box in squares of `side` by `side` cells, row by row."""
+        row, col, row_end, col_end = self.align(side)
+        for low, left in product(range(row, row_end, side), range(col, col_end, side)):
+            yield self.clip(type(self)(low, left, low + side, left + side))
+
+    def join(self, other: Self) -> Self:
+        """The smallest box around both."""
+        starts, ends = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
+        return type(self)(*starts, *ends)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OccupancyMap:
     """An occupancy grid. Row 0 is the lowest y and column 0 the lowest x; only writers flip."""
@@ -141,6 +248,12 @@ class OccupancyMap:
         """(2,) row and column of the first cell on the lattice of its resolution."""
         x, y = self.origin
         return np.rint(np.array([y, x]) / self.resolution).astype(np.int64)
+
+    @property
+    def box(self) -> CellBox:
+        """Its cells, on the lattice of its resolution."""
+        row, col = self.place.tolist()
+        return CellBox(row, col, row + self.shape[0], col + self.shape[1])
 
     @property
     def extent(self) -> Box:
@@ -284,21 +397,24 @@ class Ground:
     def find_heights(self, place: Float64) -> Float64:
         """Find how high it was measured at places (N, 2 or more) (m); NaN where it was not."""
         column = np.floor(place[:, 1::-1] * (1000 / COLUMN_MM)).astype(np.int64)
-        block, inside = column >> BLOCK_BITS, column & ((1 << BLOCK_BITS) - 1)
-        table = np.full((*(np.ptp(self.blocks, axis=0) + 3),), -1, np.int64)
-        corner = self.blocks.min(axis=0) - 1
-        table[tuple((self.blocks - corner).T)] = np.arange(len(self.blocks))
-        at: Int64 = np.clip(block - corner, 0, np.array(table.shape) - 1)
-        number, flat = table[tuple(at.T)], (inside[:, 0] << BLOCK_BITS) + inside[:, 1]
-        known = (number >= 0) & self.measured[number, flat]
-        return np.where(known, self.height_mm[number, flat] / 1000, np.nan)
+        at, inside = self.find_blocks(column >> BLOCK_BITS), column & ((1 << BLOCK_BITS) - 1)
+        flat = (inside[:, 0] << BLOCK_BITS) + inside[:, 1]
+        known = (at >= 0) & self.measured[at, flat]
+        return np.where(known, self.height_mm[at, flat] / 1000, np.nan)
+
+    def find_blocks(self, places: Int64) -> Int64:
+        """Find which of its blocks lies at each of some places (N, 2); -1 where none does."""
+        keys, wanted = ((each[:, 0] << 32) + each[:, 1] for each in (self.blocks, places))
+        keys = np.append(keys, np.iinfo(np.int64).max)  # behind all that there are
+        at = np.searchsorted(keys, wanted)
+        return np.where(keys[at] == wanted, at, -1)
 
     def measure_rise(self, other: "Ground") -> Int32:
         """How much higher another ground is in each column that both measured (N,; mm)."""
-        mine, its = ((each.blocks[:, 0] << 32) + each.blocks[:, 1] for each in (self, other))
-        _, mine, its = np.intersect1d(mine, its, return_indices=True)
-        both = self.measured[mine] & other.measured[its]
-        return (other.height_mm[its] - self.height_mm[mine])[both]
+        its = other.find_blocks(self.blocks)
+        mine = its >= 0
+        both = self.measured[mine] & other.measured[its[mine]]
+        return (other.height_mm[its[mine]] - self.height_mm[mine])[both]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

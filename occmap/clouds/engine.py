@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.cells import Ground, view_tiles
+from occmap.cells import CellBox, Ground, view_tiles
 from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import SOME, Cloud, find_reach, list_clouds
 from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas, Columns
-from occmap.grid import CellBox, Lattice, refuse_long
+from occmap.grid import Lattice, refuse_long
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
 from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large

@@ -7,10 +7,9 @@ from itertools import permutations
 import numpy as np
 
 from occmap import report
-from occmap.cells import Box, CellClass, OccupancyMap
+from occmap.cells import Box, CellBox, CellClass, OccupancyMap
 from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
-from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import HIDDEN, Count, Printed, Row, Share, printed_as
 from occmap.types import Bool, Int64, UInt8

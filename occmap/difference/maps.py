@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Box, CellClass, Decision
+from occmap.cells import Box, CellBox, CellClass, Decision
 from occmap.errors import MapError, UsageError
 from occmap.evidence import read_model
 from occmap.evidence.manifest import list_inputs
-from occmap.grid import CellBox
 from occmap.report import count
 from occmap.store import as_blocks, identify, open_saved
 from occmap.store.publishing import classify_blocks, open_map

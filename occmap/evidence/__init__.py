@@ -11,11 +11,11 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from occmap.cells import Evidence, Key, Manifest, OccupancyMap, Slices, Tile, to_log_odds
+from occmap.cells import CellBox, Evidence, Key, Manifest, OccupancyMap, Slices, Tile, to_log_odds
 from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
-from occmap.grid import CellBox, Lattice, rendering, tiles
+from occmap.grid import Lattice, rendering, tiles
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models

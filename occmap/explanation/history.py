@@ -13,11 +13,11 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from occmap.cells import Box, Evidence, Manifest, Slices
+from occmap.cells import Box, CellBox, Evidence, Manifest, Slices
 from occmap.choices import take
 from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError
 from occmap.evidence.manifest import BuildRecord, describe_files, list_inputs, list_trajectory
-from occmap.grid import CellBox, Lattice, tiles
+from occmap.grid import Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log

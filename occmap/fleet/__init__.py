@@ -20,12 +20,13 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap import pipeline, writers
+from occmap.cells import CellBox
 from occmap.errors import require
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
 from occmap.fleet.tasks import BlockJob, Job, Piece, Setting
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions

@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 import numpy as np
 import zstandard
 
-from occmap.cells import Evidence, Slices
+from occmap.cells import CellBox, Evidence, Slices
 from occmap.errors import MapError, name_log
 from occmap.evidence.manifest import describe_files, plan_manifest
-from occmap.grid import CellBox
 from occmap.grid.rendering import count_agreeing
 from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions

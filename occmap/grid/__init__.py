@@ -7,14 +7,13 @@ result depends on batch size, thread count or the order of scans.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
 
 import numpy as np
 
-from occmap.cells import Box, OccupancyMap
+from occmap.cells import Box, CellBox
 from occmap.errors import MapError, require
 from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
-from occmap.types import Bool, Float64, Int64
+from occmap.types import Float64, Int64
 
 MOST_CELLS_OF_BEAM = 1 << 22
 """The longest beam (cells): an int32 holds its end, with the sensor half as far from the anchor."""
@@ -23,112 +22,6 @@ SMALLEST_CELL_M, LARGEST_CELL_M = 1e-9, 1e9
 """No laser needs smaller cells or larger ones, and far beyond these a float32 overflows."""
 FARTHEST_UNIT = 1 << 52
 """Beyond this a float cannot tell lattice units apart."""
-
-
-class CellBox(NamedTuple):
-    """A rectangle of cells; the ends are not part of it."""
-
-    row: int
-    col: int
-    row_end: int
-    col_end: int
-
-    @classmethod
-    def of(cls, grid: OccupancyMap) -> Self:
-        """The cells of a map, on the lattice of its resolution."""
-        (row, col), (rows, cols) = grid.place.tolist(), grid.shape
-        return cls(row, col, row + rows, col + cols)
-
-    @classmethod
-    def around(cls, mask: Bool, row: int, col: int) -> Self | None:
-        """The smallest box around the cells of a mask (H, W) that are true; None: no cell is.
-
-        The mask begins at cell (row, col).
-        """
-        rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-        if not rows.size:
-            return None
-        edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
-        return cls(*map(int, edges)).move(row, col)
-
-    @classmethod
-    def at(cls, row: int, col: int) -> Self:
-        """The box of a single cell."""
-        return cls(row, col, row + 1, col + 1)
-
-    @property
-    def rows(self) -> int:
-        """Height in cells."""
-        return self.row_end - self.row
-
-    @property
-    def cols(self) -> int:
-        """Width in cells."""
-        return self.col_end - self.col
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return self.rows, self.cols
-
-    @property
-    def cells(self) -> int:
-        """How many cells it covers."""
-        return self.rows * self.cols
-
-    def contains(self, other: Self) -> bool:
-        """Whether `other` lies wholly in this box."""
-        return self.clip(other) == other
-
-    def find(self, places: Int64) -> Int64:
-        """Which of the rows and columns (N, 2) lie in this box."""
-        return np.flatnonzero(((places >= self[:2]) & (places < self[2:])).all(axis=1))
-
-    @property
-    def slices(self) -> tuple[slice, slice]:
-        """Its rows and columns in an array that begins at cell (0, 0)."""
-        return slice(self.row, self.row_end), slice(self.col, self.col_end)
-
-    def within(self, outer: Self) -> tuple[slice, slice]:
-        """Its rows and columns in the array of a box around it."""
-        return self.move(-outer.row, -outer.col).slices
-
-    def clip(self, other: Self) -> Self:
-        """The part of `other` that lies in this box."""
-        return type(self)(
-            min(max(other.row, self.row), self.row_end),
-            min(max(other.col, self.col), self.col_end),
-            max(min(other.row_end, self.row_end), self.row),
-            max(min(other.col_end, self.col_end), self.col),
-        )
-
-    def move(self, rows: int, cols: int) -> Self:
-        """Move the box up by `rows` and to the right by `cols`."""
-        ends = (self.row + rows, self.col + cols, self.row_end + rows, self.col_end + cols)
-        return type(self)(*ends)
-
-    def grow(self, cells: int) -> Self:
-        """The box with so many cells more on each side."""
-        ends = self.row_end + cells, self.col_end + cells
-        return type(self)(self.row - cells, self.col - cells, *ends)
-
-    def align(self, side: int) -> Self:
-        """The smallest box around this one that is made of squares of `side` by `side` cells."""
-        ends = (-(-edge // side) * side for edge in (self.row_end, self.col_end))
-        return type(self)(self.row // side * side, self.col // side * side, *ends)
-
-    def scale(self, side: int) -> Self:
-        """The box in cells, where it counts squares of `side` by `side` cells."""
-        return type(self)(*(edge * side for edge in self))
-
-    def shrink(self, side: int) -> Self:
-        """Count the box in squares of `side` by `side` cells, of which it is made."""
-        return type(self)(*(edge // side for edge in self))
-
-    def join(self, other: Self) -> Self:
-        """The smallest box around both."""
-        starts, ends = map(min, self[:2], other[:2]), map(max, self[2:], other[2:])
-        return type(self)(*starts, *ends)
 
 
 @dataclass(frozen=True)

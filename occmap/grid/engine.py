@@ -9,15 +9,15 @@ Where slices of time are kept, a window is emptied when its slice is over, too.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from threading import Lock
 from typing import Any
 
 import numpy as np
 
-from occmap.cells import Key, Slices, Tile, view_tiles
+from occmap.cells import CellBox, Key, Slices, Tile, view_tiles
 from occmap.errors import MapError
-from occmap.grid import MOST_CELLS_OF_BEAM, CellBox
+from occmap.grid import MOST_CELLS_OF_BEAM
 from occmap.grid.kernels.beams import Canvas, Tiles, read_tiles, sum_changes, trace_beams
 from occmap.grid.kernels.lines import Changes
 from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, Field, trace_polygons
@@ -449,12 +449,6 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
     return box.grow(room)
 
 
-def split_box(box: CellBox, most_cells: int) -> list[CellBox]:
+def split_box(box: CellBox, most_cells: int) -> Iterator[CellBox]:
     """Cut a box, grown to whole tiles, into boxes of at most so many cells, or of one tile."""
-    box = box.align(TILE)
-    side = max(int(most_cells**0.5) // TILE, 1) * TILE
-    return [
-        CellBox(row, col, min(row + side, box.row_end), min(col + side, box.col_end))
-        for row in range(box.row, box.row_end, side)
-        for col in range(box.col, box.col_end, side)
-    ]
+    return box.align(TILE).cut(max(int(most_cells**0.5) // TILE, 1) * TILE)

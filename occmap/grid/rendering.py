@@ -7,10 +7,10 @@ from typing import NoReturn
 
 import numpy as np
 
-from occmap.cells import Box
+from occmap.cells import Box, CellBox
 from occmap.choices import check_bounds, make_box_form, option
 from occmap.errors import MapError, require
-from occmap.grid import FARTHEST_UNIT, CellBox, Lattice
+from occmap.grid import FARTHEST_UNIT, Lattice
 from occmap.grid.tiles import TILE, CellNumbers, EvidenceKind, TileGrid, refuse_large
 from occmap.report import write_metres
 from occmap.types import Bool, Float32, Float64, Kind, Rays

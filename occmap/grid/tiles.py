@@ -17,9 +17,9 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from occmap.cells import MOST_OBSERVED, Key, Slices, Tile, stack_tiles
+from occmap.cells import MOST_OBSERVED, CellBox, Key, Slices, Tile, stack_tiles
 from occmap.errors import MapError
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.grid.kernels import units
 from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, NEAR_WEIGHT, TABLE_STEPS, Tables
 from occmap.report import write_metres

@@ -15,8 +15,9 @@ from functools import reduce
 from operator import itemgetter
 from pathlib import Path
 
+from occmap.cells import CellBox
 from occmap.errors import LogError, OccmapError
-from occmap.grid import CellBox, Lattice, refuse_long
+from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings

@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from occmap import report
-from occmap.cells import Box
-from occmap.grid import CellBox
+from occmap.cells import Box, CellBox
 from occmap.posing import Concern, Stamps
 from occmap.posing.frames import Source
 from occmap.readers import Stream

@@ -11,12 +11,12 @@ from itertools import islice
 
 import numpy as np
 
-from occmap.cells import Box, Ground
+from occmap.cells import Box, CellBox, Ground
 from occmap.choices import format_mount, list_values, take
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions, measure_steady
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
 from occmap.options import OPTIONS, BuildOptions

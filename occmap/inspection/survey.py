@@ -16,8 +16,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from occmap import sensor
-from occmap.cells import Box
-from occmap.grid import CellBox, Lattice
+from occmap.cells import Box, CellBox
+from occmap.grid import Lattice
 from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS

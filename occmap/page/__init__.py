@@ -19,11 +19,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from occmap.cells import OccupancyMap, keep_largest
+from occmap.cells import CellBox, OccupancyMap, keep_largest
 from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.evidence.manifest import describe_files
-from occmap.grid import CellBox
 from occmap.inspection import findings
 from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import BuildOptions, spell_flags
@@ -264,7 +263,7 @@ class Frame:
     """The cells that any of several maps covers, and how large they are drawn."""
 
     def __init__(self, maps: Sequence[OccupancyMap]) -> None:
-        self._box = reduce(CellBox.join, map(CellBox.of, maps))
+        self._box = reduce(CellBox.join, (grid.box for grid in maps))
         self.shape = self._box.shape
         longest = max(self.shape)
         self._step = -(-longest // LARGEST_PX)
@@ -272,7 +271,7 @@ class Frame:
 
     def locate(self, grid: OccupancyMap) -> tuple[slice, slice]:
         """Rows and columns of a map's cells."""
-        return CellBox.of(grid).within(self._box)
+        return grid.box.within(self._box)
 
     def draw(self, cells: UInt8) -> UInt8:
         """Draw (H, W) cells: the largest of those that share a pixel, highest y on top."""

@@ -12,10 +12,9 @@ from bokeh.palettes import Category10_10
 from bokeh.plotting import figure
 
 from occmap import page
-from occmap.cells import Evidence
+from occmap.cells import CellBox, Evidence
 from occmap.difference import COLOURS, MapDifference, tell_changes
 from occmap.evidence.manifest import describe_files, list_inputs
-from occmap.grid import CellBox
 from occmap.page import Block, Page, Section, Stage, raster
 from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores

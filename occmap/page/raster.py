@@ -20,9 +20,9 @@ from bokeh.plotting import figure
 from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
-from occmap.cells import Box, Evidence, Ground, OccupancyMap, Slices, keep_largest
+from occmap.cells import Box, CellBox, Evidence, Ground, OccupancyMap, Slices, keep_largest
 from occmap.evidence import to_grid
-from occmap.grid import CellBox, tiles
+from occmap.grid import tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.page import Stage
 from occmap.types import Bool, Int64, Trajectory
@@ -121,7 +121,7 @@ def make_raster(grid: OccupancyMap, seen: Seen | None, most_bytes: int = MOST_BY
 
 def list_rasters(grid: OccupancyMap, seen: Seen | None) -> Iterator[Raster]:
     """Take the layers of a map more and more roughly, so that they take fewer and fewer bytes."""
-    box = CellBox.of(grid)
+    box = grid.box
     steps = [each for each in STEPS if box.cells <= MOST_CELLS * each**2]
     for step in steps or STEPS[-1:]:
         bands = [thin(band, step) for band in read_bands(grid, seen, box)]

@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.cells import Evidence
+from occmap.cells import CellBox, Evidence
 from occmap.choices import format_mount
 from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
-from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS, EvidenceKind
 from occmap.options import BuildOptions
 from occmap.scans.mounts import sample_rays
@@ -258,7 +257,7 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     made = render(grid, model, MAX_CELLS)
     weights = made.occupied.astype(np.float64)
     if grid.kind is EvidenceKind.COUNTS:
-        weights *= grid.read(CellBox.of(made))[0]
+        weights *= grid.read(made.box)[0]
     found = fit(spread_points(weights, Place(made.resolution, *made.origin)), walls)
     refuse_doubt(found, evidence.where, where)
     moved = move_evidence(evidence, found.transform)

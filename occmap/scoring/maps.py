@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.cells import CellClass, Decision, OccupancyMap
+from occmap.cells import CellBox, CellClass, Decision, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
 from occmap.evidence.manifest import describe_files
-from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share, join_names

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from occmap.cells import Evidence, Ground, Manifest, sum_tiles
+from occmap.cells import CellBox, Evidence, Ground, Manifest, sum_tiles
 from occmap.errors import MapError
-from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, take, unite
 from occmap.store import layout
 from occmap.store.layout import Block

@@ -15,10 +15,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Evidence, Key, Manifest, Slices, Tile, stack_tiles, view_tiles
+from occmap.cells import CellBox, Evidence, Key, Manifest, Slices, Tile, stack_tiles, view_tiles
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
-from occmap.grid import CellBox
 from occmap.grid.tiles import INT32_LIMIT, TILE, take
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8

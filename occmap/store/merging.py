@@ -41,20 +41,18 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     with name_log(evidence.where):
         refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
-    mine, its = spread(ground, blocks), spread(other, blocks)
+    mine, its = extend_ground(ground, blocks), extend_ground(other, blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
     height = np.where(known, mine.height_mm, its.height_mm)
     return Ground(blocks, height, mine.measured | its.measured)
 
 
-def spread(ground: Ground, blocks: Int64) -> Ground:
+def extend_ground(ground: Ground, blocks: Int64) -> Ground:
     """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
-    shape = len(blocks), ground.height_mm.shape[1]
-    height, measured = np.full(shape, -(1 << 30), np.int32), np.zeros(shape, np.bool_)
-    places = {tuple(block): at for at, block in enumerate(blocks.tolist())}
-    at = [places[tuple(block)] for block in ground.blocks.tolist()]
-    height[at], measured[at] = ground.height_mm, ground.measured
-    return Ground(blocks, height, measured)
+    at = ground.find_blocks(blocks)
+    there = (at >= 0)[:, np.newaxis]
+    height = np.where(there, ground.height_mm[at], np.int32(-(1 << 30)))
+    return Ground(blocks, height, there & ground.measured[at])
 
 
 def combine(

@@ -14,11 +14,11 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from occmap import evidence, writers
-from occmap.cells import About, Box, CellClass, Decision, Evidence, Manifest, OccupancyMap
+from occmap.cells import About, Box, CellBox, CellClass, Decision, Evidence, Manifest, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.errors import UsageError
 from occmap.evidence.manifest import BuildRecord, describe_about, list_doubts
-from occmap.grid import CellBox, Lattice, rendering
+from occmap.grid import Lattice, rendering
 from occmap.grid.rendering import Framing, choose_box, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
@@ -80,18 +80,28 @@ class BlockMap:
     options: RenderOptions
     box: CellBox
     """Its cells"""
-    shape: tuple[int, int]
-    """Rows and columns"""
-    place: Int64
-    """(2,) row and column of its first cell on the lattice"""
-    resolution: float
-    """Side of a cell (m)"""
-    extent: Box
-    """Lowest x and y, highest x and y (m)"""
-    decision: Decision
-    """How its cells are decided"""
     logs: Sequence[str] = ()
     """Names of those that the manifest does not have"""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.box.shape
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell (m)."""
+        return self.source.manifest.resolution
+
+    @property
+    def extent(self) -> Box:
+        """Lowest x and y, highest x and y (m)."""
+        return Lattice(self.resolution).measure(self.box)
+
+    @property
+    def decision(self) -> Decision:
+        """How its cells are decided."""
+        return find_decision(self.model)
 
     @cached_property
     def about(self) -> About:
@@ -167,11 +177,8 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     chosen = options or RenderOptions()
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
     bounds = find_bounds(kept, model, chosen.min_passes)
-    lattice = Lattice(source.manifest.resolution)
-    box = choose_box(bounds, chosen.framing, lattice)
-    place, extent = np.array(box[:2]), lattice.measure(box)
-    where = box, box.shape, place, lattice.resolution, extent
-    return BlockMap(kept, model, chosen, *where, find_decision(model))
+    box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
+    return BlockMap(kept, model, chosen, box)
 
 
 def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:

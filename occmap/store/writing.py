@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, OccupancyMap, keep_largest, sum_tiles
+from occmap.cells import CellBox, Evidence, Ground, Manifest, OccupancyMap, keep_largest, sum_tiles
 from occmap.evidence import paint_box, to_grid
-from occmap.grid import CellBox
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
 from occmap.store import Blocks, as_blocks, layout

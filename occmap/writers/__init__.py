@@ -169,7 +169,7 @@ class Writer:
     """Whether it looks at `Product.journey`"""
     in_parts = False
     """Whether it writes part by part, so that there need not be a whole map: of the map it asks
-    only `place`, `shape`, `resolution`, `decision` and `take`"""
+    only `box`, `shape`, `resolution`, `origin`, `decision`, `about` and `take`"""
     is_folder = False
     """Whether it writes a folder with many files"""
     needs: tuple[str, ...] = ()

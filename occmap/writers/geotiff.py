@@ -5,16 +5,15 @@ import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from errno import ENOSPC
-from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from occmap.cells import About, OccupancyMap, list_captions
+from occmap.cells import About, CellBox, OccupancyMap, list_captions
 from occmap.errors import OutputError
-from occmap.types import BLOCK_BITS, COLUMN_MM, Int64
+from occmap.types import BLOCK_BITS, COLUMN_MM
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import check_target, follow_links, open_atomic
 from occmap.writers.pgm import RAW_UNKNOWN, to_raw
@@ -42,7 +41,7 @@ class GeoTiffWriter(Writer):
         """
         parts = ((window, to_raw(part)[::-1]) for window, part in paint_windows(grid))
         globe, about = options.georeference, grid.about
-        where = describe(grid.shape, grid.place, grid.resolution, globe, about)
+        where = lay_out(grid.box, grid.resolution, globe, about)
         layout = where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}
         write_image(path, layout, parts, list_captions(about))
         return (path,)
@@ -69,15 +68,15 @@ class GroundWriter(Writer):
         if ground is None:
             found = "shows the ground below clouds, and this map was made of none"
             raise OutputError(found, where=path, fix="leave it out")
-        side, low = 1 << BLOCK_BITS, ground.blocks.min(axis=0)
+        side, low, high = 1 << BLOCK_BITS, ground.blocks.min(axis=0), ground.blocks.max(axis=0)
+        box = CellBox(*low.tolist(), *(high + 1).tolist())
         rows, cols = (ground.blocks - low).T
-        squares = np.full((rows.max() + 1, cols.max() + 1, side, side), np.nan, np.float32)
+        squares = np.full((*box.shape, side, side), np.nan, np.float32)
         known = np.where(ground.measured, ground.height_mm / 1000, np.nan)
         squares[rows, cols] = known.reshape(-1, side, side)
         heights = np.block([list(row) for row in squares])
-        size = COLUMN_MM / 1000
         about = product.grid.about
-        where = describe(heights.shape, low * side, size, options.georeference, about)
+        where = lay_out(box.scale(side), COLUMN_MM / 1000, options.georeference, about)
         kind = {"dtype": "float32", "nodata": math.nan}
         write_image(path, where | kind, [(None, heights[::-1])], list_captions(about))
         return (path,)
@@ -119,21 +118,16 @@ def write_image(
         raise OutputError(f"cannot be written ({reason})", where=path) from None
 
 
-def describe(
-    shape: tuple[int, ...],
-    place: Int64,
-    size: float,
-    globe: tuple[float, float, float] | None,
-    about: About | None,
+def lay_out(
+    box: CellBox, size: float, globe: tuple[float, float, float] | None, about: About | None
 ) -> dict[str, Any]:
-    """Say where an image of cells lies and how it is laid out.
+    """Say where an image of cells, `size` (m) wide, lies and how it is laid out.
 
     Without a place on the globe its frame is that of the map. With one it is a plane that touches
     the globe there, on which distances from there are true (azimuthal equidistant). That place is
     of the map of the logs, so that a map which is turned has its walls where they were.
     """
-    (rows, cols), (row, col) = shape, place.tolist()
-    x, y = round(col * size, 12), round((row + rows) * size, 12)
+    x, y = round(box.col * size, 12), round(box.row_end * size, 12)
     latitude, longitude, yaw = globe or (0.0, 0.0, 0.0)
     yaw -= about.align if globe and about else 0.0
     cos, sin = math.cos(math.radians(yaw)), math.sin(math.radians(yaw))
@@ -142,8 +136,8 @@ def describe(
     return {
         "driver": "GTiff",
         "count": 1,
-        "height": rows,
-        "width": cols,
+        "height": box.rows,
+        "width": box.cols,
         "tiled": True,
         "blockxsize": BLOCK,
         "blockysize": BLOCK,
@@ -155,9 +149,7 @@ def describe(
 
 def paint_windows(grid: OccupancyMap) -> Iterator[tuple[tuple[slice, slice], OccupancyMap]]:
     """Paint a map part by part, and say where in the image, top row first, each part lies."""
-    (rows, cols), (row, col) = grid.shape, grid.place.tolist()
-    corners = product(range(-(row % WINDOW), rows, WINDOW), range(-(col % WINDOW), cols, WINDOW))
-    for low, left in corners:
-        up = slice(max(low, 0), min(low + WINDOW, rows))
-        across = slice(max(left, 0), min(left + WINDOW, cols))
-        yield (slice(rows - up.stop, rows - up.start), across), grid.take(up, across)
+    for part in grid.box.cut(WINDOW):
+        up, across = part.within(grid.box)
+        down = slice(grid.box.rows - up.stop, grid.box.rows - up.start)
+        yield (down, across), grid.take(up, across)

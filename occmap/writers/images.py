@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 
-from occmap.cells import CellClass, OccupancyMap, keep_largest
+from occmap.cells import CellBox, CellClass, OccupancyMap, keep_largest
 from occmap.errors import MapError
 from occmap.types import Bool, UInt8
 from occmap.writers import WriteOptions, Writer
@@ -184,12 +184,9 @@ class TileTree:
 
     def __init__(self, folder: Path, grid: OccupancyMap, options: WriteOptions) -> None:
         self.folder, self.grid, self.options = folder, grid, options
-        ends = grid.place + grid.shape
-        self.low = grid.place // TILE_PIXELS
-        """Row and column of the lowest tiles"""
-        self.size = -(-ends // TILE_PIXELS) - self.low
-        """How many rows and columns of tiles there are"""
-        self.top = int(self.size.max() - 1).bit_length()
+        self.tiles = grid.box.align(TILE_PIXELS).shrink(TILE_PIXELS)
+        """The rows and columns of tiles that there are"""
+        self.top = (max(self.tiles.shape) - 1).bit_length()
         """The level at which a pixel is a cell"""
 
     def write(self, level: int, x: int, y: int) -> UInt8 | None:
@@ -213,23 +210,20 @@ class TileTree:
 
     def paint(self, x: int, y: int) -> UInt8 | None:
         """Paint the cells of a tile at the top level, and say where it lies."""
-        tile = self.low + np.array([self.size[0] - 1 - y, x])
-        start = tile * TILE_PIXELS - self.grid.place
-        first, last = np.maximum(start, 0), np.minimum(start + TILE_PIXELS, self.grid.shape)
-        if (first >= last).any():
+        tile = CellBox.at(self.tiles.row_end - 1 - y, self.tiles.col + x).scale(TILE_PIXELS)
+        seen = tile.clip(self.grid.box)
+        if not seen.cells:
             return None
-        part = self.grid.take(*map(slice, first.tolist(), last.tolist()))
+        part = self.grid.take(*seen.within(self.grid.box))
         if not part.observed.any():
             return None
         decision = self.options.decide(part.decision)
-        classes = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
-        inner = map(slice, (first - start).tolist(), (last - start).tolist())
-        classes[*inner] = replace(part, decision=decision).classes
+        classes = np.full(tile.shape, CellClass.NEITHER, np.uint8)
+        classes[seen.within(tile)] = replace(part, decision=decision).classes
         file = self.folder / f"{self.top}" / f"{x}" / f"{y}.yaml"
         file.parent.mkdir(parents=True, exist_ok=True)
-        corner = (tile * TILE_PIXELS * self.grid.resolution).tolist()
-        up, right = (round(edge, 12) for edge in corner)
-        lying = replace(part, origin=(right, up))
+        x_min, y_min = (round(edge * part.resolution, 12) for edge in (tile.col, tile.row))
+        lying = replace(part, origin=(x_min, y_min))
         with file.open("wb") as opened:
             write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY), self.grid.about)
         return classes

@@ -13,7 +13,7 @@ from occmap.cells import Decision, OccupancyMap, list_captions
 from occmap.types import UInt8
 from occmap.writers import Shade, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import check_target, open_atomic
-from occmap.writers.geotiff import describe
+from occmap.writers.geotiff import lay_out
 
 HIDDEN_GREY = 127
 """Under transparent pixels, for viewers that show no transparency."""
@@ -63,8 +63,7 @@ class PngWriter(Writer):
         beside = name_beside(path) if options.georeference else ()
         with open_atomic(path, *beside) as (file, *others):
             if others:
-                globe, about = options.georeference, grid.about
-                where = describe(grid.shape, grid.place, grid.resolution, globe, about)
+                where = lay_out(grid.box, grid.resolution, options.georeference, grid.about)
                 for other, told in zip(others, write_place(where), strict=True):
                     other.write(told.encode())
             file.write(b"\x89PNG\r\n\x1a\n")

@@ -7,7 +7,7 @@ from time import process_time
 
 import numpy as np
 
-from occmap.grid import CellBox
+from occmap.cells import CellBox
 from occmap.grid.rendering import paint
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.cells import Decision, OccupancyMap, to_log_odds
-from occmap.grid import CellBox, Lattice
+from occmap.cells import CellBox, Decision, OccupancyMap, to_log_odds
+from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.rendering import find_bounds, measure_bounds
 from occmap.grid.tiles import GridSpec, TileGrid

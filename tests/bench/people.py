@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from occmap.evidence import keep_lasting, paint_box
-from occmap.grid import CellBox
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.types import Float64
@@ -113,7 +112,7 @@ def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict
         plain = replace(options, min_passes=None)
         alone, people = (build([log], plain, [log.with_suffix(".npz")]) for log in logs)
         assert people.evidence is not None
-        box = CellBox.of(alone.map).join(CellBox.of(people.map))
+        box = alone.map.box.join(people.map.box)
         stands = paint_box(alone.observed, options.model, box).occupied
         (met, _), (hit, _) = (of.observed.gather(box, np.int64) for of in (alone, people))
         ghosts = (hit > 0) & office._erode(~stands & (met == 0))  # not beside what stands

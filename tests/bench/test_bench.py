@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.grid import CellBox
+from occmap.cells import CellBox
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from tests.bench.__main__ import Bench

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.grid import CellBox
+from occmap.cells import CellBox
 from tests.bench.workloads import Sensor, Workload
 
 Counts = NDArray[np.int32]

@@ -8,11 +8,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.cells import Ground
+from occmap.cells import CellBox, Ground
 from occmap.clouds import CloudOptions
 from occmap.clouds.engine import CloudEngine, make_band
 from occmap.clouds.ground import GroundFinder
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.posing.tracks import rotate_by, to_quaternions

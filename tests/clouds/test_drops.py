@@ -8,8 +8,7 @@ height; from 0.9 m beyond, or less where the point is near, the ray is followed 
 import numpy as np
 import pytest
 
-from occmap.cells import Ground
-from occmap.grid import CellBox
+from occmap.cells import CellBox, Ground
 from occmap.types import Cloud
 from tests.clouds.simulation import observe, place, turn
 

@@ -6,11 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from occmap.cells import CellClass
+from occmap.cells import CellBox, CellClass
 from occmap.difference import ChangedBlob, MapDifference, compare_maps, find_largest_blob, paint
 from occmap.difference.maps import Place
 from occmap.errors import MapError
-from occmap.grid import CellBox
 from occmap.types import Bool
 from tests.difference.drawings import draw_map
 

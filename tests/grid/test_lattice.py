@@ -7,8 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from occmap.cells import CellBox
 from occmap.errors import UsageError
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.grid.kernels.lines import Line, count_steps, draw_line, find_step, steps_after
 from occmap.grid.kernels.projection import project
 from occmap.grid.tiles import GridSpec

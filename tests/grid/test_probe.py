@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from occmap.cells import CellBox
 from occmap.errors import MapError
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.grid.engine import find_near, look_at_cell
 from occmap.grid.tiles import GridSpec
 from occmap.types import Rays, Update

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from occmap.cells import CellBox
 from occmap.errors import MapError
 from occmap.evidence import render
-from occmap.grid import CellBox, Lattice
+from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
 from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from occmap import api
 from occmap.api import Map
-from occmap.cells import OccupancyMap
-from occmap.grid import CellBox
+from occmap.cells import CellBox, OccupancyMap
 from occmap.page.raster import (
     MOST_CELLS,
     Packed,

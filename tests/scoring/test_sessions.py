@@ -12,7 +12,6 @@ from occmap.choices import format_mount, to_rpy
 from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
 from occmap.evidence import paint_box, render, to_grid
-from occmap.grid import CellBox
 from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
@@ -63,7 +62,7 @@ def test_the_second_half_of_a_drive_is_laid_on_the_first(align: float, tmp_path:
     assert f"`transform=({typed})`" in moved.notes[0]
     # Nearly all cells are those of a build with that transform.
     again = build([DRIVE], replace(options, posing=replace(options.posing, transform=pose)), [])
-    box = CellBox.of(render(to_grid(moved), options.model, 10**9)).join(CellBox.of(again.map))
+    box = render(to_grid(moved), options.model, 10**9).box.join(again.map.box)
     one, other = (
         paint_box(grid, options.model, box).classes for grid in (to_grid(moved), again.observed)
     )
@@ -158,7 +157,7 @@ def test_halves_of_real_logs_merge_nearly_to_the_whole(
     halves = before, replace(after, posing=moved)
     first, second = (save(tmp_path / "half.npz", options, log) for options in halves)
     whole = build([log], BuildOptions())
-    box = CellBox.of(whole.map)
+    box = whole.map.box
     x_min, y_min, x_max, y_max = whole.map.extent
     laid = lay_on(second, first)
     found = Transform(*laid.manifest.builds[0]["moved"])

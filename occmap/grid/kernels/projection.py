@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from occmap.cells import CellBox
 from occmap.errors import MapError
-from occmap.grid import FARTHEST_UNIT, CellBox, refuse_long
+from occmap.grid import FARTHEST_UNIT, refuse_long
 from occmap.grid.kernels.units import ALONE, CELL_SHIFT, FREE, HIT, MOST_BETWEEN, NO_LENGTH
 from occmap.grid.tiles import GridSpec
 from occmap.jit import kernel
