@@ -219,33 +219,21 @@ class CarmenLog(TextLog):
             self.notes.add("all scans have one time: they are taken in their order")
         frames = {word: SCAN_LINES[word].frame for word in self._words if word in SCAN_LINES}
         posed = {frames[word] for word in frames.keys() & POSED}
-        self._repeated = [word for word in frames if word not in POSED and frames[word] in posed]
-        """RAWLASER streams whose scans are in the log once more, with their pose"""
-        for word in self._repeated:
+        roles = {**dict.fromkeys(SCAN_LINES, Role.SCAN), "ODOM": Role.POSE}
+        for word in (word for word in frames if word not in POSED and frames[word] in posed):
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
             self.notes.add(text)
+            roles[word] = Role.OTHER
+        words = ((word, n) for word, n in self._words.items() if word != "#")
+        self.streams = [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
         self._note_other_lines()
 
-    @property
-    def streams(self) -> Sequence[Stream]:
-        """One stream for each keyword, in order of first appearance."""
-        roles = {**dict.fromkeys(SCAN_LINES, Role.SCAN), "ODOM": Role.POSE}
-        roles |= dict.fromkeys(self._repeated, Role.OTHER)
-        words = ((word, n) for word, n in self._words.items() if word != "#")
-        return [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
-
-    def poses(self) -> Iterator[PoseSample]:
-        """Give the front laser's offset, where a PARAM states it, then the odometry."""
-        for each in self.stacked_poses():
-            yield from each.split() if isinstance(each, PoseBatch) else (each,)
-
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """The same, with the odometry of many lines at once."""
+        """Give the front laser's offset, where a PARAM states it, then the odometry."""
         if self._front_offset is not None:
             yield self._front_offset
-        if not self._words["ODOM"]:
-            return
-        yield from map(make_poses, self._parse_all(pick_odometry))
+        if self._words["ODOM"]:
+            yield from map(make_poses, self._parse_all(pick_odometry))
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of scans by their keywords."""
