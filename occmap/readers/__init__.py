@@ -124,10 +124,8 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
 
 def _describe_folder(folder: Path) -> str:
     """Say what a folder that is not a recording holds."""
-    try:
+    with refuse_unreadable(folder):
         names = sorted(entry.name for entry in folder.iterdir())
-    except OSError as error:
-        return f"a folder that cannot be read ({error.strerror})"
     return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
 
 
