@@ -152,8 +152,8 @@ OTHER_WORDS = frozenset({
     "VERTEX2", "EDGE2", "VERTEX_SE2", "EDGE_SE2",
 })
 # fmt: on
-"""Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose. Others are
-counted together, since those of a damaged file may begin in any way."""
+"""Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose; all else
+is counted together, since the lines of a damaged file may begin in any way."""
 KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
 """How a line begins; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
