@@ -47,12 +47,14 @@ class LogError(OccmapError):
 
 
 @contextmanager
-def refuse_unreadable(path: object) -> Iterator[None]:
-    """Say in one line what keeps the system from reading a log; raises LogError."""
+def refuse_unreadable(
+    path: object, kind: type[OccmapError] = LogError, fix: str = ""
+) -> Iterator[None]:
+    """Say in one line what keeps the system from reading a file; raises an error of some kind."""
     try:
         yield
     except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
+        raise kind(f"cannot be read ({error.strerror})", where=path, fix=fix) from None
 
 
 class DamageError(LogError):

@@ -22,7 +22,7 @@ from click.shell_completion import CompletionItem
 from occmap import choices
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
-from occmap.errors import OccmapError, UsageError
+from occmap.errors import OccmapError, UsageError, refuse_unreadable
 from occmap.options import FLAGS, OPTIONS, RUN
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
@@ -349,10 +349,8 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
         It cannot be read, is not TOML, or names what is no command or no option of any.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        found = f"cannot be read ({error.strerror})"
-        raise UsageError(found, where=path, fix="check the path of --config") from None
+        with refuse_unreadable(path, UsageError, "check the path of --config"):
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"is not TOML ({error})", where=path) from None
     tables = {name: value for name, value in values.items() if isinstance(value, dict)}

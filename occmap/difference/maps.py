@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from occmap.cells import Box, CellBox, CellClass, Decision
-from occmap.errors import MapError, UsageError
+from occmap.errors import MapError, UsageError, refuse_unreadable
 from occmap.evidence import read_model
 from occmap.evidence.manifest import list_inputs
 from occmap.report import count
@@ -221,11 +221,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     from ruamel.yaml.error import MarkedYAMLError, YAMLError  # noqa: PLC0415  late: as above
 
     try:
-        with path.open("rb") as file:
+        with refuse_unreadable(path, MapError), path.open("rb") as file:
             text = file.read(YAML_BYTES).decode("utf-8", "surrogateescape")
         values = YAML(typ="base", pure=True).load(text.translate(BYTES))
-    except OSError as error:
-        raise MapError(f"cannot be read ({error.strerror})", where=path) from None
     except (YAMLError, ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]
         if isinstance(error, MarkedYAMLError) and error.problem_mark:

@@ -50,9 +50,8 @@ def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
 
 def choose_tiles(grid: TileGrid, model: SensorModel) -> TileGrid:
     """Choose what a model reads: the grid as it is, or with its hits spread."""
-    if isinstance(model, models.Spreading) and model.spread > 0:
-        return SpreadHits(grid, model.spread)
-    return grid
+    spread = models.get_parameter(model, "spread")
+    return SpreadHits(grid, spread) if spread > 0 else grid
 
 
 def weigh(model: SensorModel) -> Weigh:
@@ -63,10 +62,9 @@ def weigh(model: SensorModel) -> Weigh:
         return start + log_odds * LOG_ODDS_UNIT - observations * start
 
     add_up = add_radial if isinstance(model, models.RadialModel) else partial(ask, model)
-    if not isinstance(model, models.Clamped):
-        return add_up
-    low = to_log_odds(model.clamp_min) if model.clamp_min > 0 else -math.inf
-    high = to_log_odds(model.clamp_max) if model.clamp_max < 1 else math.inf
+    least, most = (models.get_parameter(model, name) for name in models.NO_CLAMP)
+    low = to_log_odds(least) if least > 0 else -math.inf
+    high = to_log_odds(most) if most < 1 else math.inf
     return lambda first, second: np.clip(add_up(first, second), low, high)
 
 

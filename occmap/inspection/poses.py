@@ -24,7 +24,7 @@ from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.sources import Sources
-from occmap.readers import HoldingFixes, Log
+from occmap.readers import Log
 from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT
 from occmap.scans import mounts
@@ -175,7 +175,7 @@ def tell_fixes(log: Log, poser: Poser) -> Iterator[str]:
 
     The receiver is where its frame is; one that no chain leads to is taken to be at the sensor.
     """
-    fixes = list(log.fixes()) if isinstance(log, HoldingFixes) else []
+    fixes = list(log.fixes())
     frames = {fix.frame for fix in fixes}
     tree, fixed = poser.sources.tree, poser.fixed or ""
     poser.find_chains(frame for frame in frames if tree.find_path(fixed, frame))

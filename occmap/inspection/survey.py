@@ -26,7 +26,7 @@ from occmap.scans.mounts import Sample, encode_cells
 from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import ReturnOptions, bands
-from occmap.sensor.models import Spreading
+from occmap.sensor.models import get_parameter
 from occmap.types import Bool, Cloud, Float32, Float64, Kind, PosedScans, Rays, Recorded, ScanBatch
 from occmap.values import as_float32
 
@@ -469,9 +469,8 @@ class Survey(Selector):
             topic: TopicSurvey(streams[topic], Sample(drive), place < SAMPLED_TOPICS)
             for place, topic in enumerate(drive.topics)
         }
-        spreads = isinstance(options.model, Spreading) and options.model.spread > 0
         behind = options.hit_offset * options.resolution
-        around = options.resolution if spreads else 0.0
+        around = options.resolution if get_parameter(options.model, "spread") > 0 else 0.0
         self.extent = Extent(Lattice(options.resolution), behind, around)
 
     def survey(self) -> None:

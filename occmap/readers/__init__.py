@@ -10,17 +10,17 @@ A probe holds the first bytes of a path, by which readers know it.
 
 import shlex
 import zlib
-from collections.abc import Collection, Iterator, MutableSequence, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
 from glob import has_magic
 from pathlib import Path
-from typing import NamedTuple, Protocol, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol
 
 from occmap.choices import option
-from occmap.errors import DamageError, LogError, name_log
+from occmap.errors import DamageError, LogError, name_log, refuse_unreadable
 from occmap.plugins import list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
@@ -66,17 +66,15 @@ def probe_path(path: Path) -> Probe:
     LogError
         The path does not exist or cannot be read.
     """
-    try:
+    with refuse_unreadable(path):
         if path.is_dir():
             return Probe(path, b"", b"")
-        if path.exists() and not path.is_file():
+        if not path.exists():
+            raise _miss(path)
+        if not path.is_file():
             raise LogError("neither a file nor a folder", where=path, fix="save it to a file first")
         with path.open("rb") as file:
             raw = file.read(PROBE_BYTES)
-    except FileNotFoundError:
-        raise _miss(path) from None
-    except OSError as error:
-        raise LogError(f"cannot be read ({error.strerror})", where=path) from None
     content = raw
     if raw.startswith(GZIP_MAGIC):
         content = b""
@@ -126,10 +124,8 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
 
 def _describe_folder(folder: Path) -> str:
     """Say what a folder that is not a recording holds."""
-    try:
+    with refuse_unreadable(folder):
         names = sorted(entry.name for entry in folder.iterdir())
-    except OSError as error:
-        return f"a folder that cannot be read ({error.strerror})"
     return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
 
 
@@ -176,60 +172,6 @@ class Stream:
     """What the topic can be used for"""
 
 
-class Log(Protocol):
-    """An opened log. Both iterators may be called more than once and start at the beginning."""
-
-    path: Path
-
-    @property
-    def notes(self) -> MutableSequence[Note]:
-        """Grows while reading; a note appears once, however often the log is read."""
-
-    @property
-    def streams(self) -> Sequence[Stream]:
-        """Every stream, also those that no map needs."""
-
-    def poses(self) -> Iterator[PoseSample]:
-        """Every pose source of the log, in file order."""
-
-    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
-        """The scans of these topics, in file order, one at a time."""
-
-
-@runtime_checkable
-class StackingPoses(Protocol):
-    """A log that can give poses many at once, where one by one takes long."""
-
-    def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """What `poses` gives, in any order.
-
-        Samples of one frame in another stay in file order where their messages are of one length.
-        """
-
-
-@runtime_checkable
-class StackingScans(Protocol):
-    """A log that can give scans many at once."""
-
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """What `scans` gives, in the same order."""
-
-
-@runtime_checkable
-class Counting(Protocol):
-    """A log of scans alone, whose order at least is known before they are read."""
-
-    moments: Moments
-
-
-@runtime_checkable
-class HoldingClouds(Protocol):
-    """A log that may hold clouds of points, on topics of their own."""
-
-    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
-        """The clouds of these topics, in file order, one at a time."""
-
-
 class Fix(NamedTuple):
     """Where satellites say that a receiver is."""
 
@@ -240,55 +182,110 @@ class Fix(NamedTuple):
     longitude: float
 
 
-@runtime_checkable
-class HoldingFixes(Protocol):
-    """A log that may hold fixes of satellites."""
+class Log:
+    """An opened log. What it gives may be asked for again, and then begins at the start once more.
+
+    A format says what `stacked_poses` and `stacked_scans` give, or `clouds`; by default it is
+    nothing. `PluginLog` is the log of a plugin, which need not be one of these.
+    """
+
+    path: Path
+    notes: NoteList
+    """Grows while reading; a note appears once, however often the log is read."""
+    streams: Sequence[Stream]
+    """Every stream, also those that no map needs"""
+    moments: Moments | None = None
+    """Of a log of scans alone, whose order at least is known before they are read"""
+
+    def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
+        """Every pose source of the log, many samples at once where one by one takes long.
+
+        Samples of one frame in another stay in file order where their messages are of one length.
+        """
+        return iter(())
+
+    def stacked_scans(self, _topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """The scans of some topics, in file order, many at once where one by one takes long."""
+        return iter(())
+
+    def clouds(self, _topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds of points of some topics, in file order."""
+        return iter(())
 
     def fixes(self) -> Iterator[Fix]:
-        """All of them, in file order."""
+        """Every fix of satellites, in file order."""
+        return iter(())
+
+    def poses(self) -> Iterator[PoseSample]:
+        """What `stacked_poses` gives, one at a time."""
+        for each in self.stacked_poses():
+            yield from each.split() if isinstance(each, PoseBatch) else (each,)
+
+    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
+        """What `stacked_scans` gives, one at a time."""
+        for each in self.stacked_scans(topics):
+            yield from each.split() if isinstance(each, ScanRun) else (each,)
 
 
-def read_poses(log: Log) -> Iterator[PoseSample | PoseBatch]:
-    """Every pose source of a log, in the way that is quickest for it."""
-    with name_log(log.path):
-        yield from log.stacked_poses() if isinstance(log, StackingPoses) else log.poses()
+class PluginLog(Log):
+    """The log of a plugin: what its `poses` and `scans` give is checked.
+
+    Whatever else a `Log` has it may have, too.
+    """
+
+    def __init__(self, log: Any) -> None:
+        self._log = log
+        self.moments = getattr(log, "moments", None)
+
+    def __getattr__(self, name: str) -> Any:
+        """Get its path, its streams, and the notes that it has now."""
+        return getattr(self._log, name)
+
+    def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
+        """Every pose source, many samples at once if the plugin can."""
+        with name_log(self.path):
+            yield from getattr(self._log, "stacked_poses", self._log.poses)()
+
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+        """The scans, many at once if the plugin can.
+
+        One that names no topic is of the first: a plugin for one stream need not say.
+
+        Raises
+        ------
+        DamageError
+            The plugin gives what is no scan.
+        """
+        name = next(iter(topics), "")
+        with name_log(self.path):
+            for each in getattr(self._log, "stacked_scans", self._log.scans)(topics):
+                if not isinstance(each, Scan | ScanRun):
+                    raise DamageError(f"its reader gives {shorten(each)} where a Scan belongs")
+                if isinstance(each, Scan) and not each.topic:
+                    yield each._replace(topic=name)
+                else:
+                    yield each
+
+    def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
+        """The clouds, if it has any."""
+        yield from getattr(self._log, "clouds", super().clouds)(topics)
+
+    def fixes(self) -> Iterator[Fix]:
+        """The fixes, if it has any."""
+        yield from getattr(self._log, "fixes", super().fixes)()
 
 
 def read_recorded(log: Log, topics: Collection[str]) -> Iterator[Recorded]:
     """The scans of some topics of a log, or the clouds, in the way that is quickest for it."""
     has_clouds = any(each.topic in topics and each.role is Role.CLOUD for each in log.streams)
-    if has_clouds and isinstance(log, HoldingClouds):
-        return log.clouds(topics)
-    return read_scans(log, topics)
-
-
-def read_scans(log: Log, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-    """The scans of some topics of a log, in the way that is quickest for it."""
-    if isinstance(log, StackingScans):
-        return log.stacked_scans(topics)
-    return read_singly(log, topics)
-
-
-def read_singly(log: Log, topics: Collection[str]) -> Iterator[Scan]:
-    """The scans of some topics of a log, one at a time.
-
-    A scan that names no topic is of the first: a reader of a format with one stream need not say.
-
-    Raises
-    ------
-    DamageError
-        A plugin gives what is no scan.
-    """
-    name = next(iter(topics), "")
-    with name_log(log.path):
-        for scan in log.scans(topics):
-            if not isinstance(scan, Scan):
-                raise DamageError(f"its reader gives {shorten(scan)} where a Scan belongs")
-            yield scan if scan.topic else scan._replace(topic=name)
+    return log.clouds(topics) if has_clouds else log.stacked_scans(topics)
 
 
 class Reader(Protocol):
-    """A log format."""
+    """A log format.
+
+    One whose logs depend on what the user chose has `open_tuned`, which takes `ReaderOptions`, too.
+    """
 
     name: str
     description: str
@@ -306,20 +303,12 @@ class Reader(Protocol):
         """
 
 
-@runtime_checkable
-class TunableReader(Protocol):
-    """A reader whose logs depend on what the user chose; `open` takes the defaults."""
-
-    def open_tuned(self, path: Path, options: ReaderOptions) -> Log:
-        """Open a log; raises what `open` does."""
-
-
-def find_reader(probe: Probe) -> Reader | None:
-    """Find the reader that recognises a path; they are loaded one by one, the quick ones first."""
+def find_reader(probe: Probe) -> Any:
+    """Find the `Reader` that recognises a path, or None; they are loaded one by one."""
     for entry in list_plugins("occmap.readers"):
         reader_class = load_plugin("occmap.readers", entry.name)
         if reader_class and (reader := reader_class()).recognises(probe):
-            return cast(Reader, reader)
+            return reader
     return None
 
 
@@ -339,6 +328,6 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         raise explain_unknown(
             probe, f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
         )
-    if isinstance(reader, TunableReader):
-        return reader.open_tuned(path, options)
-    return reader.open(path)
+    is_tuned = hasattr(reader, "open_tuned")
+    log = reader.open_tuned(path, options) if is_tuned else reader.open(path)
+    return log if isinstance(log, Log) else PluginLog(log)

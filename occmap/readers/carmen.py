@@ -33,7 +33,7 @@ from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
-from occmap.values import as_float32, parse_number, parse_seconds, shorten
+from occmap.values import as_float32, parse_number, parse_seconds
 
 FRONT, REAR = "front_laser", "rear_laser"
 
@@ -152,9 +152,8 @@ OTHER_WORDS = frozenset({
     "VERTEX2", "EDGE2", "VERTEX_SE2", "EDGE_SE2",
 })
 # fmt: on
-"""Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose."""
-MAX_WORDS = 100
-"""Keywords that are counted one by one; the many of a damaged file must not fill the memory."""
+"""Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose; all else
+is counted together, since the lines of a damaged file may begin in any way."""
 KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
 """How a line begins; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
@@ -205,47 +204,31 @@ class CarmenLog(TextLog):
         self._words: Counter[str] = Counter()
         """How many lines begin with each keyword; # stands for every comment"""
         self._front_offset: PoseSample | None = None
-        self._bad_params, self._first_bad_param = 0, (0, "")
-        """How many lines should state it and do not, and the first one, with what is wrong"""
         stamps: set[int] = set()
         for some in self._survey(self._survey_block):
             self._count_scans(some)
             if len(stamps) < 2:
                 stamps.update(np.atleast_1d(some.stamp_ns).tolist())
         self._words = +self._words  # drops keywords of which no line was a scan
-        if self._bad_params:
-            self._tell_malformed(self._bad_params, self._words.total(), *self._first_bad_param)
         if len(stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
             self.notes.add("all scans have one time: they are taken in their order")
         frames = {word: SCAN_LINES[word].frame for word in self._words if word in SCAN_LINES}
         posed = {frames[word] for word in frames.keys() & POSED}
-        self._repeated = [word for word in frames if word not in POSED and frames[word] in posed]
-        """RAWLASER streams whose scans are in the log once more, with their pose"""
-        for word in self._repeated:
+        roles = {**dict.fromkeys(SCAN_LINES, Role.SCAN), "ODOM": Role.POSE}
+        for word in (word for word in frames if word not in POSED and frames[word] in posed):
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
             self.notes.add(text)
+            roles[word] = Role.OTHER
+        words = ((word, n) for word, n in self._words.items() if word != "#")
+        self.streams = [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
         self._note_other_lines()
 
-    @property
-    def streams(self) -> Sequence[Stream]:
-        """One stream for each keyword, in order of first appearance."""
-        roles = {**dict.fromkeys(SCAN_LINES, Role.SCAN), "ODOM": Role.POSE}
-        roles |= dict.fromkeys(self._repeated, Role.OTHER)
-        words = ((word, n) for word, n in self._words.items() if word != "#")
-        return [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
-
-    def poses(self) -> Iterator[PoseSample]:
-        """Give the front laser's offset, where a PARAM states it, then the odometry."""
-        for each in self.stacked_poses():
-            yield from each.split() if isinstance(each, PoseBatch) else (each,)
-
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """The same, with the odometry of many lines at once."""
+        """Give the front laser's offset, where a PARAM states it, then the odometry."""
         if self._front_offset is not None:
             yield self._front_offset
-        if not self._words["ODOM"]:
-            return
-        yield from map(make_poses, self._parse_all(pick_odometry))
+        if self._words["ODOM"]:
+            yield from map(make_poses, self._parse_all(pick_odometry))
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of scans by their keywords."""
@@ -285,16 +268,14 @@ class CarmenLog(TextLog):
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
             elif word:
-                known = word in self._words or len(self._words) < MAX_WORDS
-                self._words[word[:40] if known else "other"] += len(rows)
+                is_known = word in LINES or word in OTHER_WORDS or word == "#"
+                self._words[word if is_known else "other"] += len(rows)
         for row in () if self._front_offset else lines.get("PARAM", ()):
             try:
                 found = parse_front_offset(block.get_line(row).raw.split())
                 self._front_offset = self._front_offset or found
             except ValueError as error:
-                if not self._bad_params:
-                    self._first_bad_param = block.number + row, str(error)
-                self._bad_params += 1
+                self.notes.add_damage(f"line {block.number + row} is not used: {error}")
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
@@ -307,7 +288,10 @@ class CarmenLog(TextLog):
     def _note_other_lines(self) -> None:
         others = Counter({word: n for word, n in self._words.items() if word not in LINES})
         if others:
-            top = ", ".join(_count_lines(word, n) for word, n in others.most_common(5))
+            top = ", ".join(
+                count(n, "comment") if word == "#" else f"{n:,} {word}"
+                for word, n in others.most_common(5)
+            )
             more = ", ..." if len(others) > 5 else ""
             lines = count(others.total(), "line")
             self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
@@ -338,10 +322,3 @@ def sort_lines(block: Block) -> Mapping[str, list[int]]:
         text = letters.decode("utf-8", "replace")
         lines["#" if text[:1] == "#" else text] += rows
     return lines
-
-
-def _count_lines(word: str, lines: int) -> str:
-    """Say how many lines have a keyword, for a note; garbage is quoted."""
-    if word == "#":
-        return count(lines, "comment")
-    return f"{lines:,} {word if word.isascii() and word.isprintable() else shorten(word)}"

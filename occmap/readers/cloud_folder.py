@@ -10,7 +10,7 @@ DamageError where they are not what they should be.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.jit import kernel
-from occmap.readers import NoteList, Probe, Role, Stream
+from occmap.readers import Log, NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.report import count
-from occmap.types import Cloud, Moments, PoseSample, Scan, UInt8
+from occmap.types import Cloud, Moments, UInt8
 from occmap.values import as_stamp, shorten
 
 
@@ -272,12 +272,13 @@ class CloudFolderReader:
         return CloudFolder(path)
 
 
-class CloudFolder:
+class CloudFolder(Log):
     """An opened folder; its clouds are the stream `clouds`."""
 
+    moments: Moments
+
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes = NoteList()
+        self.path, self.notes = path, NoteList()
         self._files = list_clouds(path)
         times = [read_time(each) for each in self._files]
         known = [time for time in times if time is not None]
@@ -288,20 +289,8 @@ class CloudFolder:
         self.moments = Moments(sorted(known) if is_timed else list(counted), is_timed)
         order = "by the times in their names" if is_timed else "in the order of their names"
         self.notes.add(f"{len(times):,} clouds are taken {order}")
-
-    @property
-    def streams(self) -> Sequence[Stream]:
-        """The one stream of clouds."""
         kinds = ", ".join(sorted({each.suffix.lower() for each in self._files}))
-        return [Stream(TOPIC, kinds, len(self._files), Role.CLOUD)]
-
-    def poses(self) -> Iterator[PoseSample]:
-        """Give none: they are in a file of their own."""
-        return iter(())
-
-    def scans(self, _topics: Collection[str]) -> Iterator[Scan]:
-        """Give none: it holds clouds."""
-        return iter(())
+        self.streams = [Stream(TOPIC, kinds, len(self._files), Role.CLOUD)]
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds, in the order of their times; what cannot be read is noted and left out.

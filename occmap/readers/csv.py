@@ -10,7 +10,7 @@ times in nanoseconds. Where semicolons or tabs stand between cells, a comma in a
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -22,7 +22,7 @@ from occmap.errors import LogError
 from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog, read_blocks
-from occmap.types import IDENTITY, PoseSample, Scan
+from occmap.types import IDENTITY, Scan
 from occmap.values import as_float32, find_separator, parse_number, parse_seconds, split_header
 
 TOPIC = "scan"
@@ -185,16 +185,8 @@ class CsvLog(TextLog):
         self._places = [_name_place(name) for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
-        self._rows = sum(some.scans for some in self._survey(self.pick_scans))
-
-    @property
-    def streams(self) -> Sequence[Stream]:
-        """The one stream of scans."""
-        return [Stream(TOPIC, "csv", self._rows, Role.SCAN)]
-
-    def poses(self) -> Iterator[PoseSample]:
-        """Give none: where the log has poses, each scan holds its own."""
-        return iter(())
+        rows = sum(some.scans for some in self._survey(self.pick_scans))
+        self.streams = [Stream(TOPIC, "csv", rows, Role.SCAN)]
 
     def _find_header(self) -> tuple[Line, dict[str, Line]]:
         """Find the header, and the comments near it that state constants."""

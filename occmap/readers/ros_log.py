@@ -13,7 +13,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import cached_property
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -21,7 +20,7 @@ from typing import Any, TypeAlias, TypeVar, cast
 import numpy as np
 
 from occmap.errors import DamageError, LogError, refuse_unreadable
-from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, ReaderOptions, Role, Stream
+from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, Log, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
 from occmap.readers.fields import MissingFieldError
@@ -38,7 +37,7 @@ STACK_BYTES = 1 << 20
 MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
 SHORTEST_RUN = 64
-"""Fewer scans are read one by one, to be stacked with others of their kind."""
+"""Fewer scans are given one by one, to be stacked with others of their kind."""
 _Held: TypeAlias = tuple[int, int, bytes]
 """The number of a message in its log, when it was recorded (ns), and its bytes"""
 
@@ -61,12 +60,11 @@ class RosReader:
     open = open_tuned
 
 
-class RosLog:
+class RosLog(Log):
     """Scans and poses of a container of ROS messages."""
 
     def __init__(self, source: Source, options: ReaderOptions = DEFAULT_OPTIONS) -> None:
-        self.path = source.path
-        self.notes = source.notes
+        self.path, self.notes = source.path, source.notes
         self._source = source
         self._types: dict[Channel, MessageType] = {}
         for channel in source.channels:
@@ -84,29 +82,18 @@ class RosLog:
                 kind = kind.bind(camera) if camera else UNUSED
             self._types[channel] = kind
 
-    @cached_property
-    def streams(self) -> Sequence[Stream]:
-        """Every topic, with the messages of all its publishers."""
         counts: Counter[tuple[str, str, Role]] = Counter()
         for channel, kind in self._types.items():
             counts[channel.topic, channel.type, kind.role] += channel.count
-        return [Stream(topic, kind, n, role) for (topic, kind, role), n in counts.items()]
-
-    def poses(self) -> Iterator[PoseSample]:
-        """Every sample of every pose topic, in file order."""
-        return self._read(self._make_readers(Role.POSE))
+        self.streams = [Stream(topic, kind, n, role) for (topic, kind, role), n in counts.items()]
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """Every sample, as from `poses`, but many at once where messages are laid out alike."""
+        """Every sample of every pose topic, many at once where messages are laid out alike."""
         return self._read_stacked(self._make_readers(Role.POSE))
 
-    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
-        """The scans of these topics, in file order."""
-        return self._read(self._make_readers(Role.SCAN, topics))
-
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The scans, as from `scans`, but many at once where one laser has many in a row."""
-        return self._read_in_order(self._make_readers(Role.SCAN, topics))
+        """The scans of these topics, many at once where one laser has many in a row."""
+        return self._read_stacked(self._make_readers(Role.SCAN, topics))
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
@@ -164,29 +151,22 @@ class RosLog:
         self._note_damage(readers)
 
     def _read_stacked(self, readers: "_Readers") -> Iterator[Any]:
-        """Read messages of one channel and length together, in any order."""
-        for groups in self._gather(readers):
-            for (channel, _), held in groups.items():
-                together, left = readers[channel].read_together(held, 2)
-                yield from together
-                for _, record_ns, data in left:
-                    yield from readers[channel].read(data, record_ns)
-        self._note_damage(readers)
+        """Read messages of one channel and length together.
 
-    def _read_in_order(self, readers: "_Readers") -> Iterator[Any]:
-        """Read scans of one channel and length together, and split those of several kinds."""
+        Scans stay in file order, so that runs of several lasers are split.
+        """
         for groups in self._gather(readers):
-            is_mixed = len(groups) > 1
             found: list[tuple[int, Any]] = []
             for (channel, _), held in groups.items():
                 reader = readers[channel]
-                runs, left = reader.read_together(held, 2 if is_mixed else SHORTEST_RUN)
-                for run in runs:
-                    scans = run.split() if is_mixed else [run]
-                    found += zip((number for number, _, _ in held), scans, strict=False)
+                is_run = len(groups) == 1 and len(held) >= SHORTEST_RUN
+                together, left = reader.read_together(held)
+                for each in together:
+                    parts = each.split() if isinstance(each, ScanRun) and not is_run else [each]
+                    found += zip((number for number, _, _ in held), parts, strict=False)
                 for number, record_ns, data in left:
-                    found += ((number, scan) for scan in reader.read(data, record_ns))
-            yield from (scans for _, scans in sorted(found, key=itemgetter(0)))
+                    found += ((number, each) for each in reader.read(data, record_ns))
+            yield from (each for _, each in sorted(found, key=itemgetter(0)))
         self._note_damage(readers)
 
     def _gather(self, readers: "_Readers") -> Iterator[Mapping[tuple[Channel, int], list[_Held]]]:
@@ -271,14 +251,12 @@ class _ChannelReader:
             self.first_fault = self.first_fault or str(error)
         return ()
 
-    def read_together(
-        self, held: Sequence[_Held], fewest: int
-    ) -> tuple[Sequence[Any], Sequence[_Held]]:
+    def read_together(self, held: Sequence[_Held]) -> tuple[Sequence[Any], Sequence[_Held]]:
         """Read messages of one length; give what was read, and those to be read one by one.
 
-        These are damaged or not alike, or there are too few.
+        These are damaged or not alike, or there is only one.
         """
-        if self._parser.locate and self._many and len(held) >= fewest:
+        if self._parser.locate and self._many and len(held) > 1:
             _, record_ns, texts = zip(*held, strict=True)
             rows = np.frombuffer(b"".join(texts), np.uint8).reshape(len(held), -1)
             with suppress(DamageError):  # of the first; one by one it is counted

@@ -22,8 +22,6 @@ _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's way to open files without a lock"""
-_WAL_HEAD, _FRAME_HEAD = 32, 24
-"""Bytes at the start of a write-ahead log, and before each page in it"""
 _MOST_BYTES = 1 << 30
 """The largest value that is read; no message is near it."""
 _LEAST_ID, _GREATEST_ID = -(2**63), 2**63 - 1
@@ -48,7 +46,7 @@ class SqliteSource:
             with closing(self._connect()) as database:
                 topics = _read_topics(database, _list_tables(database))
                 counts = self._count_messages(database, topics)
-                self._note_state(database)
+            self._note_state()
         except _ERRORS as error:
             raise LogError(
                 f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
@@ -60,11 +58,11 @@ class SqliteSource:
         """Give the messages of some topics, in the order in which they were written."""
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with closing(self._connect()) as database:
-            for _, key, record_ns, data in self._read_rows(database, "data", by_id, self.notes):
+            for _, key, record_ns, data in self._read_rows(database, "data", by_id):
                 yield by_id[key], record_ns, data
 
     def _read_rows(
-        self, database: apsw.Connection, what: str, topics: Collection[int], notes: NoteList
+        self, database: apsw.Connection, what: str, topics: Collection[int]
     ) -> Iterator[tuple[Any, ...]]:
         """Give id, topic, time (ns) and something else of the rows of some topics.
 
@@ -85,8 +83,8 @@ class SqliteSource:
                     start, tries = row[0] + 1, 0
                 return
             except _ERRORS as error:
-                if not notes:
-                    notes.add_damage(f"the storage file is damaged ({error})")
+                if not self.notes:
+                    self.notes.add_damage(f"the storage file is damaged ({error})")
                 tries += 1
                 start = min(max(start, 0) + (1 << max(tries - _SINGLE_TRIES, 0)), _GREATEST_ID)
 
@@ -102,7 +100,7 @@ class SqliteSource:
             )
             counts = Counter(dict(database.execute(query)))
         except _ERRORS:
-            rows = self._read_rows(database, "length(data)", topics, self.notes)
+            rows = self._read_rows(database, "length(data)", topics)
             counts = Counter(topic for _, topic, _, _ in rows)
         # An index that lacks rows, or is missing, loses none.
         announced = max(announced, counts.total())
@@ -113,7 +111,7 @@ class SqliteSource:
             )
         return counts
 
-    def _note_state(self, database: apsw.Connection) -> None:
+    def _note_state(self) -> None:
         """Note the signs that the file was cut, or that its recorder died."""
         with self.path.open("rb") as file:
             page, pages = struct.unpack(">16xH10xI", file.read(32))
@@ -122,26 +120,12 @@ class SqliteSource:
         if size < page * pages and not self._has_wal:
             text = f"the storage file is cut: {size} of its {page * pages} bytes are there"
             self.notes.add_damage(text)
-        if self._has_wal and (lost := self._count_lost_pages(database, page)):
-            text = f"{self._wal.name} is cut or damaged: its last {lost} pages are not read"
-            self.notes.add_damage(text)
+        if self._has_wal:
+            text = f"the recorder did not close the file: {self._wal.name} is read, too"
+            self.notes.add_damage(f"{text}, as far as it is whole")
         journal = self.path.with_name(self.path.name + "-journal")
         if journal.is_file() and journal.stat().st_size:
             self.notes.add_damage(f"the recorder died while it wrote: {journal.name} is not used")
-
-    def _count_lost_pages(self, database: apsw.Connection, page: int) -> int:
-        """Count the pages in the write-ahead log that lie behind its last whole transaction."""
-        used: int
-        ((_, used, _),) = database.execute("PRAGMA wal_checkpoint(NOOP)")
-        data = self._wal.read_bytes()
-        if not used:
-            return -(-(len(data) - _WAL_HEAD) // (page + _FRAME_HEAD)) or len(data) != _WAL_HEAD
-        salts = data[16:24]
-        present = 0
-        for number, at in enumerate(range(_WAL_HEAD, len(data), page + _FRAME_HEAD), 1):
-            # Frames with other salts are left from before the log was last emptied.
-            present = number if salts.startswith(data[at + 8 : at + 16]) else present
-        return present - used
 
     def _connect(self) -> apsw.Connection:
         """Open the file in a way that never writes anything beside it, not even a lock."""

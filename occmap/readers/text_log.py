@@ -14,7 +14,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import GZIP_MAGIC, NoteList
+from occmap.readers import GZIP_MAGIC, Log, NoteList
 from occmap.readers.decimals import Words, parse_words
 from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun
 from occmap.values import suspect_degrees
@@ -179,7 +179,7 @@ class Pattern(NamedTuple):
         return ScanRun(first, stamp_ns, record_ns, words.ranges, increments, pose)
 
 
-class TextLog(ABC):
+class TextLog(Log, ABC):
     """An opened log of lines: what logs of all text formats do.
 
     A log is parsed when it is opened, so that it is known how many of its lines are scans. A format
@@ -192,8 +192,7 @@ class TextLog(ABC):
     """What each byte of the text stands for, where that is not itself"""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.notes = NoteList()
+        self.path, self.notes = path, NoteList()
         self._kept: list[Scan | ScanRun] | None = []
         """The scans, where they are few enough to be kept"""
 
@@ -222,13 +221,8 @@ class TextLog(ABC):
                 self._kept = None
             yield some
 
-    def scans(self, topics: Collection[str]) -> Iterator[Scan]:
-        """The scans of these topics, in file order."""
-        for some in self.stacked_scans(topics):
-            yield from some.split() if isinstance(some, ScanRun) else (some,)
-
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
-        """The same, with many at once where only times, ranges and poses differ."""
+        """The scans of some topics, many at once where only times, ranges and poses differ."""
         for some in self._parse_all(self.pick_scans) if self._kept is None else self._kept:
             if some.first.topic in topics and some.first.ranges.size:
                 yield some

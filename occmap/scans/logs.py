@@ -125,9 +125,8 @@ def count_scans(log: Log, wanted: Sequence[str]) -> int:
 
 def read_poser(log: Log, options: PosingOptions, topics: Sequence[str]) -> Poser:
     """Read every pose source of a log, for scans on some topics; raises as `gather`."""
-    moments = log.moments if isinstance(log, readers.Counting) else None
     try:
-        return Poser(gather(gather_poses(log, options), options, moments, topics), options)
+        return Poser(gather(gather_poses(log, options), options, log.moments, topics), options)
     except PoseError as error:
         raise error.placed(log.path) from None
 
@@ -138,7 +137,7 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
     These are the recording that `poses` names, whose damage is noted of the log, and what never
     changes in the first part of a split recording: the other parts lack it.
     """
-    yield from readers.read_poses(log)
+    yield from log.stacked_poses()
     if first := find_first_part(log):
         with suppress(LogError):
             part = open_log(first)
@@ -156,7 +155,7 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
 
 def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
     """Read every pose source of another log, with its path before each topic."""
-    for each in readers.read_poses(other):
+    for each in other.stacked_poses():
         topic = f"{other.path}:{each.topic}"
         if isinstance(each, PoseSample):
             yield each._replace(topic=topic)
@@ -204,9 +203,7 @@ def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:
 def take_first(log: Log, topics: Sequence[str]) -> list[Scan | Cloud]:
     """Read the first scan or cloud of each topic, and stop reading when all are found."""
     first: dict[str, Scan | Cloud] = {}
-    scans: Iterator[Scan | Cloud] = readers.read_singly(log, topics)
-    if isinstance(log, readers.HoldingClouds):
-        scans = chain(scans, log.clouds(set(topics)))
+    scans: Iterator[Scan | Cloud] = chain(log.scans(topics), log.clouds(topics))
     for scan in scans:
         first.setdefault(scan.topic, scan)
         if len(first) == len(topics):

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from occmap.cells import EVEN_ODDS, Decision, to_log_odds
+from occmap.cells import Decision, to_log_odds
 from occmap.choices import Form, check_bounds, option
 from occmap.errors import UsageError, require
 from occmap.plugins import list_plugins, load_plugin, load_plugins, suggest
@@ -57,49 +57,12 @@ class RadialModel(Model, Protocol):
         """Probability of a cell about the range; w = |d - r| / depth in [0, 1]."""
 
 
-@runtime_checkable
-class Clamped(Protocol):
-    """A model of any kind that bounds what a finished map says of observed cells."""
-
-    @property
-    def clamp_min(self) -> float:
-        """No cell is less probably occupied than this; 0: no bound."""
-
-    @property
-    def clamp_max(self) -> float:
-        """No cell is more probably occupied than this; 1: no bound."""
-
-
-@runtime_checkable
-class Deciding(Protocol):
-    """A model that says above what probability a cell is called occupied; below, it is free."""
-
-    @property
-    def cut(self) -> float:
-        """Strictly between 0 and 1; models without one decide at even odds."""
-
-
-@runtime_checkable
-class Calibrated(Protocol):
-    """A model whose probabilities are what beams find, and not the numbers that it decides by."""
-
-    def calibrate(self, share: Float64) -> Float64:
-        """The chance that a beam which reaches a cell stops in it, of a share as `cut` is one."""
-
-
-@runtime_checkable
-class Spreading(Protocol):
-    """A model of counts that lets a hit speak for the cells around it as well."""
-
-    @property
-    def spread(self) -> float:
-        """The share of a hit that counts for each of the cells beside it; its square at corners."""
-
-
 SensorModel = CountModel | RadialModel
 
 NO_CLAMP = {"clamp_min": 0.0, "clamp_max": 1.0}
 """Bounds that bound nothing."""
+UNSAID = {"cut": 0.5, "spread": 0.0, **NO_CLAMP}
+"""What holds where a model has no such parameter"""
 NEUTRAL = {**NO_CLAMP, "repeat_from": 0.0}
 """Values that change nothing, which no text names."""
 PARAMETERS = {
@@ -279,12 +242,15 @@ class QuadraticModel:
 
 def find_decision(model: SensorModel) -> Decision:
     """Find above what probability a model calls a cell occupied, and below what it is free."""
-    if not isinstance(model, Deciding):
-        return EVEN_ODDS
-    cut = (
-        float(model.calibrate(np.array(model.cut))) if isinstance(model, Calibrated) else model.cut
-    )
+    cut = get_parameter(model, "cut")
+    if calibrate := getattr(model, "calibrate", None):
+        cut = float(calibrate(np.array(cut)))
     return Decision(cut, cut)
+
+
+def get_parameter(model: SensorModel, name: str) -> float:
+    """Get a parameter that a model may have: one of `UNSAID`."""
+    return float(getattr(model, name, UNSAID[name]))
 
 
 def make_model(name: str, parameters: dict[str, float]) -> SensorModel:

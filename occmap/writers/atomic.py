@@ -35,14 +35,11 @@ def check_target(path: Path) -> None:
     OutputError
         The folder is missing or cannot be written, or the path cannot be that of a file.
     """
-    target = follow_links(path)
-    try:
+    target, mode = follow_links(path), stat.S_IFREG
+    with refuse_unwritable(path):  # the name may be too long, or its links lead in a circle
         folder = (target if path.is_symlink() else path).parent
-        mode = target.stat().st_mode
-    except (FileNotFoundError, NotADirectoryError):
-        mode = stat.S_IFREG
-    except OSError as error:  # the name is too long, or its links lead in a circle
-        raise OutputError(f"cannot be written ({error.strerror})", where=path) from None
+        with suppress(FileNotFoundError, NotADirectoryError):
+            mode = target.stat().st_mode
     if not stat.S_ISREG(mode):
         kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
         raise OutputError(f"is {kind}, not a file", where=path, fix="give a file name")

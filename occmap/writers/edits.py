@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from occmap.cells import OccupancyMap
-from occmap.errors import UsageError
+from occmap.errors import UsageError, refuse_unreadable
 from occmap.types import Bool, Float64
 
 LINE_WIDTH = 0.1
@@ -153,14 +153,12 @@ def read_edits(path: Path | None) -> tuple[Shape, ...]:
     if path is None:
         return ()
     try:
-        text = path.read_text(encoding="utf-8-sig")
-        read = read_features if text.lstrip().startswith("{") else read_lines
-        return tuple(read(path, text))
-    except OSError as error:
-        found = f"cannot be read ({error.strerror})"
-        raise UsageError(found, where=path, fix="check the path of `edits`") from None
+        with refuse_unreadable(path, UsageError, "check the path of `edits`"):
+            text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
         raise UsageError("is not text", where=path, fix=FORM) from None
+    read = read_features if text.lstrip().startswith("{") else read_lines
+    return tuple(read(path, text))
 
 
 FORM = "write lines such as free,box,1,1,2,2.5 or occupied,line,0,0,5,0, or GeoJSON"

@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import open_log, read_scans
+from occmap.readers import open_log
 from occmap.scans.logs import choose_topics
 from occmap.types import BEAM_UPDATES, Scan, ScanRun, Update
 from tests.bench.engine import COUNTS, trace
@@ -140,7 +140,7 @@ def compare_loadtxt(log: Path, what: str) -> Row:
 def read_all(path: Path) -> list[Scan | ScanRun]:
     """Every scan of a log."""
     log = open_log(path)
-    return list(read_scans(log, choose_topics(log, [])))
+    return list(log.stacked_scans(choose_topics(log, [])))
 
 
 def compare_tenfold_time(logs: Mapping[int, Path]) -> Iterator[Row]:

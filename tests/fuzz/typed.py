@@ -28,7 +28,7 @@ from rosbags.typesys.store import Typestore
 from occmap.errors import OccmapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
-from occmap.readers import HoldingClouds, Role, open_log
+from occmap.readers import Role, open_log
 from occmap.types import Cloud, Scan
 from tests.readers import foxglove_logs as foxglove
 from tests.readers.clouds import CLOUD, ECHO, cloud, echoes
@@ -365,9 +365,7 @@ def run_case(case: Case, folder: Path) -> str:
     start = time.monotonic()
     log = open_log(path)
     topics = [stream.topic for stream in log.streams if stream.role in {Role.SCAN, Role.CLOUD}]
-    scans: list[Scan | Cloud] = list(log.scans(topics))
-    if isinstance(log, HoldingClouds):
-        scans += log.clouds(topics)
+    scans: list[Scan | Cloud] = [*log.scans(topics), *log.clouds(topics)]
     poses = list(log.poses())
     by_topic = {topic: [one for one in scans if one.topic == topic] for topic in topics}
     damaged = any(note.damage for note in log.notes)

@@ -16,7 +16,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
-from occmap.readers import HoldingClouds, Role, cloud_folder, open_log
+from occmap.readers import Role, cloud_folder, open_log
 from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_bin, read_pcd, read_ply
 from occmap.types import Cloud, Float32, Moments, Pose, PoseSample
 
@@ -59,7 +59,6 @@ def by_field(data: bytes) -> bytes:
 
 def read(folder: Path) -> list[Cloud]:
     log = open_log(folder)
-    assert isinstance(log, HoldingClouds)
     assert [(s.topic, s.role) for s in log.streams] == [("clouds", Role.CLOUD)]
     return list(log.clouds({"clouds"}))
 

@@ -11,7 +11,7 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
-from occmap.readers import HoldingClouds, Role, open_log, read_recorded
+from occmap.readers import Role, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud, find_offsets
 from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
@@ -24,7 +24,6 @@ DEPTH, INFO = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
 
 def read(path: Path) -> tuple[list[Cloud], list[str]]:
     log = open_log(path)
-    assert isinstance(log, HoldingClouds)
     clouds = list(log.clouds({s.topic for s in log.streams if s.role is Role.CLOUD}))
     return clouds, [note.text for note in log.notes]
 

@@ -85,13 +85,7 @@ def test_a_nan_that_a_flipped_bit_makes_of_infinity_is_read_without_a_warning() 
 
 
 @pytest.mark.parametrize(
-    ("kind", "read"),
-    [
-        (SCAN, lambda log: log.scans({"/it"})),
-        (SCAN, lambda log: log.stacked_scans({"/it"})),
-        (TF, lambda log: log.poses()),
-        (TF, lambda log: log.stacked_poses()),
-    ],
+    ("kind", "read"), [(SCAN, lambda log: log.scans({"/it"})), (TF, lambda log: log.poses())]
 )
 def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     kind: str, read: Callable[[RosLog], Iterator[Any]], monkeypatch: pytest.MonkeyPatch

@@ -154,9 +154,9 @@ def test_protobuf_files_in_a_chain_beyond_reason_or_in_a_circle_are_noted(
 LOADED = """
 import sys
 from pathlib import Path
-from occmap.readers import open_log, read_poses, read_scans
+from occmap.readers import open_log
 log = open_log(Path(sys.argv[1]))
-assert list(read_poses(log)) and list(read_scans(log, [s.topic for s in log.streams]))
+assert list(log.stacked_poses()) and list(log.stacked_scans([s.topic for s in log.streams]))
 print([name for name in sys.modules if name.startswith("rosbags.typesys.stores.ros")])
 """
 

@@ -95,7 +95,8 @@ def trace_scans(
     for s in range(done, scans):
         size = _link_beams(beams, s, limits, room.links, room.listed)
         corners = _outline_scan(beams, s, limits[0], field.corner, room, size)
-        touched = _find_rows(beams, s, field.corner[1], rows)
+        ends_y, at_y = beams.ends_y[s], beams.origins[s, 0, 1]
+        touched = spans.find_rows(ends_y, ends_y.size, at_y, field.corner[1], rows)
         crossings = spans.fill_outline(room.outline, corners, touched, cols, room.inside)
         if crossings < 0:
             return s
@@ -193,17 +194,6 @@ def _end_at(beams: Beams, s: int, b: int, reach: float) -> tuple[int, int]:
     along_x, along_y = turn[0, 0] * x + turn[0, 1] * y, turn[1, 0] * x + turn[1, 1] * y
     end_x = int(np.rint((origin[0] + reach * along_x) * scale)) - anchor[0]
     return end_x, int(np.rint((origin[1] + reach * along_y) * scale)) - anchor[1]
-
-
-@kernel
-def _find_rows(beams: Beams, s: int, bottom: int, rows: int) -> tuple[int, int]:
-    """Find the first row of a window that a scan touches, and the one after the last."""
-    ends_y, at_y = beams.ends_y[s], beams.origins[s, 0, 1]
-    low = high = ends_y[0]
-    for b in range(ends_y.size):
-        low, high = min(low, ends_y[b]), max(high, ends_y[b])
-    lowest, highest = min(at_y, low) - bottom, max(at_y, high) - bottom
-    return max(lowest >> CELL_SHIFT, 0), min((highest >> CELL_SHIFT) + 1, rows)
 
 
 @kernel

@@ -135,7 +135,7 @@ def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
         side_by_side = cover_bearings(sectors, kinds, sign, room.covering)
         reach_out(beams, s, depth, sectors)
         corners = outline_sectors(at, sectors, outline)
-        touched = spans.find_rows(outline.y, corners, rows)
+        touched = spans.find_rows(outline.y, corners, at[1], 0, rows)
         if spans.fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):

@@ -61,12 +61,20 @@ BEHIND = np.int32(2**31 - 1)
 
 
 @kernel
-def find_rows(y: Int64, corners: int, rows: int) -> tuple[int, int]:
-    """The first row of a window that corners touch, and the one after the last."""
-    low = high = y[0]
-    for i in range(corners):
+def find_rows(y: Int32 | Int64, many: int, at_y: int, bottom: int, rows: int) -> tuple[int, int]:
+    """The first row of a window that the sensor or some places touch, and the one behind the last.
+
+    Parameters
+    ----------
+    y, at_y
+        (N,) of the places, and of the sensor, like the `bottom` of the window in lattice units.
+    rows
+        How many it has.
+    """
+    low = high = at_y
+    for i in range(many):
         low, high = min(low, y[i]), max(high, y[i])
-    return max(low >> CELL_SHIFT, 0), min((high >> CELL_SHIFT) + 1, rows)
+    return max((low - bottom) >> CELL_SHIFT, 0), min(((high - bottom) >> CELL_SHIFT) + 1, rows)
 
 
 @kernel
