@@ -20,7 +20,7 @@ from occmap.grid.tiles import add_stack, stack_tiles, view_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
-from occmap.scans.mounts import settle_align
+from occmap.scans.align import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
 from occmap.scans.tracing import observe as observe_here

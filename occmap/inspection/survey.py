@@ -22,8 +22,8 @@ from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, 
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.readers import Stream
-from occmap.scans.mounts import Sample, encode_cells
-from occmap.scans.stream import Drive, Selector
+from occmap.scans import encode_cells
+from occmap.scans.stream import Drive, Selector, TopicSample
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import ReturnOptions, bands
 from occmap.sensor.models import Spreading
@@ -427,7 +427,7 @@ class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
     stream: Stream
-    sample: Sample
+    sample: TopicSample
     is_sampled: bool
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
@@ -466,7 +466,7 @@ class Survey(Selector):
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
         self.topics = {
-            topic: TopicSurvey(streams[topic], Sample(drive), place < SAMPLED_TOPICS)
+            topic: TopicSurvey(streams[topic], TopicSample(drive, topic), place < SAMPLED_TOPICS)
             for place, topic in enumerate(drive.topics)
         }
         spreads = isinstance(options.model, Spreading) and options.model.spread > 0
@@ -480,7 +480,7 @@ class Survey(Selector):
             survey = self.topics[posed.batch.topic]
             survey.posed += len(posed.batch.stamp_ns)
             if survey.is_sampled:
-                survey.sample.take(posed)
+                survey.sample.add(posed)
             if not posed.batch.clouds:
                 self.extent.add(sensor.interpret(posed, self.drive.options.returns)[0])
 

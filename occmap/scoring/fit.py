@@ -20,7 +20,7 @@ from occmap.evidence import read_model, render, to_grid
 from occmap.grid import CellBox
 from occmap.grid.tiles import MAX_CELLS, EvidenceKind
 from occmap.options import BuildOptions
-from occmap.scans.mounts import sample_rays
+from occmap.scans.align import sample_rays
 from occmap.sensor.models import SensorModel
 from occmap.store.merging import refuse_different
 from occmap.store.moving import STAY, Transform, add_move, move_evidence
