@@ -10,7 +10,7 @@ import pytest
 
 from occmap import tuning as tuning_package
 from occmap.choices import to_rpy
-from occmap.cli.compare import format_tuning
+from occmap.cli.logs import format_tuning
 from occmap.errors import LogError, PoseError
 from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, OPTIONS, BuildOptions, Selection, choose_model
