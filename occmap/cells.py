@@ -18,6 +18,10 @@ MOST_OBSERVED = 1 << 53
 of them add up without overflow."""
 Box: TypeAlias = tuple[float, float, float, float]
 """Lowest x and y, highest x and y (m)"""
+Key: TypeAlias = tuple[int, int]
+"""Row and column of a tile in the lattice of tiles."""
+Tile: TypeAlias = NDArray[np.signedinteger[Any]]
+"""(2, 64, 64) of int32, or int64 where sums may need it; row 0 is the lowest y."""
 
 
 def to_log_odds(probability: float) -> float:
@@ -195,13 +199,13 @@ class Manifest:
         return cls(**{**fields, **lists})
 
 
-def sum_tiles(places: Iterable[Iterable[int]], tiles: Iterable[Any]) -> int:
+def sum_tiles(tiles: Mapping[Key, Tile]) -> int:
     """Sum all numbers of tiles (2, 64, 64), each times a factor of its own place (row, column).
 
     So what holds no observation adds nothing, no order counts, and sums of parts are that of all.
     """
     total = 0
-    for (row, col), tile in zip(places, tiles, strict=True):
+    for (row, col), tile in tiles.items():
         place = hashlib.sha256(f"{row} {col}".encode()).digest()[:8]
         inner = np.dot(tile.ravel().astype(np.uint64), make_factors(tile.size))
         total += int(inner) * (int.from_bytes(place) | 1)
@@ -212,6 +216,19 @@ def sum_tiles(places: Iterable[Iterable[int]], tiles: Iterable[Any]) -> int:
 def make_factors(count: int) -> NDArray[np.uint64]:
     """(count,) numbers of 64 bits that look like random ones, and are the same everywhere."""
     return np.frombuffer(hashlib.shake_256(b"occmap").digest(8 * count), "<u8").astype(np.uint64)
+
+
+def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Tile]:
+    """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64)."""
+    keys = sorted(tiles)
+    none = np.zeros((0, 2, 64, 64), np.int64)
+    cells = np.stack([tiles[key] for key in keys]) if keys else none
+    return np.array(keys, np.int64).reshape(-1, 2), cells
+
+
+def view_tiles(places: Int64, cells: Tile) -> dict[Key, Tile]:
+    """Stacked tiles by their places; they share the stack's memory."""
+    return {(row, col): tile for (row, col), tile in zip(places.tolist(), cells, strict=True)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -289,10 +306,8 @@ class Evidence:
     """What was observed, as a file holds it: integers in tiles, and what they were made of."""
 
     manifest: Manifest
-    tiles: Int64
-    """(T, 2) row and column of each tile in the lattice of tiles, in ascending order"""
-    cells: Int64
-    """(T, 2, 64, 64) the two numbers of every cell; row 0 is the lowest y"""
+    tiles: Mapping[Key, Tile]
+    """The two numbers of every cell, by row and column of its tile; nobody writes to them"""
     slices: tuple[Slices, ...] = ()
     """When cells were observed, for each of the manifest's builds"""
     where: str = ""
@@ -304,4 +319,4 @@ class Evidence:
 
     def identify(self) -> str:
         """Name what was observed, by `Manifest.identify`."""
-        return self.manifest.identify(sum_tiles(self.tiles.tolist(), self.cells))
+        return self.manifest.identify(sum_tiles(self.tiles))

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from occmap.evidence.manifest import (
     measure_files,
     plan_manifest,
 )
-from occmap.grid.tiles import add_stack, stack_tiles, view_tiles
+from occmap.grid.tiles import add_tiles
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
@@ -81,19 +81,15 @@ def build(
         ]
         report = make_report(options, tally, seen.remarks, facts, past)
 
-        evidence = cache(
-            lambda: Evidence(
-                manifest, *stack_tiles(seen.tiles.tiles), seen.slices, ground=seen.ground
-            )
-        )
+        evidence = Evidence(manifest, seen.tiles.tiles, seen.slices, ground=seen.ground)
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
         with tally.time("write"):
-            journey = Journey(tuple(tally.trajectories), tuple(tally.shown))
-            product = Product(grid, evidence, journey if keep.journey else None, report, check)
+            way = Journey(tuple(tally.trajectories), tuple(tally.shown)) if keep.journey else None
+            product = Product(grid, lambda: evidence, way, report, check)
             files = write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
-        return Build(grid, report, seen.tiles, evidence() if wants_evidence else None)
+        return Build(grid, report, seen.tiles, evidence if wants_evidence else None)
 
 
 def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -174,11 +170,10 @@ def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]
     if past is None:
         return seen, []
     refuse_different(plan_manifest(seen.options), past)  # only the logs say if they hold clouds
-    before = view_tiles(past.tiles, past.cells)
     whom = "the logs that are added to it"
-    misfit = list(list_misfit(seen.tiles, before, seen.options.model, whom))
-    add_stack(seen.tiles, past.tiles, past.cells)
-    seen = seen._replace(slices=past.slices + seen.slices)
+    misfit = list(list_misfit(seen.tiles, past.tiles, seen.options.model, whom))
+    both = seen.tiles.like(add_tiles(seen.tiles.tiles, past.tiles))
+    seen = seen._replace(tiles=both, slices=past.slices + seen.slices)
     return seen, [f"{past.where}: {text}" for text in misfit]
 
 
@@ -186,9 +181,9 @@ def paint(
     paths: Sequence[Path], seen: Observed, manifest: Manifest
 ) -> tuple[OccupancyMap, list[str]]:
     """Render what was observed, as it is to be shown; say of what it is, and what does not last."""
-    options, tiles = seen.options, seen.tiles.tiles
+    options = seen.options
     painted, lost = render_lasting(seen.tiles, seen.slices, options.model, options)
-    name = manifest.identify(sum_tiles(tiles, tiles.values()))
+    name = manifest.identify(sum_tiles(seen.tiles.tiles))
     about = describe_about(manifest, name, options, (path.name for path in paths))
     return replace(options.writing.edit(painted), about=about), lost
 

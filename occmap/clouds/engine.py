@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.cells import Ground
+from occmap.cells import Ground, view_tiles
 from occmap.clouds import CloudOptions
 from occmap.clouds.ground import index_blocks
 from occmap.clouds.kernels import tracing
@@ -19,7 +19,7 @@ from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas, Columns
 from occmap.grid import CellBox, Lattice, refuse_long
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
-from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large, view_tiles
+from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large
 from occmap.sensor import ReturnOptions
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 

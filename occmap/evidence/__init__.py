@@ -11,13 +11,13 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, OccupancyMap, Slices, to_log_odds
+from occmap.cells import Evidence, Key, Manifest, OccupancyMap, Slices, Tile, to_log_odds
 from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
 from occmap.grid import CellBox, Lattice, rendering, tiles
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, Key, Tile, TileGrid
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
 from occmap.types import IDENTITY, Float64, Int32, Int64, Pose, Update
@@ -124,10 +124,8 @@ def read_model(evidence: Described) -> SensorModel:
 
 
 def to_grid(evidence: Evidence) -> TileGrid:
-    """Make a grid of evidence, which more may be added to."""
-    grid = make_empty(evidence.manifest)
-    tiles.add_stack(grid, evidence.tiles, evidence.cells)
-    return grid
+    """Make a grid of evidence, whose tiles it shares."""
+    return make_empty(evidence.manifest).like(evidence.tiles)
 
 
 def make_empty(manifest: Manifest) -> TileGrid:
@@ -281,16 +279,15 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
     """
     if min_passes is None:
         return grid
-    lasting = grid.like({})
+    lasting = dict[Key, Tile]()
     for key, of_tile in tiles.split_tiles(tiles.unite(slices)):
         if key in grid.tiles:
             (hits, misses), (hit, seen) = grid.tiles[key], tiles.count_visits(of_tile)
             often = hit >= min_passes
             mostly = often & (2 * hit >= seen)
             kept = np.where(often, hits, 0), np.where(mostly, 0, misses)
-            lasting.tiles[key] = np.stack(kept)
-    tiles.drop_empty(lasting)
-    return lasting
+            lasting[key] = np.stack(kept)
+    return grid.like(tiles.drop_empty(lasting))
 
 
 def render_lasting(

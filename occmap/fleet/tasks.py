@@ -13,6 +13,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
+import numpy as np
 import zstandard
 
 from occmap.cells import Evidence, Slices
@@ -20,7 +21,7 @@ from occmap.errors import MapError, name_log
 from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid import CellBox
 from occmap.grid.rendering import count_agreeing
-from occmap.grid.tiles import TileGrid, stack_tiles, unite, view_tiles
+from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.readers import Note, open_log
 from occmap.report.results import count_cells
@@ -29,7 +30,7 @@ from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
 from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_drive
-from occmap.store.layout import Block, BlockRecord, split_blocks
+from occmap.store.layout import Block, BlockRecord, split_evidence
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
 from occmap.writers.atomic import open_atomic
@@ -205,9 +206,9 @@ class RunWriter:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
         self.points.update(self._engine.points)
         plan = plan_manifest(self._job.setting.options)
-        parts = split_blocks(plan, self._engine.finish().tiles, self._engine.read_slices())
+        seen = Evidence(plan, self._engine.finish().tiles, self._engine.read_slices())
         name = f"{self._job.name}-{self._runs}.run"
-        for block, piece in write_run(self._job.setting.folder, name, parts).items():
+        for block, piece in write_run(self._job.setting.folder, name, split_evidence(seen)).items():
             self.pieces.setdefault(block, []).append(piece)
         self._runs += 1
         self._renew()
@@ -263,8 +264,8 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[S
     grid = make_grid(setting.options)
     layers: list[Slices] = []
     for content in read_pieces(setting.folder, pieces):
-        low, high = content.cells.min(initial=0), content.cells.max(initial=0)
-        grid.add(view_tiles(content.tiles, content.cells), bound=max(-int(low), int(high)))
+        bound = max((int(np.abs(tile).max()) for tile in content.tiles.values()), default=0)
+        grid.add(content.tiles, bound)
         layers += content.slices
     return grid, (unite(layers),) if setting.keep.slices else ()
 
@@ -272,7 +273,7 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[S
 def add_up_block(job: BlockJob) -> Evidence:
     """Add up all that was observed in a block; raises MapError as `add_up`."""
     grid, slices = add_up(job.setting, job.pieces)
-    return Evidence(plan_manifest(job.setting.options), *stack_tiles(grid.tiles), slices)
+    return Evidence(plan_manifest(job.setting.options), grid.tiles, slices)
 
 
 @once

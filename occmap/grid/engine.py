@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Slices
+from occmap.cells import Key, Slices, Tile, view_tiles
 from occmap.errors import MapError
 from occmap.grid import MOST_CELLS_OF_BEAM, CellBox
 from occmap.grid.kernels.beams import Canvas, Tiles, read_tiles, sum_changes, trace_beams
@@ -28,13 +28,10 @@ from occmap.grid.tiles import (
     MAX_CELLS,
     WINDOW_CELLS,
     GridSpec,
-    Key,
-    Tile,
     TileGrid,
     mark_observed,
     refuse_large,
     unite,
-    view_tiles,
 )
 from occmap.types import Bool, Float64, Int64, Kind, Rays, Update
 

@@ -17,13 +17,13 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from occmap.cells import MOST_OBSERVED, Slices
+from occmap.cells import MOST_OBSERVED, Key, Slices, Tile, stack_tiles
 from occmap.errors import MapError
 from occmap.grid import CellBox, Lattice
 from occmap.grid.kernels import units
 from occmap.grid.kernels.units import BEAM_WEIGHT, COUNT_BITS, NEAR_WEIGHT, TABLE_STEPS, Tables
 from occmap.report import write_metres
-from occmap.types import Bool, Float64, Int32, Int64, UInt8, Update
+from occmap.types import Bool, Float64, Int64, UInt8, Update
 
 TILE = units.TILE
 """Cells along the side of a tile."""
@@ -35,12 +35,8 @@ INT32_LIMIT = 2**31 - 1
 LOG_ODDS_UNIT = 1 / 65536
 """What 1 means in a tile of log-odds."""
 
-Key: TypeAlias = tuple[int, int]
-"""Row and column of a tile in the lattice of tiles."""
 CellNumbers: TypeAlias = tuple[Float64, Float64]
 """(H, W) each, in observations: hits and misses, or log-odds and observations."""
-Tile: TypeAlias = NDArray[np.signedinteger[Any]]
-"""(2, TILE, TILE) of int32, or int64 where sums may need it."""
 
 
 class EvidenceKind(StrEnum):
@@ -69,7 +65,7 @@ class TileGrid:
 
         The tiles now belong to the grid. They may be parts of one large array, which stays in
         memory while any of them is kept: so where some are not kept, the others are copied. A tile
-        of `add_stack` is 64 bits wide already, and has no bound.
+        of `add_tiles` is 64 bits wide already, and has no bound.
 
         Parameters
         ----------
@@ -155,46 +151,27 @@ class TileGrid:
                 yield part
 
 
-def stack_tiles(tiles: Mapping[Key, Tile]) -> tuple[Int64, Int64]:
-    """Row and column of each tile (T, 2), in ascending order, and their cells (T, 2, 64, 64).
-
-    These are 64 bits wide only where a number needs it.
-    """
-    keys = sorted(tiles)
-    fits = all(t.min() >= -INT32_LIMIT and t.max() <= INT32_LIMIT for t in tiles.values())
-    cells = np.empty((len(keys), 2, TILE, TILE), np.int32 if fits else np.int64)
-    for place, key in enumerate(keys):
-        cells[place] = tiles[key]
-    return np.array(keys, np.int64).reshape(-1, 2), cells
-
-
-def view_tiles(tiles: Int64, cells: Int32 | Int64) -> dict[Key, Tile]:
-    """Stacked tiles by their places; they share the stack's memory."""
-    return {(row, col): tile for (row, col), tile in zip(tiles.tolist(), cells, strict=True)}
-
-
-def add_stack(grid: TileGrid, tiles: Int64, cells: Int64) -> None:
-    """Add stacked tiles to a grid; a sum is 64 bits wide, and no tile is shared with the stack.
+def add_tiles(tiles: Mapping[Key, Tile], others: Mapping[Key, Tile]) -> dict[Key, Tile]:
+    """Add tiles to others; a sum is 64 bits wide, and no tile is written to.
 
     Raises
     ------
     MapError
         A sum is more than evidence may hold.
     """
-    for key, tile in view_tiles(tiles, cells).items():
-        known = grid.tiles.get(key)
-        wide = tile.astype(np.int64)
-        total = grid.tiles[key] = wide if known is None else known + wide
-        if max(-int(total.min()), int(total.max())) > MOST_OBSERVED:
+    total = dict(tiles)
+    for key, tile in others.items():
+        added = total[key] = tile.astype(np.int64) + tiles.get(key, 0)
+        if max(-int(added.min()), int(added.max())) > MOST_OBSERVED:
             found = f"the observations of a cell add up to more than {MOST_OBSERVED:,}"
             fix = "no log holds so many: build the evidence again from its logs"
             raise MapError(found, fix=fix)
+    return total
 
 
-def drop_empty(grid: TileGrid) -> None:
-    """Forget tiles in which nothing is observed any more."""
-    for key in [key for key, tile in grid.tiles.items() if not tile.any()]:
-        del grid.tiles[key]
+def drop_empty(tiles: Mapping[Key, Tile]) -> dict[Key, Tile]:
+    """Leave out tiles in which nothing is observed any more."""
+    return {key: tile for key, tile in tiles.items() if tile.any()}
 
 
 def refuse_large(box: CellBox, lattice: Lattice, max_cells: int) -> None:

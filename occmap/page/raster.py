@@ -21,7 +21,7 @@ from bokeh.transform import linear_cmap
 from numpy.typing import NDArray
 
 from occmap.cells import Box, Evidence, Ground, OccupancyMap, Slices, keep_largest
-from occmap.evidence import make_empty
+from occmap.evidence import to_grid
 from occmap.grid import CellBox, tiles
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.page import Stage
@@ -97,7 +97,7 @@ class Seen(NamedTuple):
     @classmethod
     def of(cls, evidence: Evidence) -> "Seen":
         """Make evidence ready."""
-        grid = make_empty(evidence.manifest).like(tiles.view_tiles(evidence.tiles, evidence.cells))
+        grid = to_grid(evidence)
         slices, ground = tiles.unite(evidence.slices), evidence.ground
         heights = ground.height_mm[ground.measured] if ground else np.zeros(0)
         first, lowest = (int(each.min()) if each.size else 0 for each in (slices.numbers, heights))

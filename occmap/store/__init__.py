@@ -11,12 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
-
 from occmap.cells import Evidence, Ground, Manifest, sum_tiles
 from occmap.errors import MapError
 from occmap.grid import CellBox
-from occmap.grid.tiles import TILE, stack_tiles, take, unite
+from occmap.grid.tiles import TILE, take, unite
 from occmap.store import layout
 from occmap.store.layout import Block
 from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
@@ -109,7 +107,7 @@ def identify(saved: Saved) -> str:
     if isinstance(saved, Blocks) and saved.name:
         return saved.name
     parts = [saved] if isinstance(saved, Evidence) else map(saved.read_block, saved.blocks)
-    total = sum(sum_tiles(each.tiles.tolist(), each.cells) for each in parts)
+    total = sum(sum_tiles(each.tiles) for each in parts)
     return saved.manifest.identify(total)
 
 
@@ -140,20 +138,19 @@ def read_part(saved: Saved, box: CellBox) -> Evidence:
 
 def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
     """Make evidence of what was read of some blocks."""
-    known = [Evidence(saved.manifest, *stack_tiles({})), *parts]
-    tiles = np.concatenate([each.tiles for each in known])
-    cells = np.concatenate([each.cells for each in known])
-    order = np.lexsort(tiles.T[::-1])
+    known = list(parts)
+    tiles = {key: tile for each in known for key, tile in each.tiles.items()}
     slices = tuple(
         unite(each.slices[build] for each in known if each.slices)
         for build in range(len(saved.manifest.builds))
     )
     where, ground = saved.where, saved.ground
-    return Evidence(saved.manifest, tiles[order], cells[order], slices, where, ground=ground)
+    return Evidence(saved.manifest, tiles, slices, where, ground=ground)
 
 
 def cut(part: Evidence, box: CellBox) -> Evidence:
     """Keep the tiles in a box, which counts tiles."""
-    which = box.find(part.tiles)
+    rows, cols = range(box.row, box.row_end), range(box.col, box.col_end)
+    tiles = {key: tile for key, tile in part.tiles.items() if key[0] in rows and key[1] in cols}
     slices = tuple(take(layer, box.find(layer.tiles)) for layer in part.slices)
-    return replace(part, tiles=part.tiles[which], cells=part.cells[which], slices=slices)
+    return replace(part, tiles=tiles, slices=slices)

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Key, Manifest, Slices, Tile, stack_tiles, view_tiles
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid import CellBox
-from occmap.grid.tiles import INT32_LIMIT, TILE, Key, Tile, stack_tiles, take, view_tiles
+from occmap.grid.tiles import INT32_LIMIT, TILE, take
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8
 from occmap.writers.npz import compute_checksum, refuse_other_version, unpack_slices
@@ -65,16 +65,8 @@ class BlockRecord(NamedTuple):
 
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
-    """Cut evidence into blocks."""
-    tiles = view_tiles(evidence.tiles, evidence.cells)
-    for block, part in split_blocks(evidence.manifest, tiles, evidence.slices):
-        yield block, replace(part, where=evidence.where)
-
-
-def split_blocks(
-    manifest: Manifest, tiles: Mapping[Key, Tile], slices: Sequence[Slices]
-) -> Iterator[tuple[Block, Evidence]]:
-    """Cut tiles and slices of time into blocks, in ascending order; one is copied at a time."""
+    """Cut evidence into blocks, in ascending order."""
+    tiles, slices = evidence.tiles, evidence.slices
     keys = np.array(sorted(tiles), np.int64).reshape(-1, 2)
     of_tiles, *of_slices = (group_by_block(each) for each in (keys, *(s.tiles for s in slices)))
     nothing = np.zeros(0, np.int64)
@@ -85,7 +77,7 @@ def split_blocks(
             take(layer, found.get(block, nothing))
             for layer, found in zip(slices, of_slices, strict=True)
         )
-        yield block, Evidence(manifest, *stack_tiles(own), parts)
+        yield block, replace(evidence, tiles=own, slices=parts, ground=None)
 
 
 def group_by_block(tiles: Int64) -> dict[Block, Int64]:
@@ -101,8 +93,8 @@ def group_by_block(tiles: Int64) -> dict[Block, Int64]:
 def spread_cells(block: Block, content: Evidence) -> Int64:
     """(2, 1024, 1024): the two numbers of each cell of a block."""
     cells = np.zeros((2, BLOCK, BLOCK), np.int64)
-    rows, cols = (content.tiles - np.array(block) * SIDE).T
-    cut_tiles(cells)[rows, cols] = content.cells
+    for (row, col), tile in content.tiles.items():
+        cut_tiles(cells)[row - block.row * SIDE, col - block.col * SIDE] = tile
     return cells
 
 
@@ -145,8 +137,8 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
 
 
-def read_tiles(root: Any, box: CellBox) -> tuple[Int64, Int64]:
-    """Read the tiles (T, 2) of a box in which anything was observed, and their cells.
+def read_tiles(root: Any, box: CellBox) -> dict[Key, Tile]:
+    """Read the tiles of a box in which anything was observed.
 
     Parameters
     ----------
@@ -159,17 +151,17 @@ def read_tiles(root: Any, box: CellBox) -> tuple[Int64, Int64]:
     part = whole.clip(box)
     tiles = cut_tiles(np.stack([array[part.within(whole)] for array in arrays]))
     places = np.argwhere(tiles.any(axis=(2, 3, 4)))
-    return places + np.array(part.shrink(TILE)[:2]), tiles[*places.T]
+    found = tiles[*places.T]
+    if np.abs(found).max(initial=0) <= INT32_LIMIT:
+        found = found.astype(np.int32)
+    return view_tiles(places + np.array(part.shrink(TILE)[:2]), found)
 
 
 def read_block(root: Any, block: Block, manifest: Manifest, where: str) -> Evidence:
     """Read what was observed in a block of the group of a store, as it is there."""
-    tiles, cells = read_tiles(root, block.box)
-    if np.abs(cells).max(initial=0) <= INT32_LIMIT:
-        cells = cells.astype(np.int32)
     array = root[f"slices/{block.row}.{block.col}"]
     slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
-    return Evidence(manifest, tiles, cells, slices, where)
+    return Evidence(manifest, read_tiles(root, block.box), slices, where)
 
 
 def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
@@ -242,11 +234,12 @@ def hash_table(table: Mapping[str, Any]) -> str:
 
 def hash_content(content: Evidence) -> str:
     """SHA-256 of what was observed and when; who observed it is not a part of it."""
-    seen = (content.cells != 0).any(axis=1)
+    places, cells = stack_tiles(content.tiles)
+    seen = (cells != 0).any(axis=1)
     arrays = [
-        content.tiles.astype("<i8"),
+        places.astype("<i8"),
         np.packbits(seen, axis=-1),
-        *(content.cells[:, part][seen].astype("<i8") for part in (0, 1)),
+        *(cells[:, part][seen].astype("<i8") for part in (0, 1)),
     ]
     for build in list_builds(content):
         slices = content.slices[build]

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest
+from occmap.cells import Evidence, Ground, Manifest, stack_tiles
 from occmap.errors import MapError, name_log
 from occmap.evidence import Described, list_misfit, read_model, refuse_other, to_grid
 from occmap.evidence.manifest import MEANING, leave_out
 from occmap.grid import tiles
-from occmap.grid.tiles import EvidenceKind, TileGrid, stack_tiles
+from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.report import count
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
@@ -144,16 +144,14 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
         ground = join_grounds(ground, other)
         notes += other.notes
         if model is not None:
-            added = tiles.view_tiles(other.tiles, other.cells)
-            found = list_misfit(grid, added, model, "the evidence before it")
+            found = list_misfit(grid, other.tiles, model, "the evidence before it")
             notes += (f"{other.where}: {text}" for text in found)
-        tiles.add_stack(grid, other.tiles, other.cells)
+        grid = grid.like(tiles.add_tiles(grid.tiles, other.tiles))
         slices += other.slices
         builds += other.manifest.builds
         subtracted += other.manifest.subtracted
     manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    whole = stack_tiles(grid.tiles)
-    return Evidence(manifest, *whole, slices, notes=tuple(notes), ground=ground)
+    return Evidence(manifest, grid.tiles, slices, notes=tuple(notes), ground=ground)
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
@@ -169,10 +167,9 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
         As `merge`, or `other` holds something that is not there.
     """
     refuse_different(evidence.manifest, other)
-    grid = to_grid(evidence)
-    tiles.add_stack(grid, other.tiles, -other.cells.astype(np.int64))
+    less = {key: -tile.astype(np.int64) for key, tile in other.tiles.items()}
+    grid = to_grid(evidence).like(tiles.drop_empty(tiles.add_tiles(evidence.tiles, less)))
     refuse_negative(grid, evidence, other)
-    tiles.drop_empty(grid)
     builds, slices = list(evidence.manifest.builds), list(evidence.slices)
     unknown = list(evidence.manifest.subtracted)
     for build in other.manifest.builds:
@@ -187,7 +184,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
             del builds[place], slices[place]
     manifest = replace(evidence.manifest, builds=tuple(builds), subtracted=tuple(unknown))
     left = tuple(tiles.restrict(each, grid) for each in slices)
-    return Evidence(manifest, *stack_tiles(grid.tiles), left, ground=evidence.ground)
+    return Evidence(manifest, grid.tiles, left, ground=evidence.ground)
 
 
 def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None:
@@ -198,8 +195,7 @@ def refuse_negative(grid: TileGrid, evidence: Evidence, other: Evidence) -> None
     MapError
         Saying in how many cells too much was taken away.
     """
-    _, cells = stack_tiles(grid.tiles)
-    first, second = cells[:, 0], cells[:, 1]
+    first, second = np.moveaxis(stack_tiles(grid.tiles)[1], 1, 0)
     lacking = second < 0
     if grid.kind is EvidenceKind.COUNTS:
         lacking |= first < 0

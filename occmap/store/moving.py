@@ -1,18 +1,18 @@
 """Evidence moved on its lattice by a small transform, so that it lies in the frame of another."""
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from occmap.cells import Evidence, Slices
+from occmap.cells import Evidence, Key, Slices, Tile, stack_tiles, view_tiles
 from occmap.choices import format_mount, to_rpy
 from occmap.evidence.manifest import write_value
 from occmap.grid import tiles
-from occmap.grid.tiles import TILE, Key
+from occmap.grid.tiles import TILE
 from occmap.types import IDENTITY, Float64, Int64, Pose
 
 
@@ -68,10 +68,10 @@ def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
     manifest = evidence.manifest
     builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
     origins = list_origins(evidence.tiles, by, manifest.resolution)
-    places, cells = tiles.stack_tiles(_move_tiles(evidence.tiles, evidence.cells, origins))
+    moved = _move_tiles(evidence.tiles, origins)
     slices = tuple(_move_slices(each, origins) for each in evidence.slices)
     manifest = replace(manifest, builds=builds)
-    return replace(evidence, manifest=manifest, tiles=places, cells=cells, slices=slices)
+    return replace(evidence, manifest=manifest, tiles=moved, slices=slices)
 
 
 Origin: TypeAlias = tuple[list[Key], Int64, Int64]
@@ -79,10 +79,11 @@ Origin: TypeAlias = tuple[list[Key], Int64, Int64]
 them, and at which place in that"""
 
 
-def list_origins(places: Int64, by: Transform, resolution: float) -> dict[Key, Origin]:
-    """Find all tiles that some, at (T, 2), may reach when they move, and where their cells were."""
+def list_origins(keys: Iterable[Key], by: Transform, resolution: float) -> dict[Key, Origin]:
+    """Find all tiles that some may reach when they move, and where their cells were."""
     side, beside = TILE * resolution, np.array(list(product((-1, 0, 1), repeat=2)))
-    centres = by.move(places[:, ::-1].astype(np.float64) * side + side / 2) / side
+    places = np.array(list(keys), np.float64).reshape(-1, 2)
+    centres = by.move(places[:, ::-1] * side + side / 2) / side
     # No part of a tile reaches beyond the tiles beside that in which its centre lies.
     reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
     rows, cols = np.indices((TILE, TILE)).reshape(2, -1)
@@ -97,18 +98,15 @@ def list_origins(places: Int64, by: Transform, resolution: float) -> dict[Key, O
     return origins
 
 
-def _move_tiles(
-    places: Int64, cells: NDArray[Any], origins: dict[Key, Origin]
-) -> dict[Key, NDArray[Any]]:
-    """Move what the cells (T, 2, 64, 64) of tiles at (T, 2) hold; empty tiles are gone."""
-    held = {(row, col): at for at, (row, col) in enumerate(places.tolist())}
-    numbers = np.concatenate([cells, np.zeros_like(cells[:1])]).reshape(len(cells) + 1, 2, -1)
+def _move_tiles(tiles: Mapping[Key, Tile], origins: Mapping[Key, Origin]) -> dict[Key, Tile]:
+    """Move what tiles hold; empty ones are gone."""
+    nothing = np.zeros((2, TILE, TILE), np.int8)
     made = {}
     for key, (sources, which, inside) in origins.items():
-        if held.keys().isdisjoint(sources):
+        if tiles.keys().isdisjoint(sources):
             continue
-        at = np.array([held.get(each, -1) for each in sources])
-        tile = numbers[at[which], :, inside].T
+        held = np.stack([tiles.get(each, nothing).reshape(2, -1) for each in sources])
+        tile = held[which, :, inside].T
         if tile.any():
             made[key] = tile.reshape(2, TILE, TILE)
     return made
@@ -119,9 +117,10 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     parts = []
     for number in np.unique(slices.numbers).tolist():
         of_slice = tiles.take(slices, np.flatnonzero(slices.numbers == number))
-        known = np.unpackbits(tiles.unpack(of_slice), axis=-1)
-        places, moved = tiles.stack_tiles(_move_tiles(of_slice.tiles, known, origins))
-        bits, numbers = np.packbits(moved != 0, axis=-1), np.full(len(places), number)
+        known = np.unpackbits(tiles.unpack(of_slice), axis=-1).view(np.int8)
+        moved = _move_tiles(view_tiles(of_slice.tiles, known), origins)
+        places, cells = stack_tiles(moved)
+        bits, numbers = np.packbits(cells != 0, axis=-1), np.full(len(places), number)
         parts.append(tiles.pack(places, numbers, bits))
     return tiles.unite(parts)
 

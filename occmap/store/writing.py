@@ -132,7 +132,7 @@ def write_block(path: Path, block: Block, content: Evidence) -> BlockRecord:
     seen, corner = (numbers != 0).any(axis=0), block.box[:2]
     # Of a block where nothing was observed, an empty box at its corner.
     reach = CellBox.around(seen, *corner) or CellBox(*corner, *corner)
-    digest, total = layout.hash_content(content), sum_tiles(content.tiles.tolist(), content.cells)
+    digest, total = layout.hash_content(content), sum_tiles(content.tiles)
     return BlockRecord(block, int(np.count_nonzero(seen)), reach, digest, builds, total)
 
 
@@ -152,7 +152,7 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
     with edit_store(path) as root:
         head = root.attrs["occmap"]
         tiles = layout.read_tiles(root, block.box.grow(TILE))
-        grid = to_grid(Evidence(Manifest.from_json(head), *tiles))
+        grid = to_grid(Evidence(Manifest.from_json(head), tiles))
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
             place = layout.find_place(block, head["offset"], side)

@@ -54,7 +54,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, Slices
+from occmap.cells import Evidence, Ground, Manifest, Slices, stack_tiles, view_tiles
 from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import Product, WriteOptions, Writer
@@ -124,12 +124,13 @@ def add_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
 
 def pack(evidence: Evidence) -> Arrays:
     """Keep the observed cells only, each number as narrow as all of its kind allow."""
-    seen: Bool = (evidence.cells != 0).any(axis=1)
+    places, cells = stack_tiles(evidence.tiles)
+    seen: Bool = (cells != 0).any(axis=1)
     return {
-        "tiles": evidence.tiles.astype("<i8"),
+        "tiles": places.astype("<i8"),
         "observed": np.packbits(seen.reshape(len(seen), SIDE * SIDE), axis=1),
-        "first": narrow(evidence.cells[:, 0][seen]),
-        "second": narrow(evidence.cells[:, 1][seen]),
+        "first": narrow(cells[:, 0][seen]),
+        "second": narrow(cells[:, 1][seen]),
         **pack_slices(evidence.slices),
         **pack_ground(evidence.ground),
     }
@@ -232,7 +233,7 @@ def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     cells[:, 1][seen] = arrays["second"]
     slices, ground = unpack_slices(arrays), unpack_ground(arrays)
     manifest = Manifest.from_json(head)
-    return Evidence(manifest, arrays["tiles"], cells, slices, str(path), ground=ground)
+    return Evidence(manifest, view_tiles(arrays["tiles"], cells), slices, str(path), ground=ground)
 
 
 def pack_ground(ground: Ground | None) -> Arrays:

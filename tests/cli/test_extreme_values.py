@@ -90,8 +90,8 @@ def test_maps_under_names_that_are_no_text() -> None:
 @pytest.mark.parametrize("fill", [MOST_OBSERVED, MOST_OBSERVED // 2 + 1])
 def test_sums_beyond_what_evidence_may_hold_are_refused(fill: int) -> None:
     saved = read_evidence(Path("m.npz"))
-    cells = np.where(saved.cells > 0, np.int64(fill), 0)
-    write_evidence(Path("big.npz"), replace(saved, cells=cells))
+    tiles = {key: np.where(tile > 0, np.int64(fill), 0) for key, tile in saved.tiles.items()}
+    write_evidence(Path("big.npz"), replace(saved, tiles=tiles))
     error = read_error(occmap("merge", "big.npz", "big.npz", "-o", "sum.npz"), 1)
     assert "the observations of a cell add up to more than 9,007,199,254,740,992" in error
     assert not Path("sum.npz").exists()

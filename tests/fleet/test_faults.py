@@ -101,7 +101,7 @@ def test_a_worker_is_killed_while_it_writes_a_store(
     with kill_worker(address, tmp_path, f".occmap-*/{phase}"):
         fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
     one, other = (open_store(tmp_path / f"{name}.zarr") for name in ("alone", "fleet"))
-    assert read_all(one).tiles.size
+    assert read_all(one).tiles
     assert read_digest(one) == digest_evidence(read_all(other))
     for level in one.root["classes"]:
         assert (one.root["classes"][level][:] == other.root["classes"][level][:]).all()

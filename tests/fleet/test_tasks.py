@@ -2,15 +2,14 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from occmap.fleet.tasks import Job, Setting, add_up, trace_log
-from occmap.grid.tiles import stack_tiles
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import text_log
 from occmap.scans.tracing import Keep
+from tests.grid.scans import are_equal
 from tests.samples import write_late
 
 
@@ -33,8 +32,5 @@ def test_a_log_that_is_read_twice_counts_once(
     assert len(list(folder.glob("*.run"))) > len(files)
     assert traced.tally.scans_used == 60
     assert traced.tally.beams == alone.report.beams
-    for made, expected in zip(
-        stack_tiles(grid.tiles), stack_tiles(alone.observed.tiles), strict=True
-    ):
-        np.testing.assert_array_equal(made, expected)
+    assert are_equal(grid.tiles, alone.observed.tiles)
     assert any("30 m" in note for note in traced.notes)

@@ -10,7 +10,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from occmap.cells import Slices
+from occmap.cells import Key, Slices, Tile
 from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import INT32_LIMIT, TILE, WINDOW_CELLS, EvidenceKind, GridSpec, TileGrid
@@ -49,6 +49,12 @@ def read_cells(grid: TileGrid) -> Evidence:
                 cell = (tile_row * TILE + row, tile_col * TILE + col)
                 sums[cell] = int(layer[row, col])
     return evidence
+
+
+def are_equal(tiles: Mapping[Key, Tile], others: Mapping[Key, Tile]) -> bool:
+    """Whether there are the same tiles at the same places, however wide their numbers are."""
+    both_there = tiles.keys() == others.keys()
+    return both_there and all(np.array_equal(tile, others[key]) for key, tile in tiles.items())
 
 
 def add_cell(grid: TileGrid, row: int, col: int, first: int, second: int) -> None:

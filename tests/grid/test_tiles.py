@@ -28,11 +28,10 @@ def test_a_tile_widens_before_a_sum_can_overflow() -> None:
 
 
 def test_a_sum_that_was_widened_is_never_narrowed() -> None:
-    """What was stacked has no bound that the grid knows of: adding one must not make it 32 bits."""
-    cells = np.zeros((1, 2, TILE, TILE), np.int64)
-    cells[0, :, 0, 0] = 3_000_000_000, 4
-    grid = scans.make_grid()
-    tiles.add_stack(grid, np.zeros((1, 2), np.int64), cells)
+    """What was saved has no bound that the grid knows of: adding one must not make it 32 bits."""
+    tile = np.zeros((2, TILE, TILE), np.int64)
+    tile[:, 0, 0] = 3_000_000_000, 4
+    grid = scans.make_grid().like({(0, 0): tile})
     scans.add_cell(grid, 0, 0, 1, 0)
     assert scans.read_cells(grid) == ({(0, 0): 3_000_000_001}, {(0, 0): 4})
 
@@ -45,12 +44,11 @@ def test_a_tile_does_not_keep_the_window_that_it_is_a_part_of() -> None:
     assert not any(np.shares_memory(tile, window) for tile in grid.tiles.values())
 
 
-def test_a_grid_takes_over_what_was_stacked_in_another() -> None:
-    cells = np.zeros((1, 2, TILE, TILE), np.int64)
-    cells[0, 0, 0, 0] = 3_000_000_000
-    mine, other = scans.make_grid({(0, 0): (5, 0)}), scans.make_grid()
-    tiles.add_stack(other, np.zeros((1, 2), np.int64), cells)
-    mine.merge(other)
+def test_a_grid_takes_over_what_was_saved_of_another() -> None:
+    tile = np.zeros((2, TILE, TILE), np.int64)
+    tile[0, 0, 0] = 3_000_000_000
+    mine = scans.make_grid({(0, 0): (5, 0)})
+    mine.merge(mine.like({(0, 0): tile}))
     assert scans.read_cells(mine).first == {(0, 0): 3_000_000_005}
 
 

@@ -13,7 +13,7 @@ from occmap.difference.maps import Place
 from occmap.errors import MapError, PoseError
 from occmap.evidence import paint_box, render, to_grid
 from occmap.grid import CellBox
-from occmap.grid.tiles import mark_observed, stack_tiles
+from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
@@ -22,7 +22,7 @@ from occmap.store.merging import merge
 from occmap.store.moving import Transform, move_evidence
 from occmap.types import Pose
 from tests.evidence.saving import DRIVE, halve, save
-from tests.grid.scans import assert_same_slices, make_grid, read_cells
+from tests.grid.scans import are_equal, assert_same_slices, make_grid, read_cells
 from tests.samples import REAL_LOGS
 
 MOVED = (1.2, -0.7, 0.2)
@@ -133,7 +133,7 @@ def test_what_lies_right_already_is_not_moved_by_half_a_cell(tmp_path: Path) -> 
     past = save_first_half(tmp_path)
     same = lay_on(past, past)
     assert same.manifest.builds[0]["moved"] == [0, 0, 0]
-    assert np.array_equal(same.cells, past.cells)
+    assert are_equal(same.tiles, past.tiles)
 
 
 def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def make_evidence(cells: dict[tuple[int, int], tuple[int, int]]) -> Evidence:
     """Evidence of 1 m cells (row, column) with hits and misses, all seen in slice 7."""
     manifest = Manifest(1.0, "beam", "counts", "", 10.0, 0.5, "counting", ())
     grid = make_grid(cells)
-    return Evidence(manifest, *stack_tiles(grid.tiles), (mark_observed(grid, 7),))
+    return Evidence(manifest, grid.tiles, (mark_observed(grid, 7),))
 
 
 def list_cells(evidence: Evidence) -> dict[tuple[int, int], tuple[int, int]]:

@@ -31,6 +31,7 @@ from tests.evidence.saving import (
     save,
     write_bytes,
 )
+from tests.grid.scans import are_equal
 from tests.samples import write_csv
 
 
@@ -41,11 +42,9 @@ def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -
     assert min(half.manifest.builds[0]["scans"]["used"] for half in (first, second)) > 20
     whole = save(tmp_path / "whole.npz", options)
     for both in (merge([first, second]), merge([second, first])):
-        assert np.array_equal(both.tiles, whole.tiles)
-        assert np.array_equal(both.cells, whole.cells)
+        assert are_equal(both.tiles, whole.tiles)
     rest = subtract(merge([first, second]), second)
-    assert np.array_equal(rest.tiles, first.tiles)
-    assert np.array_equal(rest.cells, first.cells)
+    assert are_equal(rest.tiles, first.tiles)
     assert rest.manifest == first.manifest
     assert merge([first, second]).slices == first.slices + second.slices
     assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, first)
@@ -102,9 +101,9 @@ def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None
     rest = subtract(whole, part)
     (before,), (after,) = whole.slices, rest.slices
     left = {key for key, _ in split_tiles(after)}
-    assert left == set(map(tuple, rest.tiles.tolist()))
+    assert left == rest.tiles.keys()
     for key, of_tile in split_tiles(after):
-        seen = (rest.cells[(rest.tiles == key).all(axis=1)][0] != 0).any(axis=0)
+        seen = (rest.tiles[key] != 0).any(axis=0)
         assert np.array_equal(count_visits(of_tile)[1] > 0, seen)
     assert 0 < len(after.numbers) <= len(before.numbers)
     assert rest.manifest.builds == whole.manifest.builds
@@ -162,7 +161,7 @@ def test_a_build_resumes(tmp_path: Path, model: str) -> None:
     save(path, first)
     resumed = build([DRIVE], replace(second, resume=path), [path])
     whole = save(tmp_path / "whole.npz", options)
-    assert np.array_equal(read_evidence(path).cells, whole.cells)
+    assert are_equal(read_evidence(path).tiles, whole.tiles)
     parts = merge([save(tmp_path / "half.npz", each) for each in (first, second)])
     assert path.read_bytes() == write_bytes(tmp_path, parts)
     assert np.array_equal(resumed.map.log_odds, build([DRIVE], options).map.log_odds)
@@ -247,13 +246,13 @@ def test_neither_hits_nor_misses_are_taken_away_that_are_not_there(
     tmp_path: Path, layer: int
 ) -> None:
     whole = save(tmp_path / "m.npz", choose())
-    cells = np.zeros_like(whole.cells)
-    place = tuple(np.argwhere(whole.cells[:, 0])[0])
-    cells[:, layer][place] = whole.cells[:, layer][place]
-    assert len(subtract(whole, replace(whole, cells=cells)).tiles)
-    cells[:, layer][place] += 1
+    key, tile = next((key, tile) for key, tile in whole.tiles.items() if tile[0].any())
+    part, place = np.zeros_like(tile), tuple(np.argwhere(tile[0])[0])
+    part[layer][place] = tile[layer][place]
+    assert len(subtract(whole, replace(whole, tiles={key: part})).tiles)
+    part[layer][place] += 1
     with pytest.raises(MapError, match="holds observations of 1 cell that "):
-        subtract(whole, replace(whole, cells=cells))
+        subtract(whole, replace(whole, tiles={key: part}))
 
 
 def test_nothing_left_is_no_map(tmp_path: Path) -> None:
@@ -268,15 +267,15 @@ def test_nothing_left_is_no_map(tmp_path: Path) -> None:
 def hold_one_cell(log_odds: float, observations: int) -> Evidence:
     """Evidence of a quadratic model with a prior of 0.2, by hand: one cell, 1 m wide."""
     manifest = Manifest(1.0, "beam", "log_odds", "quadratic", 10.0, 0.0, "quadratic:prior=0.2", ())
-    cells = np.zeros((1, 2, TILE, TILE), np.int64)
-    cells[0, :, 3, 4] = round(log_odds / LOG_ODDS_UNIT), observations
-    return Evidence(manifest, np.zeros((1, 2), np.int64), cells)
+    tile = np.zeros((2, TILE, TILE), np.int64)
+    tile[:, 3, 4] = round(log_odds / LOG_ODDS_UNIT), observations
+    return Evidence(manifest, {(0, 0): tile})
 
 
 def test_what_is_left_of_log_odds_by_hand() -> None:
     """1.5 of five observations without -0.5 of two of them is 2 of three."""
     rest = subtract(hold_one_cell(1.5, 5), hold_one_cell(-0.5, 2))
-    assert rest.cells[0, :, 3, 4].tolist() == [2 * 65536, 3]
+    assert rest.tiles[0, 0][:, 3, 4].tolist() == [2 * 65536, 3]
 
 
 def test_no_log_odds_are_left_without_an_observation() -> None:
