@@ -127,7 +127,7 @@ def open_past(
     refuse_different(plan_manifest(options), past)
     if not options.fit:
         return past, options, []
-    from occmap.scoring.fit import find_transform  # noqa: PLC0415  late: few builds want it
+    from occmap.scoring.matching import find_transform  # noqa: PLC0415  late: few builds want it
 
     transform, note = find_transform(paths, options, past)
     return past, replace(options, posing=replace(options.posing, transform=transform)), [note]

@@ -27,9 +27,9 @@ from occmap.report import Row, count, join_names, label_first, write_box, write_
 from occmap.report.limits import DIFF, SAVED, SCORE
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.scoring.maps import Against, MapScore, score
+from occmap.scoring.matching import STAY, Transform, lay_on
 from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
-from occmap.store.moving import STAY, Transform
 from occmap.store.publishing import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
 
@@ -65,11 +65,7 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
     taken = values["subtract"]
     if values["fit"] and len(paths) == 1:
         console.announce("--fit does nothing: one file has nothing to be moved onto")
-    lay = None
-    if values["fit"]:
-        from occmap.scoring import fit  # noqa: PLC0415  late: few merges want it
-
-        lay = fit.lay_on
+    lay = lay_on if values["fit"] else None
     return put_out(console, [*paths, *taken], lambda: combine(paths, taken, lay), values)
 
 

@@ -22,8 +22,7 @@ from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import MOST_SCANS, Sample, Trial, score_map
-from occmap.scoring.fit import Match, Walls, fit, list_hits
-from occmap.store.moving import STAY, Transform
+from occmap.scoring.matching import STAY, Match, Transform, Walls, find_match, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 
@@ -182,7 +181,7 @@ def score(
         found = AS_THEY_LIE
         if against.fit:
             walls = find_place(written).list_middles(written.classes == OCCUPIED)
-            found = fit(walls, Walls.of(true.classes == OCCUPIED, find_place(true)))
+            found = find_match(walls, Walls.of(true.classes == OCCUPIED, find_place(true)))
         notes += filter(None, [found.doubt("the map", str(truth))])
         by_truth = score_by_truth(written, true, against.within_m, found.transform)
         if picture:
@@ -257,7 +256,7 @@ def score_by_logs(
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place)
-    found = fit(hits, walls) if is_fitted else AS_THEY_LIE
+    found = find_match(hits, walls) if is_fitted else AS_THEY_LIE
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
         remarks.notes.append(f"{doubt}: try again with a first `transform`")
