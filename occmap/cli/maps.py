@@ -18,8 +18,7 @@ from occmap.cli.declaring import CONFIG, PATH, Answer, Value, command, fail_if, 
 from occmap.cli.options import choose_saved_model
 from occmap.difference import MapDifference, tell_changes
 from occmap.errors import UsageError
-from occmap.explanation import Explanation, Question, describe_numbers, explain
-from occmap.explanation.history import Seen, Visits, add_up
+from occmap.explanation import Explanation, Numbers, Question, Visits, describe_numbers, explain
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
 from occmap.options import FILES, OPTIONS, POSES, SCANS, BuildOptions
@@ -200,9 +199,10 @@ def list_around(explanation: Explanation) -> Iterator[str]:
     """Draw a table of what was seen in the cell and those beside it, if anything was."""
     if any(each.observations for row in explanation.around for each in row):
         yield f"{'/'.join(PAIRS[explanation.seen.kind])} of the cells beside it, y upwards"
+        rows = ([each.numbers for each in row] for row in explanation.around)
         yield from align(
-            ["/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row]
-            for row in explanation.around
+            ["/".join(split_pair(it, explanation)) if any(it) else "-" for it in row]
+            for row in rows
         )
 
 
@@ -226,10 +226,10 @@ def describe_visits(visits: Visits) -> str:
     return f"{found}, in slices of time from {since} to {until}"
 
 
-def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
+def split_pair(numbers: Numbers, explanation: Explanation) -> tuple[str, str]:
     """Write the two numbers of a cell, in observations."""
-    first, second = (each / explanation.unit for each in seen.numbers)
-    if seen.kind is EvidenceKind.LOG_ODDS:
+    first, second = (each / explanation.unit for each in numbers)
+    if explanation.seen.kind is EvidenceKind.LOG_ODDS:
         return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
     return f"{first:.15g}", f"{second:.15g}"
 
@@ -245,11 +245,11 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
         yield "scans", f"none {used} observed the cell"
         return
     kind, unit = explanation.seen.kind, explanation.unit
-    yield "scans", f"{len(scans):,} {used}: {describe_numbers(add_up(scans), kind, unit)}"
+    yield "scans", f"{len(scans):,} {used}: {describe_numbers(explanation.explained, kind, unit)}"
     rows = [
         (
             f"{scan.stamp_ns / 1e9:.3f}",
-            *split_pair(scan.seen, explanation),
+            *split_pair(scan.seen.numbers, explanation),
             f"{scan.x:.3f}, {scan.y:.3f}",
             f"{scan.distance:.3f}",
             f"{Path(scan.log).name} {scan.topic}",

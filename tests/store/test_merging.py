@@ -10,8 +10,7 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.explanation import Question, explain
-from occmap.explanation.history import Visits
+from occmap.explanation import Question, Visits, explain
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, unite
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
