@@ -27,7 +27,7 @@ from occmap.options import FLAGS, OPTIONS, RUN
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
-from occmap.report.limits import Failed, Limit, Measures, judge, parse_bound, parse_limit
+from occmap.report.limits import Failed, Limit, Measures, list_failed, parse_bound, parse_limit
 from occmap.types import Update
 
 SHORT_EQUALS = re.compile("-[a-z]=")
@@ -238,7 +238,7 @@ def command(
 def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | None) -> None:
     """Tell notes, print the result, and say which limits it does not keep to."""
     console.clear()
-    failed = judge(limits or (), answer.result)
+    failed = list_failed(limits or (), answer.result)
     console.note(*getattr(answer.result, "notes", ()))
     if console.as_json:
         added = {} if limits is None else Limited(failed).to_json()

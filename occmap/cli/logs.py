@@ -236,7 +236,7 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    first, second = (describe(half.correction, names) for half in finding.halves)
+    first, second = (describe_correction(half.correction, names) for half in finding.halves)
     one, other = map(format_gain, finding.halves)
     if finding.verdict is Verdict.DISAGREE:
         return (
@@ -270,7 +270,7 @@ def list_tuned(tuned: TunedLog) -> list[str]:
     return [tuned.log, *shares, format_gain(tuned), agreement]
 
 
-def describe(correction: Correction, names: Sequence[str]) -> str:
+def describe_correction(correction: Correction, names: Sequence[str]) -> str:
     """Write some numbers of a correction, without those that are zero."""
     written = {
         "time_s": f"offset {correction.time_s:+.6g} s",

@@ -254,7 +254,7 @@ def describe_mount(
     stance = posing.poser.find_stance(topic.stream.topic)
     if stance is None:
         return None
-    better = mounts.find_better(posing.poser, topic.sample.parts, options.returns)
+    better = mounts.find_better_mount(posing.poser, topic.sample.parts, options.returns)
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 

@@ -192,11 +192,11 @@ def list_misfits(
         parts = drive.sample()
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
-            if better := find_better(drive.poser, mine, options.returns):
+            if better := find_better_mount(drive.poser, mine, options.returns):
                 yield f"{path}: {topic}: {warn_of_misfit(better).text}"
 
 
-def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
+def find_better_mount(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
     """Find the option, with its value, by which the scans of a sensor fit clearly better.
 
     Returns

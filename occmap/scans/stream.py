@@ -45,7 +45,7 @@ class Selector:
     def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass on the scans that are used, and count the others."""
         for some in self._split(scans):
-            reason = self._judge(some.first)
+            reason = self._find_reason(some.first)
             self.see(some, reason)
             if reason is None:
                 yield some
@@ -67,7 +67,7 @@ class Selector:
             else:
                 yield some
 
-    def _judge(self, scan: Scan | Cloud) -> LeftOut | None:
+    def _find_reason(self, scan: Scan | Cloud) -> LeftOut | None:
         stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
         self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
