@@ -19,7 +19,7 @@ from occmap.report.results import Build, Report
 from occmap.scans.logs import Inputs, find_inputs
 from occmap.scoring import compare as scoring
 from occmap.scoring import maps
-from occmap.scoring.fit import lay_on
+from occmap.scoring.matching import lay_on
 from occmap.sensor.models import MODEL, SensorModel
 from occmap.store import merging, open_saved, publishing, read_all
 from occmap.types import Float64, Update

@@ -12,7 +12,7 @@ import os
 import textwrap
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import EnumType
 from functools import cache
 from numbers import Real
@@ -215,40 +215,49 @@ def find_form(kind: Any) -> Form:
 
 
 Options = TypeVar("Options")
+UNBOUNDED = (-math.inf, math.inf)
 ABOVE_ZERO = math.ulp(0.0)
 """The least bound of what has to be more than zero"""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Option:
-    """All that is known of an option."""
+    """All that is known of an option: of the field that declares it, and of what it declares."""
 
+    name: str
+    kind: Any
+    """The type of its value, or of each of several"""
+    is_many: bool
+    """It takes several values"""
+    takes_none: bool
+    form: Form
+    """What a value looks like, or each of several; where it is not declared, as usual for a type"""
+    default: Any = None
+    """MISSING: it has to be given"""
     help: str = ""
     """What it does; "" where a command declares it by itself"""
     unit: str = ""
     """Of the value, as a person calls it"""
     metavar: str = ""
-    """Stands for the value on the command line; "": its unit"""
+    """Stands for the value on the command line; where it is not declared, its unit"""
     flag: str = ""
-    """How it is typed; where it is declared, "" is like its name, without the unit"""
+    """How it is typed; declared without dashes, or like its name, without the unit"""
     section: str = ""
-    """The heading of the help that it, or a group, stands under; "": that of the group it is in"""
-    form: Any = None
-    """What a value looks like, or each of several (`Form`); None where it is declared: as usual"""
-    bounds: tuple[float, float] = (-math.inf, math.inf)
+    """The heading of the help that it stands under; where it is not declared, that of its group"""
+    bounds: tuple[float, float] = UNBOUNDED
     """The least and the largest value; nan is never within them"""
     none: tuple[str, str] = ("", "")
     """How None is typed and what it does, where it is a value of the option and not its default"""
 
-    name: str = ""
-    """This and all below are those of the field that declares the option"""
-    kind: Any = None
-    """The type of its value, or of each of several"""
-    is_many: bool = False
-    """It takes several values"""
-    takes_none: bool = False
-    default: Any = None
-    """MISSING: it has to be given"""
+    @classmethod
+    def of(cls, name: str, hint: Any, form: Form | None = None, **declared: Any) -> "Option":
+        """Tell from its type what an option takes: values of one kind, several of them, or None."""
+        takes_none = NoneType in get_args(hint)
+        kind = next(it for it in get_args(hint) if it is not NoneType) if takes_none else hint
+        is_many = get_args(kind)[1:] == (Ellipsis,)
+        kind = get_args(kind)[0] if is_many else kind
+        taken: dict[str, Any] = {"kind": kind, "is_many": is_many, "takes_none": takes_none}
+        return cls(name=name, **taken, form=form or find_form(kind), **declared)
 
     def read(self, value: Any) -> Any:
         """Make the value of the option of what was given or typed; raises UsageError."""
@@ -305,9 +314,10 @@ class Option:
 def option(default: Any, text: str = "", **declared: Any) -> Any:
     """Declare an option as a field of a dataclass; `declared` are fields of `Option`.
 
-    A default that is a function is called for each set of options.
+    What is not declared the field says, or the group that it is in. A default that is a function
+    is called for each set of options.
     """
-    metadata = {"option": Option(text, **declared)}
+    metadata = {"option": {"help": text, **declared}}
     if callable(default):
         return field(default_factory=default, metadata=metadata)
     return field(default=default, metadata=metadata)
@@ -322,22 +332,18 @@ def find_hints(kind: Any) -> dict[str, Any]:
 def list_options(kind: Any, section: str = "") -> dict[str, Option]:
     """List the options of a dataclass by their names, those in groups, too."""
     found: dict[str, Option] = {}
-    hints = find_hints(kind)
     for each in fields(kind):
-        name, hint = each.name, hints[each.name]
-        declared = each.metadata.get("option", Option())
+        name, hint = each.name, find_hints(kind)[each.name]
+        declared = {"section": section, **each.metadata.get("option", {})}
         if is_dataclass(hint):
-            found |= list_options(hint, declared.section or section)
+            found |= list_options(hint, declared["section"])
             continue
-        found[name] = replace(
-            declared,
-            name=name,
-            **read_hint(hint, declared.form),
-            default=each.default if each.default_factory is MISSING else each.default_factory(),
-            flag="--" + (declared.flag or name.removesuffix("_s").replace("_", "-")),
-            section=declared.section or section,
-            metavar=declared.metavar or declared.unit.upper(),
-        )
+        make = each.default_factory
+        declared["default"] = each.default if make is MISSING else make()
+        declared.setdefault("metavar", declared.get("unit", "").upper())
+        plain = name.removesuffix("_s").replace("_", "-")
+        declared["flag"] = f"--{declared.get('flag', plain)}"
+        found[name] = Option.of(name, hint, **declared)
     return found
 
 
@@ -351,16 +357,6 @@ def list_values(options: Any) -> dict[str, Any]:
     return found
 
 
-def read_hint(hint: Any, form: Form | None) -> dict[str, Any]:
-    """Tell from its type what an option takes: values of one kind, several of them, or None."""
-    takes_none = NoneType in get_args(hint)
-    kind = next(each for each in get_args(hint) if each is not NoneType) if takes_none else hint
-    is_many = get_args(kind)[1:] == (Ellipsis,)
-    kind = get_args(kind)[0] if is_many else kind
-    form = form or find_form(kind)
-    return {"kind": kind, "is_many": is_many, "takes_none": takes_none, "form": form}
-
-
 def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> Any:
     """Convert what a caller gave to a type; raises UsageError where it is not of it.
 
@@ -369,7 +365,7 @@ def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> An
     form
         What a value looks like, or each of several; None: as usual for the type.
     """
-    return Option(name=name, **read_hint(hint, form)).read(value)
+    return Option.of(name, hint, form).read(value)
 
 
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
@@ -387,13 +383,13 @@ def check_bounds(options: Any) -> None:
     """Refuse a value out of the bounds of its option; raises UsageError with what to give."""
     for each in fields(options):
         value = getattr(options, each.name)
-        known = each.metadata.get("option", Option())
-        is_number = isinstance(value, int | float) or (value is None and known.none[0])
-        if isinstance(each.default, float) and not is_number:
+        declared = each.metadata.get("option", {})
+        is_number = isinstance(value, int | float)
+        is_possible = is_number or (value is None and "none" in declared)
+        if isinstance(each.default, float) and not is_possible:
             raise UsageError(f"`{each.name}` is {value!r}", fix="give a number")
-        low, high = bounds = known.bounds
-        is_bounded = bounds != Option.bounds and isinstance(value, int | float)
-        if is_bounded and not low <= value <= high:
+        low, high = declared.get("bounds", UNBOUNDED)
+        if "bounds" in declared and is_number and not low <= value <= high:
             least = "more than 0" if low == ABOVE_ZERO else f"{low:g}"
             most = f" to {high:g}" if math.isfinite(high) else " or more" * (low != ABOVE_ZERO)
             raise UsageError(f"`{each.name}={value}` is not possible", fix=f"give {least}{most}")

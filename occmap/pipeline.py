@@ -15,8 +15,8 @@ from occmap.options import BuildOptions
 from occmap.readers import Role
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
+from occmap.scans.align import settle_align
 from occmap.scans.logs import suit_kinds
-from occmap.scans.mounts import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
 from occmap.scans.tracing import observe as observe_here
@@ -128,7 +128,7 @@ def open_past(
     refuse_different(plan_manifest(options), past)
     if not options.fit:
         return past, options, []
-    from occmap.scoring.fit import find_transform  # noqa: PLC0415  late: few builds want it
+    from occmap.scoring.matching import find_transform  # noqa: PLC0415  late: few builds want it
 
     transform, note = find_transform(paths, options, past)
     return past, replace(options, posing=replace(options.posing, transform=transform)), [note]

@@ -21,18 +21,18 @@ from occmap.errors import OccmapError, UsageError, refuse_failures
 
 COMMANDS = {
     "build": ("build", "Build one map from one or more logs."),
-    "check": ("check", "Say what is in logs, and what will go wrong with them."),
+    "check": ("logs", "Say what is in logs, and what will go wrong with them."),
     "demo": ("build", "Map a simulated drive, to see what occmap does."),
-    "diff": ("compare", "Say what changed between two maps, and fail above a limit."),
-    "compare": ("compare", "Say which update and sensor model suits logs best."),
-    "explain": ("evidence", "Say what was seen at a point of saved evidence, and by which scans."),
-    "merge": ("evidence", "Add saved evidence, or take some of it away, exactly."),
+    "diff": ("maps", "Say what changed between two maps, and fail above a limit."),
+    "compare": ("logs", "Say which update and sensor model suits logs best."),
+    "explain": ("maps", "Say what was seen at a point of saved evidence, and by which scans."),
+    "merge": ("maps", "Add saved evidence, or take some of it away, exactly."),
     "models": ("lists", "List the sensor models that are installed."),
     "readers": ("lists", "List the log formats that can be read."),
-    "render": ("evidence", "Make a map of saved evidence, without reading the log."),
-    "score": ("check", "Say how good a map is, by recordings or by the truth."),
+    "render": ("maps", "Make a map of saved evidence, without reading the log."),
+    "score": ("maps", "Say how good a map is, by recordings or by the truth."),
     "schema": ("lists", "Print the JSON Schema of what a command prints with --json."),
-    "tune": ("compare", "Find the time offset and the mount that suit logs best."),
+    "tune": ("logs", "Find the time offset and the mount that suit logs best."),
     "writers": ("lists", "List the map formats that can be written."),
 }
 """The module of each, and the text of --help"""

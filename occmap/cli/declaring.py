@@ -27,7 +27,7 @@ from occmap.options import FLAGS, OPTIONS, RUN
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
-from occmap.report.limits import Failed, Limit, Measures, judge, parse_bound, parse_limit
+from occmap.report.limits import Failed, Limit, Measures, list_failed, parse_bound, parse_limit
 from occmap.types import Update
 
 SHORT_EQUALS = re.compile("-[a-z]=")
@@ -48,7 +48,7 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
     @classmethod
     def of(cls, kind: Any, name: str = "", form: choices.Form | None = None) -> "Value":
         """Make one of a type; without a name, errors have that of the parameter."""
-        return cls(choices.Option(name=name, **choices.read_hint(kind, form)))
+        return cls(choices.Option.of(name, kind, form))
 
     def convert(self, value: Any, param: click.Parameter | None, _: click.Context | None) -> Any:
         """Read what was typed, or what a file of options states; raises UsageError."""
@@ -238,7 +238,7 @@ def command(
 def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | None) -> None:
     """Tell notes, print the result, and say which limits it does not keep to."""
     console.clear()
-    failed = judge(limits or (), answer.result)
+    failed = list_failed(limits or (), answer.result)
     console.note(*getattr(answer.result, "notes", ()))
     if console.as_json:
         added = {} if limits is None else Limited(failed).to_json()

@@ -32,7 +32,7 @@ from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.report.results import MapFacts, Report, list_notes
 from occmap.scans import tracing
-from occmap.scans.mounts import settle_align
+from occmap.scans.align import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import BuildGround, Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks

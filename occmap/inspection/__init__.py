@@ -28,8 +28,9 @@ from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
 from occmap.report import count, join_names, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
+from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
-from occmap.scans.mounts import Posing, estimate_agreement, prepare, warn_of_misfit
+from occmap.scans.mounts import Posing, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
@@ -43,7 +44,7 @@ CLEAR = "no_return"
 """The one option that is advised though a map is as right without it"""
 
 
-def judge(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
+def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
     """Judge logs by what was found in them, and by the size of the map that they would make."""
     lattice, boxes = Lattice(options.resolution), [log.box for log in logs if log.box]
     box = reduce(CellBox.join, boxes) if boxes else None
@@ -222,7 +223,7 @@ def list_concerns(
     for topic in log.scans:
         others = [other for other in log.scans if other is not topic]
         mine = [concern for name, concern in spoilers if name == topic.topic]
-        mine += list_doubts(topic, has_poses)
+        mine += list_oddities(topic, has_poses)
         if topic.better and topic.poses.posed:
             mine.append(Concern(tell_better(topic, topic.better)))
         elif all(concern.remedy == {} for concern in mine):  # else the reason is known
@@ -283,7 +284,7 @@ def tell_better(topic: ScanFindings, better: findings.Better) -> str:
     return f"{share}, and {better.agreement:.0%} with {better.option}"
 
 
-def list_doubts(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
+def list_oddities(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     """Say what is strange about the mount of a topic, its poses, stamps and ranges."""
     if topic.mount and topic.mount.better:
         yield warn_of_misfit(topic.mount.better)
@@ -347,7 +348,7 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
     options
         Those that the build is to have; resolution, posing, returns, topics and `max_cells` matter.
     """
-    return judge([inspect_path(path, options) for path in paths], options)
+    return judge_logs([inspect_path(path, options) for path in paths], options)
 
 
 def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
@@ -364,32 +365,20 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 
 def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
     """Read the scans of an opened log, and add to what is known of it."""
-    survey, problem = read_log(log, posing.poser, options)
     poser = posing.poser
+    survey, problem = read_log(log, poser, options)
     seen = list(survey.topics.values())
     whole = [] if problem else seen  # a part that was read says nothing of a damaged log
-    scans = tuple(sum_up(log, each, posing, options) for each in whole if each.frames)
+    scans = tuple(describe_topic(log, each, posing, options) for each in whole if each.frames)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
     if not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {lack}"
-    ground, box = list[str](), survey.extent.box
+    box, ground = survey.box, list[str]()
     if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
-        below, posed = None, replace(options, posing=poser.options)
-        try:
-            below, ground, posed = find_ground([survey.drive], posed, None)
-        except OccmapError as error:
-            problem = str(error.placed(log.path))
-        level, box = replace(poser, options=posed.posing), None
-        again = {each.stream.topic: poses.pose_again(each, level) for each in seen}
-        some = {topic: clouds for topic, clouds in again.items() if clouds}
-        against = list(poses.list_floor_concerns(some, level, posed, below))
-        if below is not None:
-            box = poses.enclose_clouds(log, level, posed, below)
-            against += poses.list_other_concerns(some, level, posed, below, is_right=not against)
-        problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
+        box, ground, against, problem = inspect_ground(log, survey, poser, options)
         spoilers += against
     limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
     found = replace(
@@ -398,10 +387,39 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         coverage=tuple(poses.list_coverage(poser.sources)),
         notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
         box=box,
-        longest=survey.extent.longest,
+        longest=survey.longest,
         problem=problem,
     )
     return replace(found, concerns=tuple(list_concerns(found, spoilers, seen, options)))
+
+
+def inspect_ground(
+    log: Log, survey: Survey, poser: Poser, options: BuildOptions
+) -> tuple[CellBox | None, list[str], list[tuple[str, Concern]], str]:
+    """Find the ground below the clouds of a log.
+
+    Returns
+    -------
+    box, notes, concerns, problem
+        What the clouds observe over the ground; notes on it; what it says against mounts and poses,
+        with their topics; and why there is none, "" where there is.
+    """
+    box, ground, notes, problem = None, None, list[str](), ""
+    options = replace(options, posing=poser.options)
+    try:
+        ground, notes, options = find_ground([survey.drive], options, None)
+    except OccmapError as error:
+        problem = str(error.placed(log.path))
+    # It has seen no cloud, but knows the chains, and what leaps away.
+    level = replace(poser, options=options.posing, courses={})
+    again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
+    some = {topic: clouds for topic, clouds in again.items() if clouds}
+    against = list(poses.list_floor_concerns(some, level, options, ground))
+    if ground is not None:
+        box = poses.enclose_clouds(log, level, options, ground)
+        against += poses.list_other_concerns(some, level, options, ground, is_right=not against)
+    problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
+    return box, notes, against, problem
 
 
 def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
@@ -422,7 +440,9 @@ def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str
     return survey, problem
 
 
-def sum_up(log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions) -> ScanFindings:
+def describe_topic(
+    log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions
+) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]

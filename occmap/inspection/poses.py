@@ -27,9 +27,9 @@ from occmap.posing.sources import Sources
 from occmap.readers import Log
 from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT
-from occmap.scans import mounts
+from occmap.scans import estimate_agreement, mounts
 from occmap.scans.logs import read_poser
-from occmap.scans.mounts import Posing, estimate_agreement, sample_scans
+from occmap.scans.mounts import Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor.bands import BAND
@@ -116,7 +116,7 @@ def pose_sample(
         one = (topic.stream.topic,)
         options = replace(options, selection=replace(options.selection, topics=one))
         drive = Drive(log, read_poser(log, options.posing, one), options)
-        return drive.poser, sample_scans(drive)
+        return drive.poser, drive.sample()
     sources = posing.poser.sources
     named = (edge for edge in sources.pose_topics if edge.topic == options.posing.poses)
     sources = replace(sources, trajectory=next(named, sources.trajectory))
@@ -254,7 +254,7 @@ def describe_mount(
     stance = posing.poser.find_stance(topic.stream.topic)
     if stance is None:
         return None
-    better = mounts.find_better(posing.poser, topic.sample.parts, options.returns)
+    better = mounts.find_better_mount(posing.poser, topic.sample.parts, options.returns)
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 

@@ -22,8 +22,8 @@ from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, 
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.readers import Stream
-from occmap.scans.mounts import Sample, encode_cells
-from occmap.scans.stream import Drive, Selector
+from occmap.scans import encode_cells
+from occmap.scans.stream import Drive, Selector, TopicSample
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import ReturnOptions, bands
 from occmap.sensor.models import get_parameter
@@ -395,39 +395,11 @@ class StampLog:
 
 
 @dataclass
-class Extent:
-    """The cells that a map must hold; grows with the rays that it is shown."""
-
-    lattice: Lattice
-    behind: float
-    """How far behind the measured range a hit is placed (m)"""
-    around: float
-    """How far around a hit cells are taken as observed, too (m)"""
-    box: CellBox | None = None
-    """Around all cells that rays observe; None: they observe none"""
-    longest: float = 0.0
-    """The longest beam (m)"""
-
-    def add(self, rays: Rays) -> None:
-        """Take in the beams that are used, from where they were sent to where they end."""
-        hit, used = rays.kind == Kind.HIT, rays.kind != Kind.SKIP
-        end = rays._replace(distance=rays.distance + hit * np.float32(self.behind)).end
-        one_viewpoint = rays.origin.shape[1] == 1
-        begun = used.any(axis=1, keepdims=True) if one_viewpoint else used
-        self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self.behind)
-        places = (rays.origin[begun], 0.0), (end[used], 0.0), (end[hit], self.around)
-        for some, around in places:
-            if len(some):
-                box = self.lattice.enclose(some, around)
-                self.box = box.join(self.box) if self.box else box
-
-
-@dataclass
 class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
     stream: Stream
-    sample: Sample
+    sample: TopicSample
     is_sampled: bool
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
@@ -466,12 +438,17 @@ class Survey(Selector):
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
         self.topics = {
-            topic: TopicSurvey(streams[topic], Sample(drive), place < SAMPLED_TOPICS)
+            topic: TopicSurvey(streams[topic], TopicSample(drive, topic), place < SAMPLED_TOPICS)
             for place, topic in enumerate(drive.topics)
         }
-        behind = options.hit_offset * options.resolution
-        around = options.resolution if get_parameter(options.model, "spread") > 0 else 0.0
-        self.extent = Extent(Lattice(options.resolution), behind, around)
+        self._behind = options.hit_offset * options.resolution
+        """How far behind the measured range a hit is placed (m)"""
+        self._around = options.resolution if get_parameter(options.model, "spread") > 0 else 0.0
+        """How far around a hit cells are taken as observed, too (m)"""
+        self.box: CellBox | None = None
+        """The cells that rays observe, which a map must hold; None: they observe none"""
+        self.longest = 0.0
+        """The longest beam (m)"""
 
     def survey(self) -> None:
         """Read all scans once, holding no more than a batch of each topic."""
@@ -479,9 +456,22 @@ class Survey(Selector):
             survey = self.topics[posed.batch.topic]
             survey.posed += len(posed.batch.stamp_ns)
             if survey.is_sampled:
-                survey.sample.take(posed)
+                survey.sample.add(posed)
             if not posed.batch.clouds:
-                self.extent.add(sensor.interpret(posed, self.drive.options.returns)[0])
+                self._enclose(sensor.interpret(posed, self.drive.options.returns)[0])
+
+    def _enclose(self, rays: Rays) -> None:
+        """Take in the beams that are used, from where they were sent to where they end."""
+        hit, used = rays.kind == Kind.HIT, rays.kind != Kind.SKIP
+        end = rays._replace(distance=rays.distance + hit * np.float32(self._behind)).end
+        one_viewpoint = rays.origin.shape[1] == 1
+        begun = used.any(axis=1, keepdims=True) if one_viewpoint else used
+        self.longest = max(self.longest, float(rays.distance.max(initial=0.0)) + self._behind)
+        lattice = Lattice(self.drive.options.resolution)
+        for some, around in ((rays.origin[begun], 0.0), (end[used], 0.0), (end[hit], self._around)):
+            if len(some):
+                box = lattice.enclose(some, around)
+                self.box = box.join(self.box) if self.box else box
 
     def look(self, batch: ScanBatch) -> None:
         """Count the ranges of a batch; those of clouds only stand for moments."""

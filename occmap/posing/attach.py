@@ -1,6 +1,6 @@
 """Attachment: scans and poses become posed scans; each scan without a pose is counted.
 
-`Poser.attach` is the way of a batch that `occmap.posing` lists.
+`Poser.attach` is the way of a batch of scans.
 """
 
 import math
@@ -16,7 +16,6 @@ from occmap.posing import Concern, Deskew, PosingOptions, chain
 from occmap.posing import course as courses
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import Course, Stance
-from occmap.posing.leaps import describe_first, find_outliers, has_leap
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
@@ -108,7 +107,7 @@ class Poser:
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
         max_speed = self.options.max_speed
-        return any(has_leap(course.build(), max_speed) for _, course in self._list_posed())
+        return any(courses.has_leap(course.build(), max_speed) for _, course in self._list_posed())
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
@@ -118,14 +117,14 @@ class Poser:
         max_speed = self.options.max_speed
         for laser, course in self._list_posed():
             track = course.build()
-            if not (outliers := find_outliers(track, max_speed)).any():
+            if not (outliers := courses.find_outliers(track, max_speed)).any():
                 continue
             outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
             if max_speed < math.inf:
                 self.leaps[laser] = track.stamp_ns[outliers]
                 scans = count(len(self.leaps[laser]), "scan")
                 outcome = f"{scans} left out for such leaps; `max_speed=inf` keeps all"
-            where = describe_first(track, outliers, self._offset_ns)
+            where = courses.describe_first(track, outliers, self._offset_ns)
             self._note(f"{laser[0]}: {where}: {outcome}")
         return not self.leaps
 

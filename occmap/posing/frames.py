@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
-from itertools import chain, product
+from itertools import chain, combinations, product
 from os.path import commonprefix
 from typing import Self, TypeAlias
 
@@ -182,6 +182,8 @@ def last_part(frame: str) -> str:
 
 Space: TypeAlias = tuple[str, ...]
 """A namespace of topics: that of `/site/robot1/tf` is site, robot1; that of `/tf` is empty"""
+Moved: TypeAlias = dict[tuple[str, str], Track]
+"""What moves in a namespace, by the frames"""
 
 
 def find_space(topic: str) -> Space:
@@ -202,30 +204,35 @@ def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
         The scans belong to several robots.
     """
     tf = [(edge, find_space(edge.topic)) for edge in edges if edge.source is Source.TF]
-    moved: dict[Space, dict[tuple[str, str], Track]] = defaultdict(dict)
+    moved = defaultdict[Space, Moved](dict)
     for edge, space in tf:
         if not edge.track.static:
             moved[space][edge.parent, edge.child] = edge.track
-    homes = {_find_home(find_space(topic), moved): topic for topic in topics if len(moved) > 1}
-    own = {name for home in homes for name in moved[home]}
-    others = set()
-    for home, space in product(homes, moved):
-        both = moved[home].keys() & moved[space].keys()
-        if all(moved[home][name].repeats(moved[space][name]) for name in both):
-            continue
-        if space in homes:
-            found = f"{homes[home]} and {homes[space]} go by transforms that contradict each other"
-            fix = f"map one robot at a time, as with `topics={homes[home]}`, and merge their `.npz`"
+    if len(moved) < 2:
+        return []
+    homes = {_find_home(find_space(topic), moved): topic for topic in topics}
+    for one, other in combinations(homes, 2):
+        if _contradict(moved[one], moved[other]):
+            found = f"{homes[one]} and {homes[other]} go by transforms that contradict each other"
+            fix = f"map one robot at a time, as with `topics={homes[one]}`, and merge their `.npz`"
             raise PoseError(found, fix=fix)
-        others.add(space)
-    foreign = ((edge, space) for edge, space in tf if space in others)
-    placed = {edge.child for edge, space in tf if space not in others}  # else a mount is lost
-    return [
-        edge
-        for edge, space in foreign
-        if (edge.parent, edge.child) in own
-        or (space and (not edge.track.static or edge.child in placed))
-    ]
+    pairs = product(homes, moved)
+    others = {space for home, space in pairs if _contradict(moved[home], moved[space])}
+    own = {name for home in homes for name in moved[home]}
+    placed = {edge.child for edge, space in tf if space not in others}
+
+    def is_stranger(edge: Edge, space: Space) -> bool:
+        if (edge.parent, edge.child) in own:
+            return True
+        # The root is there for all, and what is fixed may be the only word on where a sensor sits.
+        return bool(space) and (not edge.track.static or edge.child in placed)
+
+    return [edge for edge, space in tf if space in others and is_stranger(edge, space)]
+
+
+def _contradict(one: Moved, other: Moved) -> bool:
+    """Whether two namespaces move one of the same frames, each in its own way."""
+    return any(not one[name].repeats(other[name]) for name in one.keys() & other.keys())
 
 
 def _find_home(space: Space, spaces: Iterable[Space]) -> Space:

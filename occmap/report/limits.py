@@ -77,7 +77,7 @@ class Limit(NamedTuple):
         """The sign and the number as they can be typed."""
         return f"{self.sign} {self._write(self.bound, 15)}"
 
-    def judge(self, result: object) -> Failed | None:
+    def find_failure(self, result: object) -> Failed | None:
         """Hold a result against the limit; None where the result keeps to it."""
         name, value = self.measure.name, self.measure.take(result)
         if not self._is_broken_by(value):
@@ -142,9 +142,9 @@ def parse_bound(text: str, measure: Measure, where: str) -> float:
     return bound
 
 
-def judge(limits: Iterable[Limit], result: object) -> list[Failed]:
+def list_failed(limits: Iterable[Limit], result: object) -> list[Failed]:
     """Hold a result against every limit; list those that it does not keep to."""
-    return [failed for limit in limits if (failed := limit.judge(result))]
+    return [failed for limit in limits if (failed := limit.find_failure(result))]
 
 
 def list_measures(unit: str, *names: str, of: str = "") -> Measures:

@@ -1,13 +1,9 @@
-"""What a few hundred posed scans, spread over a log, tell of what a user left open.
+"""Where sensors sit on the robot, and what a sample of their scans tells of that.
 
-That is the mount of a laser, where a log lacks it or has it wrong, and the turn that brings the
-walls of a map along its axes. nav2 and others ignore the yaw of the origin in a map's YAML, so a
-building that lies askew in its map stays so. Turning the poses before anything is traced costs no
-cell its sharpness.
+A log is opened here, since its scans are asked for the mount of a laser where the log lacks it.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -17,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.choices import format_mount, format_static
-from occmap.clouds.mounting import CLOUDS, find_seat
-from occmap.errors import MapError, MountError, PoseError
-from occmap.evidence import render
+from occmap.clouds.mounting import find_seat
+from occmap.errors import MountError, PoseError
 from occmap.options import BuildOptions
 from occmap.posing import Concern
 from occmap.posing.attach import Poser
@@ -27,96 +22,12 @@ from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.sources import gather
 from occmap.readers import Log, open_log
-from occmap.scans import make_engine
-from occmap.scans.logs import count_scans, look_ahead, read_poser
+from occmap.scans import encode_cells, estimate_agreement
+from occmap.scans.logs import look_ahead, read_poser
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor import ReturnOptions, interpret
-from occmap.sensor.models import CountingModel
-from occmap.types import IDENTITY, Cloud, Float64, Int64, Kind, Pose, PosedScans, Rays, Scan
-
-SAMPLE_SCANS = 300
-"""About so many scans of each topic are kept, spread evenly over the log."""
-MAX_SAMPLE_BEAMS = 1 << 19
-"""No more scans are kept once their beams are so many: this bounds the memory."""
-MOST_CELLS = 10**8
-"""The largest map that is made of a sample"""
-
-
-class Sample:
-    """Takes every n-th scan of one topic that a drive reads; n follows from how many it has.
-
-    Of a part of a log every scan is taken: how many lie between two times is not known before they
-    are read.
-    """
-
-    def __init__(self, drive: Drive) -> None:
-        self.parts: list[PosedScans] = []
-        selection = drive.options.selection
-        is_part = math.isfinite(selection.start_s) or math.isfinite(selection.end_s)
-        of_topic = count_scans(drive.log, drive.topics) // len(drive.topics)
-        self._expected = 0 if is_part else of_topic // selection.stride
-        self._seen = 0
-        self._beams = 0
-
-    def take(self, posed: PosedScans) -> None:
-        """Take scans of a batch."""
-        scans, beams = posed.batch.ranges.shape
-        most = SAMPLE_SCANS
-        if posed.batch.clouds is not None:  # which have no beams, and take more memory
-            most, beams = CLOUDS, MAX_SAMPLE_BEAMS // (2 * CLOUDS)
-        every = max(self._expected // most, 1)
-        rows = np.arange(-self._seen % every, scans, every)
-        self._seen += scans
-        if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
-            self._beams += len(rows) * beams
-            self.parts.append(posed.take(rows))
-
-
-def sample_scans(drive: Drive) -> list[PosedScans]:
-    """Pose some of the scans that a build uses, spread evenly over a log."""
-    for _ in drive.rounds():  # the second time without scans that leap away
-        samples: defaultdict[str, Sample] = defaultdict(lambda: Sample(drive))
-        for posed in drive.read(Tally()):
-            samples[posed.batch.topic].take(posed)
-    return [part for sample in samples.values() for part in sample.parts]
-
-
-def sample_rays(paths: Sequence[Path], options: BuildOptions) -> Iterator[Rays]:
-    """Interpret some scans of all logs, spread evenly over each.
-
-    Raises
-    ------
-    OccmapError
-        A log cannot be read, or has no scans or no poses.
-    """
-    for path in paths:
-        for part in sample_scans(open_drive(open_log(path, options.reading), options)):
-            yield interpret(part, options.returns)[0]
-
-
-def estimate_agreement(parts: Sequence[PosedScans], options: BuildOptions) -> float | None:
-    """Estimate the share of hits that lie in cells which the map of a log calls occupied.
-
-    Returns
-    -------
-    float or None
-        None where the sample makes no map, or one too large to be made in passing.
-    """
-    engine = make_engine(replace(options, model=CountingModel(), max_cells=MOST_CELLS))
-    try:
-        for part in parts:
-            engine.add(interpret(part, options.returns)[0])
-        return render(engine.finish(), CountingModel(), MOST_CELLS).agreement
-    except MapError:
-        return None
-
-
-def encode_cells(points: Float64, cell: float) -> Int64:
-    """Number the cells (...,) of a size (m) that points (..., 2) are nearest to."""
-    cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
-    return np.asarray((cells[..., 0] << 32) + cells[..., 1])
-
+from occmap.types import IDENTITY, Cloud, Float64, Kind, Pose, PosedScans, Scan
 
 MOUNT_CELL_M = 0.1
 """Side of the cells in which the hits of a sample are counted (m)"""
@@ -188,7 +99,7 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
     if at_body.find_chains(frames):  # more than the mount is missing
         return Posing(poser, faults)
     # Read the scans as if the sensor were the body, and find the mount that suits them best.
-    guess = guess_place(at_body, sample_scans(Drive(log, at_body, options)), options)
+    guess = guess_place(at_body, Drive(log, at_body, options).sample(), options)
     ((frame, fault),) = faults.items()
     if guess and isinstance(fault, MountError):
         faults = {frame: fault.named(format_mount(guess.mount), guess.why)}
@@ -278,14 +189,14 @@ def list_misfits(
         return
     for path in paths:
         drive = open_drive(open_log(path, options.reading), options)
-        parts = sample_scans(drive)
+        parts = drive.sample()
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
-            if better := find_better(drive.poser, mine, options.returns):
+            if better := find_better_mount(drive.poser, mine, options.returns):
                 yield f"{path}: {topic}: {warn_of_misfit(better).text}"
 
 
-def find_better(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
+def find_better_mount(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
     """Find the option, with its value, by which the scans of a sensor fit clearly better.
 
     Returns
@@ -376,99 +287,3 @@ def mount_scans(part: PosedScans, mount: Pose) -> PosedScans:
     sensor = Transforms.fixed(mount)
     position = part.position + part.rotation @ sensor.position[0]
     return PosedScans(part.batch, position, part.rotation @ sensor.rotation[0])
-
-
-GAPS = (2, 4, 8, 16, 32)
-"""A chord of a wall joins the ends of two beams that are this many beams apart."""
-CHORD_M = 0.5
-"""Chords are from this long (m) to twice as long: shorter ones show the noise of ranges."""
-STRAIGHT_M = 0.02
-"""Where a wall is straight, the beam in the middle ends at most this far from the chord (m)."""
-BINS = 360
-"""Bins of the histogram over a quarter turn"""
-BLUR = 9
-"""Neighbouring bins that are added up, so that noise does not split a direction"""
-NARROW_DEG = (5.0, 3.0)
-"""Only chords this near to the direction found before count in the next mean."""
-COMMON_SHARE = 1 / 3
-"""In a building, at least this share of the length of all chords lies within 3 degrees of one
-direction. Logs of buildings have 0.5 to 0.74; walls in all directions would have a fifteenth."""
-DIGITS = 2
-"""The angle is rounded to hundredths of a degree, so that a map can be made again by hand."""
-
-
-def settle_align(paths: Sequence[Path], options: BuildOptions) -> tuple[BuildOptions, list[str]]:
-    """Find the turn of a map where the user leaves it to the scans; a note says if they show none.
-
-    Raises
-    ------
-    OccmapError
-        A log cannot be read, or has no scans or no poses.
-    """
-    if options.posing.align is not None:
-        return options, []
-    chords = [list_chords(rays) for rays in sample_rays(paths, options)]
-    turn, share = find_turn(np.concatenate([np.zeros((0, 2)), *chords]))
-    notes = []
-    if share < COMMON_SHARE:
-        turn = 0.0
-        common = f"{share:.0%} of the length of walls lies within 3 degrees of one direction"
-        found = common if any(map(len, chords)) else "no beams of laser scans show a straight wall"
-        notes.append(f"{found}, so the map is not turned; give an angle with `align=DEG`")
-    return replace(options, posing=replace(options.posing, align=turn)), notes
-
-
-def list_chords(rays: Rays) -> Float64:
-    """List straight pieces of walls that single scans see, as vectors (N, 2) in metres."""
-    hit, end = rays.kind == Kind.HIT, rays.end
-    chords = [np.zeros((0, 2))]
-    for gap in (gap for gap in GAPS if gap < hit.shape[1]):
-        half = gap // 2
-        start, middle, stop = end[:, :-gap], end[:, half:-half], end[:, gap:]
-        chord, bow = stop - start, middle - (start + stop) / 2
-        length = np.hypot(chord[..., 0], chord[..., 1])
-        across = np.abs(bow[..., 0] * chord[..., 1] - bow[..., 1] * chord[..., 0])
-        seen = hit[:, :-gap] & hit[:, half:-half] & hit[:, gap:]
-        long = (length >= CHORD_M) & (length < 2 * CHORD_M)
-        chords.append(chord[seen & long & (across < STRAIGHT_M * length)])
-    return np.concatenate(chords)
-
-
-def find_turn(chords: Float64) -> tuple[float, float]:
-    """Find the smallest turn by which walls run along the axes.
-
-    Directions count modulo a quarter turn and by length. The fullest part of a histogram is a first
-    estimate, which the mean of the directions near it refines. The mean is taken of four times the
-    angles, so that angles a quarter turn apart are the same (Mardia and Jupp 2000, directional
-    statistics).
-
-    Parameters
-    ----------
-    chords
-        (N, 2) pieces of walls.
-
-    Returns
-    -------
-    turn, share
-        Degrees, counter-clockwise, from -45 to 45; and how much of the length of all chords lies
-        within 3 degrees of the direction found.
-    """
-    length = np.hypot(chords[:, 0], chords[:, 1])
-    if not length.any():
-        return 0.0, 0.0
-    angle = np.degrees(np.arctan2(chords[:, 1], chords[:, 0])) % 90
-    bins, _ = np.histogram(angle, BINS, (0, 90), weights=length)
-    sums = np.convolve(np.pad(bins, BLUR // 2, "wrap"), np.ones(BLUR), "valid")
-    wall = (float(np.argmax(sums)) + 0.5) * 90 / BINS
-    for narrow in NARROW_DEG:
-        off = wrap(angle - wall)
-        near = np.abs(off) < narrow
-        mean = np.sum(length[near] * np.exp(4j * np.radians(off[near])))
-        wall += float(np.degrees(np.angle(mean))) / 4
-    share = float(length[np.abs(wrap(angle - wall)) < NARROW_DEG[-1]].sum() / length.sum())
-    return round(float(wrap(np.array(-wall))), DIGITS) + 0.0, share
-
-
-def wrap(angle: Float64) -> Float64:
-    """Reduce angles by quarter turns to -45 to 45 degrees."""
-    return np.asarray((angle + 45) % 90 - 45)

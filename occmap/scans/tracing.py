@@ -19,9 +19,9 @@ from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
 from occmap.report import Note, join_names
-from occmap.scans import make_engine, make_grid
+from occmap.scans import encode_cells, make_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
-from occmap.scans.mounts import encode_cells, open_drive
+from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret

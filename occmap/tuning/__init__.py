@@ -119,7 +119,7 @@ def tune(
     reading = Reading(open_scans(paths, options), options, progress)
     logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
     kept = sum(log.scans for log in logs)
-    scorer = Scorer(logs, options, search.find_mount(logs), lambda: tally.advance(kept))
+    scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))
     findings, unsearched = search_all(scorer)
     while scorer.is_at_edge(findings["together"].correction) and (wider := scorer.widen()):
         scorer = wider

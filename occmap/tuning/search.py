@@ -129,7 +129,7 @@ def drop_outer(log: KeptLog, options: PosingOptions, reach_s: float) -> KeptLog:
     return log
 
 
-def find_mount(logs: Sequence[KeptLog]) -> Pose | None:
+def find_common_mount(logs: Sequence[KeptLog]) -> Pose | None:
     """Find the `sensor_pose` that leaves every pose of a scan as it is.
 
     Its height is left out, as it is where `sensor_pose` is typed: no map shows it.
@@ -347,10 +347,10 @@ def find_correction(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) ->
     earlier = scorer.tried.keys() - {start}
     best = find_best(scorer, start, knobs)
     tried = [each for each in scorer.tried if each not in earlier or each == best]
-    return judge(scorer, start, best, tried)
+    return assess(scorer, start, best, tried)
 
 
-def judge(
+def assess(
     scorer: Scorer, start: Correction, best: Correction, tried: Sequence[Correction]
 ) -> Finding:
     """Judge the best of the corrections that were tried to find one better than `start`.
@@ -383,7 +383,7 @@ def judge(
 
 def is_better(scorer: Scorer, start: Correction, other: Correction) -> bool:
     """Whether a correction is one that was started from, or surely better."""
-    return start == other or judge(scorer, start, other, [start, other]).verdict is Verdict.FOUND
+    return start == other or assess(scorer, start, other, [start, other]).verdict is Verdict.FOUND
 
 
 def find_deskew(scorer: Scorer, best: Correction, timed: Sequence[Knob]) -> Finding:
@@ -391,7 +391,7 @@ def find_deskew(scorer: Scorer, best: Correction, timed: Sequence[Knob]) -> Find
     if not timed or not all(log.may_deskew(scorer.options.posing) for log in scorer.logs):
         return Finding(verdict=Verdict.UNSEEN, correction=best)
     tried = [best, Correction(deskew=True)]
-    return judge(scorer, best, max(tried, key=lambda each: scorer.score(each).score.share), tried)
+    return assess(scorer, best, max(tried, key=lambda each: scorer.score(each).score.share), tried)
 
 
 def find_both(

@@ -8,7 +8,7 @@ import math
 import click
 import pytest
 
-from occmap.choices import Option, take
+from occmap.choices import UNBOUNDED, take
 from occmap.cli import COMMANDS
 from occmap.cli.console import Console
 from occmap.errors import UsageError
@@ -204,6 +204,6 @@ def test_a_value_beyond_its_bounds_is_refused_with_the_flag(
 
 def test_every_option_with_bounds_is_held_to_them() -> None:
     for name, known in OPTIONS.items():
-        if known.bounds != Option().bounds:
+        if known.bounds != UNBOUNDED:
             with pytest.raises(UsageError, match=f"`{name}=nan`"):
                 take(BuildOptions, {name: math.nan})

@@ -15,7 +15,7 @@ from occmap.cells import Evidence
 from occmap.clouds import CloudOptions
 from occmap.errors import LogError, MapError, PoseError
 from occmap.evidence.manifest import UNRECORDED, describe_build
-from occmap.explanation.history import Use, find_uses, list_logs, list_missing, recall_options
+from occmap.explanation import Use, find_uses, list_logs, list_missing, recall_options
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions, Stamps

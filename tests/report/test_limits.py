@@ -6,7 +6,7 @@ import pytest
 
 from occmap.errors import UsageError
 from occmap.report import to_plain
-from occmap.report.limits import COUNT, SHARE, Measure, judge, parse_limit
+from occmap.report.limits import COUNT, SHARE, Measure, list_failed, parse_limit
 
 MEASURES = (
     Measure("lost", SHARE, lambda result: result["lost"]),
@@ -16,7 +16,7 @@ MEASURES = (
 
 
 def fails(text: str, **result: float) -> list[str]:
-    return [failed.sentence for failed in judge([parse_limit(text, MEASURES)], result)]
+    return [failed.sentence for failed in list_failed([parse_limit(text, MEASURES)], result)]
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_the_sentence_tells_the_value_from_the_bound(
 
 def test_all_limits_are_held_and_each_that_fails_is_listed() -> None:
     texts = ["scans < 5", "lost > 5%", "gap > 1"]
-    failed = judge(
+    failed = list_failed(
         [parse_limit(text, MEASURES) for text in texts], {"scans": 4, "lost": 0, "gap": 3}
     )
     assert to_plain(failed) == [

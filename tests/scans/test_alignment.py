@@ -13,7 +13,7 @@ from occmap.errors import MapError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scans.mounts import COMMON_SHARE, find_turn
+from occmap.scans.align import COMMON_SHARE, find_turn
 from occmap.types import Float64
 from occmap.writers.npz import read_evidence
 from tests import inspection_logs

@@ -1,7 +1,9 @@
 """Scans that come in runs must end in the same batches as single ones."""
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from occmap.options import Selection
+from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
+from occmap.readers import open_log
+from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Selector, stack
 from occmap.scans.tally import LeftOut
 from occmap.sensor import ReturnOptions
@@ -127,3 +131,16 @@ def test_a_range_limit_that_none_can_be_is_none(range_max: float, single: bool) 
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     (note,) = limits.list_notes()
     assert note.startswith("/scan states no usable range limit")
+
+
+def test_each_topic_is_sampled_by_how_many_scans_it_has_itself(tmp_path: Path) -> None:
+    path = tmp_path / "two.log"
+    line = "{} 2 1.0 2.0 0 0 0 0 0 0 {} host {}\n"
+    slow = (line.format("RLASER", stamp, stamp) for stamp in range(30))
+    fast = (line.format("FLASER", stamp, stamp) for stamp in range(3000))
+    path.write_text("".join([*slow, *fast]))
+    options = BuildOptions()
+    kept = Counter[str]()
+    for part in open_drive(open_log(path, options.reading), options).sample():
+        kept[part.batch.topic] += len(part.batch.stamp_ns)
+    assert kept == {"RLASER": 30, "FLASER": 300}

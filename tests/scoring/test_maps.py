@@ -15,9 +15,8 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scoring.compare import combine, compare
-from occmap.scoring.fit import Walls, fit
 from occmap.scoring.maps import LogScore, score_by_logs, score_by_truth
-from occmap.store.moving import STAY, Transform
+from occmap.scoring.matching import STAY, Transform, Walls, find_match
 from occmap.tuning import tune
 from occmap.types import Pose
 from occmap.writers import WriteOptions
@@ -117,7 +116,7 @@ def test_a_known_transform_is_found(moved: tuple[float, float, float]) -> None:
     occupied = plan.classes == CellClass.OCCUPIED
     walls, points = Walls.of(occupied, plan.place), plan.place.list_middles(occupied)
     true = Transform(*moved)
-    found = fit(true.move_back(points), walls).transform
+    found = find_match(true.move_back(points), walls).transform
     assert found.yaw == pytest.approx(true.yaw, abs=0.004)
     apart = np.linalg.norm(found.move(true.move_back(points)) - points, axis=1)
     assert apart.max() < 0.06

@@ -16,9 +16,15 @@ from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring.fit import Walls, find_transform, fit, lay_on
+from occmap.scoring.matching import (
+    Transform,
+    Walls,
+    find_match,
+    find_transform,
+    lay_on,
+    move_evidence,
+)
 from occmap.store.merging import merge
-from occmap.store.moving import Transform, move_evidence
 from occmap.types import Pose
 from tests.evidence.saving import DRIVE, halve, save
 from tests.grid.scans import are_equal, assert_same_slices, make_grid, read_cells
@@ -100,7 +106,7 @@ def test_a_corridor_lets_the_search_slide() -> None:
     points = np.concatenate(
         [np.column_stack([along, np.full_like(along, y)]) for y in (0.28, 2.78)]
     )
-    found = fit(points, walls)
+    found = find_match(points, walls)
     assert found.share > 0.9
     assert found.rival > 0.9
     assert "not sure" in found.doubt("the corridor", "itself")

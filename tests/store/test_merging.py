@@ -10,15 +10,14 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.explanation import Question, explain
-from occmap.explanation.history import Visits
+from occmap.explanation import Question, Visits, explain
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, unite
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.scoring.matching import Transform, move_evidence
 from occmap.sensor.models import QuadraticModel
 from occmap.store.merging import merge, subtract
-from occmap.store.moving import Transform, move_evidence
 from occmap.store.publishing import RenderOptions, publish
 from occmap.types import Update
 from occmap.writers.npz import read_evidence

@@ -10,7 +10,7 @@ import pytest
 
 from occmap import tuning as tuning_package
 from occmap.choices import to_rpy
-from occmap.cli.compare import format_tuning
+from occmap.cli.logs import format_tuning
 from occmap.errors import LogError, PoseError
 from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, OPTIONS, BuildOptions, Selection, choose_model
@@ -285,7 +285,7 @@ def keep(path: Path, options: BuildOptions) -> tuple[list[search.KeptLog], list[
 def test_the_mount_that_a_log_states_is_where_the_search_begins(name: str, x: float) -> None:
     options = BuildOptions()
     logs, _ = keep(SAMPLE_LOGS / name, options)
-    mount = search.find_mount(logs)
+    mount = search.find_common_mount(logs)
     assert mount is not None
     assert mount == pytest.approx((x, 0, 0, 0, 0, 0, 1), abs=1e-9)
     moved = Correction(x=0.005).apply(options.posing, mount).sensor_pose
@@ -296,7 +296,7 @@ def test_the_mount_that_a_log_states_is_where_the_search_begins(name: str, x: fl
 def test_a_mount_that_is_given_as_it_is_changes_no_pose() -> None:
     options = BuildOptions()
     logs, _ = keep(SAMPLE_LOGS / "drive.bag", options)
-    given = replace(options.posing, sensor_pose=search.find_mount(logs))
+    given = replace(options.posing, sensor_pose=search.find_common_mount(logs))
     for one, other in zip(logs[0].pose(options.posing), logs[0].pose(given), strict=True):
         np.testing.assert_allclose(one.position, other.position, atol=1e-9)
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)

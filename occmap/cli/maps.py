@@ -1,5 +1,10 @@
-"""`occmap merge`, `render` and `explain`: saved evidence added up, made a map, and asked about."""
+"""`occmap merge`, `render`, `explain`, `score` and `diff`: what is made and asked of what is there.
 
+That is saved evidence, which is added up, made a map and asked about; and written maps, which are
+scored and compared.
+"""
+
+import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,17 +14,19 @@ import click
 from occmap.choices import list_options, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_rows
-from occmap.cli.declaring import PATH, Answer, Value, command, fail_if, flag
+from occmap.cli.declaring import CONFIG, PATH, Answer, Value, command, fail_if, flag
 from occmap.cli.options import choose_saved_model
+from occmap.difference import MapDifference, tell_changes
 from occmap.errors import UsageError
-from occmap.explanation import Explanation, Question, describe_numbers, explain
-from occmap.explanation.history import Seen, Visits, add_up
+from occmap.explanation import Explanation, Numbers, Question, Visits, describe_numbers, explain
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
-from occmap.options import FILES, POSES, SCANS, BuildOptions
+from occmap.options import FILES, OPTIONS, POSES, SCANS, BuildOptions
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
-from occmap.report.limits import SAVED
+from occmap.report.limits import DIFF, SAVED, SCORE
 from occmap.report.results import Report, tell_map, tell_scans
+from occmap.scoring.maps import Against, MapScore, score
+from occmap.scoring.matching import STAY, Transform, lay_on
 from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
 from occmap.store.publishing import RenderOptions, publish, refuse_unsaved
@@ -57,11 +64,7 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
     taken = values["subtract"]
     if values["fit"] and len(paths) == 1:
         console.announce("--fit does nothing: one file has nothing to be moved onto")
-    lay = None
-    if values["fit"]:
-        from occmap.scoring import fit  # noqa: PLC0415  late: few merges want it
-
-        lay = fit.lay_on
+    lay = lay_on if values["fit"] else None
     return put_out(console, [*paths, *taken], lambda: combine(paths, taken, lay), values)
 
 
@@ -196,9 +199,10 @@ def list_around(explanation: Explanation) -> Iterator[str]:
     """Draw a table of what was seen in the cell and those beside it, if anything was."""
     if any(each.observations for row in explanation.around for each in row):
         yield f"{'/'.join(PAIRS[explanation.seen.kind])} of the cells beside it, y upwards"
+        rows = ([each.numbers for each in row] for row in explanation.around)
         yield from align(
-            ["/".join(split_pair(each, explanation)) if any(each.numbers) else "-" for each in row]
-            for row in explanation.around
+            ["/".join(split_pair(it, explanation)) if any(it) else "-" for it in row]
+            for row in rows
         )
 
 
@@ -222,10 +226,10 @@ def describe_visits(visits: Visits) -> str:
     return f"{found}, in slices of time from {since} to {until}"
 
 
-def split_pair(seen: Seen, explanation: Explanation) -> tuple[str, str]:
+def split_pair(numbers: Numbers, explanation: Explanation) -> tuple[str, str]:
     """Write the two numbers of a cell, in observations."""
-    first, second = (each / explanation.unit for each in seen.numbers)
-    if seen.kind is EvidenceKind.LOG_ODDS:
+    first, second = (each / explanation.unit for each in numbers)
+    if explanation.seen.kind is EvidenceKind.LOG_ODDS:
         return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
     return f"{first:.15g}", f"{second:.15g}"
 
@@ -241,11 +245,11 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
         yield "scans", f"none {used} observed the cell"
         return
     kind, unit = explanation.seen.kind, explanation.unit
-    yield "scans", f"{len(scans):,} {used}: {describe_numbers(add_up(scans), kind, unit)}"
+    yield "scans", f"{len(scans):,} {used}: {describe_numbers(explanation.explained, kind, unit)}"
     rows = [
         (
             f"{scan.stamp_ns / 1e9:.3f}",
-            *split_pair(scan.seen, explanation),
+            *split_pair(scan.seen.numbers, explanation),
             f"{scan.x:.3f}, {scan.y:.3f}",
             f"{scan.distance:.3f}",
             f"{Path(scan.log).name} {scan.topic}",
@@ -256,3 +260,106 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
     yield from (("", line) for line in align([head, *rows]))
     if len(scans) > MOST_SCANS:
         yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"
+
+
+AGAINST = list_options(Against, "What it is held against")
+
+
+@command(
+    "score",
+    MapScore,
+    click.Argument(["path"], type=PATH, metavar="MAP"),
+    *(options.field(AGAINST[name]) for name in ("logs", "truth", "within_m", "fit")),
+    options.one_output("picture", "FILE", "Write a .png here: where the map and the truth differ."),
+    *options.OF_SCORED_LOGS,
+    *(fail_if(SCORE, "edges_found < 95%"), CONFIG),
+)
+def score_command(console: Console, /, path: Path, **values: Any) -> Answer:
+    """Say how good a map is, by recordings or by the truth.
+
+    MAP is what map_server loads, whatever tool made it (PGM with YAML), or evidence (.npz or
+    .zarr). Recordings say how well it predicts their beams: the share whose first occupied cell is
+    within two cells of the measured range, as compare has it, and the share of hits that lie in
+    occupied cells or beside one. Use recordings that the map was not made of.
+
+    The truth, of any resolution, says which of its edges are found and which of the map's walls are
+    invented, what is free though it is occupied and the other way round, and how far walls are off.
+    In the picture edges that were missed are orange, and blue where the map calls them free; walls
+    that were invented are red.
+
+      occmap score map.yaml --log drive.mcap
+      occmap score map.yaml --truth plan.yaml --fit -o score.png
+      occmap score map.yaml --truth plan.yaml --fail-if "edges_found < 95%"
+    """
+    common = take(BuildOptions, values)
+    if values["logs"]:
+        values["logs"] = tuple(options.gather_logs(console, values["logs"], common))
+    made = score(path, take(Against, values), common, console.advance)
+    return Answer(made, write_rows(list_score(made)))
+
+
+def list_score(made: MapScore) -> Iterator[Row]:
+    """Write a score in a few rows."""
+    occupied, free = count(made.occupied, "occupied cell"), count(made.free, "free one")
+    yield "map", f"{made.map}: {occupied} and {free} of {made.resolution:g} m"
+    if it := made.by_logs:
+        error = f" +- {it.share_error:.4f}" if math.isfinite(it.share_error) else ""
+        yield "logs", f"share {it.share:.4f}{error} of {count(it.beams, 'beam')}"
+        yield "", f"log-likelihood {it.log_likelihood:.3f}"
+        yield "", f"{it.agreement:.1%} of the hits lie in occupied cells or beside one"
+        stops = f"{it.stops_in_occupied:.1%} of the looks at occupied cells"
+        yield "", f"beams stop at {stops} and {it.stops_in_free:.1%} of those at free ones"
+        yield from tell_move(it.transform, "the logs fit with --transform ")
+    if found := made.by_truth:
+        near = f"within {found.within_m:g} m"
+        yield "truth", f"{found.edges_found:.1%} of the edges of {found.truth} found {near}"
+        yield "", f"{found.edges_invented:.1%} of the occupied cells invented"
+        yield "", f"{found.occupied_called_free:.1%} of the edges called free"
+        floor = f"{found.free_called_occupied:.2%} called occupied, {found.free_found:.1%} free"
+        yield "", f"of the free cells away from walls {floor}"
+        mean, most = found.wall_distance_m, found.wall_distance_95_m
+        yield "walls", f"{mean:.3f} m from those of the truth, 95 in 100 within {most:.3f} m"
+        yield from tell_move(found.transform, "the map fits moved by ")
+    yield from (("file", file) for file in made.files)
+
+
+def tell_move(moved: Transform, text: str) -> Iterator[Row]:
+    """Say by what something was moved to fit, if it was."""
+    if moved != STAY:
+        yield "fit", f"{text}{moved.x:g},{moved.y:g},{moved.yaw:g}"
+
+
+@command(
+    "diff",
+    MapDifference,
+    click.Argument(["before"], type=PATH, metavar="A"),
+    click.Argument(["after"], type=PATH, metavar="B"),
+    options.one_output(
+        "output", "FILE", "Write the changes here: .png is a picture, .html a page."
+    ),
+    *options.THRESHOLDS,
+    options.field(OPTIONS["edits"], help="Say which changes lie in the shapes in this file."),
+    fail_if(DIFF, "changed > 1%", "--fail-above"),
+)
+def diff_command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
+    """Say what changed between two maps, and fail above a limit.
+
+    A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as
+    all maps of one resolution share a lattice. A PNG does not say where it lies, so it is compared
+    with a map of its size. A PNG that occmap wrote says how its cells were decided; in any other,
+    dark cells are occupied.
+
+    A cell that is neither occupied nor free is unknown or undecided; images do not tell one from
+    the other, so both count as neither.
+
+    In the picture, cells that became occupied are orange and cells that became free are blue:
+    strong where they were the opposite before, pale where they were neither. Cells that became
+    neither are wine red if they were occupied and pink if they were free.
+
+      occmap diff yesterday.pgm today.pgm
+      occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
+    """
+    from occmap.page import compare_files  # noqa: PLC0415  late: it brings all that makes pages
+
+    difference = compare_files(before, after, take(WriteOptions, values), values["output"])
+    return Answer(difference, write_rows(tell_changes(difference)))

@@ -1,29 +1,31 @@
 """The small transform by which walls lie on the walls of a map best, and how sure that is.
 
-So the map frame of one session is found in that of another.
+So the map frame of one session is found in that of another, and its evidence is moved there. Users
+say `fit` for it.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.cells import CellBox, Evidence
-from occmap.choices import format_mount
+from occmap.cells import CellBox, Evidence, Key, Slices, Tile, stack_tiles, view_tiles
+from occmap.choices import format_mount, to_rpy
 from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
-from occmap.grid.tiles import MAX_CELLS, EvidenceKind
+from occmap.evidence.manifest import write_value
+from occmap.grid import tiles
+from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind
 from occmap.options import BuildOptions
-from occmap.scans.mounts import sample_rays
+from occmap.scans.align import sample_rays
 from occmap.sensor.models import SensorModel
 from occmap.store.merging import refuse_different
-from occmap.store.moving import STAY, Transform, add_move, move_evidence
-from occmap.types import Bool, Float32, Float64, Kind, Pose, Rays, Update
+from occmap.types import IDENTITY, Bool, Float32, Float64, Int64, Kind, Pose, Rays, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for, and what is farther from a wall counts as this far"""
@@ -44,6 +46,49 @@ WAYS = sorted(product(BESIDE, BESIDE), key=lambda way: abs(way[0]) + abs(way[1])
 MOST_POINTS = 10_000
 MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
+
+
+class Transform(NamedTuple):
+    """What moves points: a turn about the origin, and then a shift."""
+
+    x: float
+    """Shift along x (m)"""
+    y: float
+    """Shift along y (m)"""
+    yaw: float
+    """Turn, counter-clockwise (rad)"""
+
+    def move(self, points: Float64) -> Float64:
+        """Move points (N, 2), or a single one (2,)."""
+        return np.asarray(points @ self.matrix.T + self[:2])
+
+    def move_back(self, points: Float64) -> Float64:
+        """Find which points (N, 2) are moved to given ones."""
+        return np.asarray((points - self[:2]) @ self.matrix)
+
+    def after(self, first: Pose) -> "Transform":
+        """Make one of a planar move and, after it, this one."""
+        x, y = self.move(np.array([first.x, first.y])).tolist()
+        yaw = math.remainder(to_rpy(first)[2] + self.yaw, math.tau)
+        return Transform(round(x, 5), round(y, 5), round(yaw, 6))
+
+    @property
+    def matrix(self) -> Float64:
+        """The turn (2, 2)."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([[cos, -sin], [sin, cos]])
+
+
+STAY = Transform(0.0, 0.0, 0.0)
+
+
+def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
+    """Make the `transform` that a user may type for one and, in a turned map, another after it."""
+    turned = Transform(0.0, 0.0, -math.radians(align or 0.0))
+    x, y = turned.move(np.array(then[:2])).tolist()
+    moved = then._replace(x=x, y=y)  # what does the same before the map is turned
+    given = format_mount(Pose.planar(*moved.after(first or IDENTITY)))
+    return Pose.planar(*map(float, given.split(",")))
 
 
 class Walls(NamedTuple):
@@ -78,7 +123,7 @@ class Walls(NamedTuple):
 
     @property
     def pivot(self) -> Float64:
-        """(2,) what `fit` turns about (m): the world's zero, or what is next to it in the map.
+        """(2,) what points are turned about (m): the world's zero, or the next place in the map.
 
         A session that begins at the same dock as another is turned about that.
         """
@@ -117,7 +162,7 @@ class Match(NamedTuple):
         return ""
 
 
-def fit(points: Float64, walls: Walls) -> Match:
+def find_match(points: Float64, walls: Walls) -> Match:
     """Find by which transform points (N, 2) lie nearest to walls, and how sure that is.
 
     All transforms on a coarse grid are tried, by turns about the pivot of the walls. Those that are
@@ -131,19 +176,21 @@ def fit(points: Float64, walls: Walls) -> Match:
     middle = points.mean(axis=0)
     search = _Search(points - middle, middle, walls)
     refined = [search.refine(place, range(1, ROUGH + 1), 1500) for place in search.list_peaks()]
-    shares = [float(search.judge(it.yaw, np.array([it[:2]]))[0]) for it in refined]
+    shares = [float(search.measure_shares(it.yaw, np.array([it[:2]]))[0]) for it in refined]
     (share, best), *others = sorted(zip(shares, refined, strict=True), reverse=True)
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
-    x, y, yaw = search.refine(best, range(ROUGH + 1, HALVINGS + 1))
-    right, up = (middle - Transform(0.0, 0.0, yaw).move(middle)).tolist()
-    found = Transform(round(x + right, 5), round(y + up, 5), round(yaw, 6))
+    found = search.turn_about_zero(search.refine(best, range(ROUGH + 1, HALVINGS + 1)))
     shift = float(np.abs(found.move(walls.pivot) - walls.pivot).max())
-    is_far = shift > REACH_M - STEP_M / 2 or abs(yaw) > REACH_RAD - STEP_RAD / 2
+    is_far = shift > REACH_M - STEP_M / 2 or abs(found.yaw) > REACH_RAD - STEP_RAD / 2
     return Match(found, share, rival, is_far)
 
 
 class _Search(NamedTuple):
-    """A search for the place of points: a turn about their middle, and then a shift."""
+    """A search for the place of points, which is a turn about their middle and then a shift.
+
+    About their own middle a small turn leaves most points nearly where they are, so that the best
+    shift hardly depends on it, and one can be refined after the other.
+    """
 
     points: Float64
     """(N, 2) from their middle (m)"""
@@ -151,10 +198,10 @@ class _Search(NamedTuple):
     """(2,) in the map of the walls (m)"""
     walls: Walls
 
-    def judge(
+    def measure_shares(
         self, yaw: float, shifts: Float64, width: float = 0.0, most: int = MOST_POINTS
     ) -> Float64:
-        """Judge how near points, some of them, lie to walls; at `width` (m) they count 0.6.
+        """Measure how near points, some of them, lie to walls; at `width` (m) they count 0.6.
 
         Returns
         -------
@@ -168,15 +215,18 @@ class _Search(NamedTuple):
         return np.asarray(near.mean(axis=1), np.float64)
 
     def list_peaks(self) -> list[Transform]:
-        """List the places on a coarse grid that none beside them beats, the best ones first."""
+        """List the places on a coarse grid that none beside them beats, the best ones first.
+
+        The grid is of turns about the pivot, where the drives of both maps may have begun, and of
+        shifts. Such a turn takes the middle of the points along on a circle about the pivot.
+        """
         steps = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
         shifts = np.array(list(product(steps, steps)))
         turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
         arm = self.middle - self.walls.pivot
         swung = [shifts + (Transform(0.0, 0.0, yaw).move(arm) - arm) for yaw in turns]
-        shares = np.stack(
-            [self.judge(yaw, at, STEP_M, 500) for yaw, at in zip(turns, swung, strict=True)], axis=1
-        )
+        by_turn = zip(turns, swung, strict=True)
+        shares = np.stack([self.measure_shares(*each, STEP_M, 500) for each in by_turn], axis=1)
         grid = shares.reshape(len(steps), len(steps), len(turns))
         beside = np.lib.stride_tricks.sliding_window_view(np.pad(grid, 1), (3, 3, 3))
         peaks = np.flatnonzero(grid >= beside.max(axis=(3, 4, 5)))
@@ -190,10 +240,15 @@ class _Search(NamedTuple):
             step_m, step_rad = STEP_M / 2**halving, STEP_RAD / 2**halving
             turns = [place.yaw + turn * step_rad for turn in BESIDE]
             shifts = place[:2] + np.array(WAYS) * step_m
-            shares = np.stack([self.judge(yaw, shifts, step_m, most) for yaw in turns])
+            shares = np.stack([self.measure_shares(yaw, shifts, step_m, most) for yaw in turns])
             turn, shift = divmod(int(shares.argmax()), len(shifts))
             place = Transform._make([*shifts[shift].tolist(), turns[turn]])
         return place
+
+    def turn_about_zero(self, place: Transform) -> Transform:
+        """Write a place as a turn about the map's zero and a shift, as `transform` is typed."""
+        right, up = (self.middle - Transform(0.0, 0.0, place.yaw).move(self.middle)).tolist()
+        return Transform(round(place.x + right, 5), round(place.y + up, 5), round(place.yaw, 6))
 
 
 def _are_apart(place: Transform, other: Transform) -> bool:
@@ -216,7 +271,7 @@ def find_transform(
     sample = sample_rays(paths, options)
     hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
     logs = ", ".join(map(str, paths))
-    found = fit(hits, walls)
+    found = find_match(hits, walls)
     refuse_doubt(found, logs, past.where)
     pose = add_move(options.posing.transform, found.transform, options.posing.align)
     typed = f"`transform=({format_mount(pose)})`"
@@ -258,7 +313,7 @@ def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     weights = made.occupied.astype(np.float64)
     if grid.kind is EvidenceKind.COUNTS:
         weights *= grid.read(made.box)[0]
-    found = fit(spread_points(weights, Place(made.resolution, *made.origin)), walls)
+    found = find_match(spread_points(weights, Place(made.resolution, *made.origin)), walls)
     refuse_doubt(found, evidence.where, where)
     moved = move_evidence(evidence, found.transform)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
@@ -278,3 +333,78 @@ def spread_points(weights: Float64, place: Place) -> Float64:
 def list_hits(seen: Iterable[Rays]) -> Float64:
     """(N, 2) where the beams of scans ended (m)."""
     return np.concatenate([np.zeros((0, 2)), *(rays.end[rays.kind == Kind.HIT] for rays in seen)])
+
+
+def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
+    """Move evidence on its lattice: each cell takes all that is known of the one it comes from.
+
+    That is the cell in which its middle was before. So no cell between others stays empty, no wall
+    is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
+    """
+    manifest = evidence.manifest
+    builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
+    origins = list_origins(evidence.tiles, by, manifest.resolution)
+    moved = _move_tiles(evidence.tiles, origins)
+    slices = tuple(_move_slices(each, origins) for each in evidence.slices)
+    manifest = replace(manifest, builds=builds)
+    return replace(evidence, manifest=manifest, tiles=moved, slices=slices)
+
+
+Origin: TypeAlias = tuple[list[Key], Int64, Int64]
+"""Where the cells of a tile were before they moved: in these tiles, each cell (4096,) in which of
+them, and at which place in that"""
+
+
+def list_origins(keys: Iterable[Key], by: Transform, resolution: float) -> dict[Key, Origin]:
+    """Find all tiles that some may reach when they move, and where their cells were."""
+    side, beside = TILE * resolution, np.array(list(product((-1, 0, 1), repeat=2)))
+    places = np.array(list(keys), np.float64).reshape(-1, 2)
+    centres = by.move(places[:, ::-1] * side + side / 2) / side
+    # No part of a tile reaches beyond the tiles beside that in which its centre lies.
+    reached = np.floor(centres[:, np.newaxis, ::-1]).astype(np.int64) + beside
+    rows, cols = np.indices((TILE, TILE)).reshape(2, -1)
+    middles = np.column_stack([cols + 0.5, rows + 0.5]) * resolution
+    origins: dict[Key, Origin] = {}
+    for row, col in np.unique(reached.reshape(-1, 2), axis=0).tolist():
+        before = by.move_back(middles + np.array([col, row]) * side)
+        cells = np.floor(before[:, ::-1] / resolution).astype(np.int64)
+        sources, which = np.unique(cells // TILE, axis=0, return_inverse=True)
+        inside = cells % TILE @ np.array([TILE, 1])
+        origins[row, col] = [(r, c) for r, c in sources.tolist()], which.ravel(), inside
+    return origins
+
+
+def _move_tiles(tiles: Mapping[Key, Tile], origins: Mapping[Key, Origin]) -> dict[Key, Tile]:
+    """Move what tiles hold; empty ones are gone."""
+    nothing = np.zeros((2, TILE, TILE), np.int8)
+    made = {}
+    for key, (sources, which, inside) in origins.items():
+        if tiles.keys().isdisjoint(sources):
+            continue
+        held = np.stack([tiles.get(each, nothing).reshape(2, -1) for each in sources])
+        tile = held[which, :, inside].T
+        if tile.any():
+            made[key] = tile.reshape(2, TILE, TILE)
+    return made
+
+
+def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
+    """Move what slices say, one after the other."""
+    parts = []
+    for number in np.unique(slices.numbers).tolist():
+        of_slice = tiles.take(slices, np.flatnonzero(slices.numbers == number))
+        known = np.unpackbits(tiles.unpack(of_slice), axis=-1).view(np.int8)
+        moved = _move_tiles(view_tiles(of_slice.tiles, known), origins)
+        places, cells = stack_tiles(moved)
+        bits, numbers = np.packbits(cells != 0, axis=-1), np.full(len(places), number)
+        parts.append(tiles.pack(places, numbers, bits))
+    return tiles.unite(parts)
+
+
+def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:
+    """Say of a build that its cells were moved, and with which `transform` it would lie there."""
+    options = build["options"]
+    given = options["posing"].get("transform")
+    pose = add_move(given and Pose(*given), by, align)
+    posing = {**options["posing"], "transform": write_value(pose)}
+    return {**build, "options": {**options, "posing": posing}, "moved": list(by)}

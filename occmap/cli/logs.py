@@ -1,6 +1,6 @@
-"""`occmap compare` and `occmap tune`: what suits logs better, as scored on held-out scans.
+"""`occmap check`, `compare` and `tune`: what is asked of logs.
 
-Beside them `occmap diff`: what changed between two maps, and a limit on it.
+What is in them and what will go wrong; and what suits them better, as scored on held-out scans.
 """
 
 import math
@@ -14,18 +14,89 @@ import click
 from occmap.choices import Form, take
 from occmap.cli import options
 from occmap.cli.console import Console, align, write_command, write_rows
-from occmap.cli.declaring import CONFIG, PATH, Answer, command, fail_if
-from occmap.difference import MapDifference, tell_changes
+from occmap.cli.declaring import CONFIG, Answer, command, fail_if
+from occmap.inspection import findings, inspect
+from occmap.inspection.findings import Inspection, LogFindings
 from occmap.options import OPTIONS, BuildOptions
-from occmap.page import compare_files, compare_logs
-from occmap.report import count
-from occmap.report.limits import COMPARE, DIFF, TUNE
+from occmap.page import compare_logs, write_inspection
+from occmap.readers import Role, Stream
+from occmap.report import Row, count, label_first
+from occmap.report.limits import CHECK, COMPARE, TUNE
 from occmap.scoring import SMALL, Gain
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.types import BEAM_UPDATES, Update
-from occmap.writers import WriteOptions
+from occmap.writers import check_picture
+
+LABEL = 10
+"""Width of the column of labels"""
+
+
+@command(
+    "check",
+    Inspection,
+    options.LOGS,
+    options.one_output("output", "FILE.html", "Write the findings as a page as well."),
+    *options.OF_LOGS,
+    *(fail_if(CHECK, "dropped_scans > 5%"), CONFIG),
+)
+def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> Answer:
+    """Say what is in logs, and what will go wrong with them.
+
+    It takes the options of `occmap build` that concern scans, poses and ranges, and ends with the
+    command line that it recommends. Exits with 1 if a build with the options given would fail.
+
+      occmap check drive.mcap
+      occmap check room.bag --sensor-pose 0,0,3.14159 --resolution 0.02
+      occmap check intel.log.gz --json
+    """
+    check_picture(values["output"], logs, [".html"])
+    chosen = take(BuildOptions, values)
+    inspection = inspect(options.gather_logs(console, logs, chosen), chosen)
+    if values["output"]:
+        write_inspection(values["output"], inspection)
+    if console.quiet or console.as_json:
+        for problem in inspection.problems:
+            console.tell(f"error: {problem}")
+    failure = None if inspection.buildable else click.exceptions.Exit(1)
+    return Answer(inspection, format_inspection(inspection), failure)
+
+
+def format_inspection(inspection: Inspection) -> Iterator[str]:
+    """Write all findings; problems and the recommended command come last."""
+    for log in inspection.logs:
+        yield log.path
+        yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
+        yield ""
+    rows = [] if inspection.map is None else [("map", findings.describe_map(inspection.map))]
+    rows += [("warning", text) for text in inspection.warnings]
+    rows += [("problem", text) for text in inspection.problems]
+    yield from write_rows(rows, LABEL)
+    if inspection.command:
+        yield from (*[""] * bool(rows), write_command(inspection.command))
+
+
+def list_log(log: LogFindings) -> Iterator[Row]:
+    """List all about one log."""
+    yield from label_first("topics", list_streams(log.streams))
+    for topic in log.scans:
+        yield "", ""
+        yield from findings.list_facts(topic)
+    if log.coverage:
+        yield "", ""
+    yield from label_first("sources", findings.list_sources(log.coverage))
+    yield from label_first("note", log.other_notes)
+
+
+def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
+    """List the topics with their types and counts, and what each is good for."""
+    width = max((len(stream.topic) for stream in streams), default=0)
+    kinds = max((len(stream.type) for stream in streams), default=0)
+    for stream in streams:
+        role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
+        yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
+
 
 BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
 """What is told: `combine` says why the update for clouds is none of them"""
@@ -165,7 +236,7 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    first, second = (describe(half.correction, names) for half in finding.halves)
+    first, second = (describe_correction(half.correction, names) for half in finding.halves)
     one, other = map(format_gain, finding.halves)
     if finding.verdict is Verdict.DISAGREE:
         return (
@@ -199,7 +270,7 @@ def list_tuned(tuned: TunedLog) -> list[str]:
     return [tuned.log, *shares, format_gain(tuned), agreement]
 
 
-def describe(correction: Correction, names: Sequence[str]) -> str:
+def describe_correction(correction: Correction, names: Sequence[str]) -> str:
     """Write some numbers of a correction, without those that are zero."""
     written = {
         "time_s": f"offset {correction.time_s:+.6g} s",
@@ -216,37 +287,3 @@ def format_gain(it: Gain) -> str:
     """Write a gain and its standard error, where that is known."""
     error = f" +- {it.gain_error:.4f}" if math.isfinite(it.gain_error) else ""
     return f"{it.gain:.4f}{error}"
-
-
-@command(
-    "diff",
-    MapDifference,
-    click.Argument(["before"], type=PATH, metavar="A"),
-    click.Argument(["after"], type=PATH, metavar="B"),
-    options.one_output(
-        "output", "FILE", "Write the changes here: .png is a picture, .html a page."
-    ),
-    *options.THRESHOLDS,
-    options.field(OPTIONS["edits"], help="Say which changes lie in the shapes in this file."),
-    fail_if(DIFF, "changed > 1%", "--fail-above"),
-)
-def diff_command(_console: Console, /, before: Path, after: Path, **values: Any) -> Answer:
-    """Say what changed between two maps, and fail above a limit.
-
-    A and B are maps as PGM with YAML, PNG, or evidence (.npz or .zarr). They may differ in size, as
-    all maps of one resolution share a lattice. A PNG does not say where it lies, so it is compared
-    with a map of its size. A PNG that occmap wrote says how its cells were decided; in any other,
-    dark cells are occupied.
-
-    A cell that is neither occupied nor free is unknown or undecided; images do not tell one from
-    the other, so both count as neither.
-
-    In the picture, cells that became occupied are orange and cells that became free are blue:
-    strong where they were the opposite before, pale where they were neither. Cells that became
-    neither are wine red if they were occupied and pink if they were free.
-
-      occmap diff yesterday.pgm today.pgm
-      occmap diff golden.yaml build/map.pgm -o diff.png --fail-above 1%
-    """
-    difference = compare_files(before, after, take(WriteOptions, values), values["output"])
-    return Answer(difference, write_rows(tell_changes(difference)))

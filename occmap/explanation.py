@@ -1,4 +1,4 @@
-"""What evidence holds at one point, and which scans hit the cell there or cleared it.
+"""Why a cell is what it is: what evidence holds of it, and which scans made it so.
 
 Each scan is traced once more, as its build traced it. A log is known by its hash, not by its name.
 Options are read back from the JSON that `write_value` made of them.
@@ -6,26 +6,55 @@ Options are read back from the JSON that `write_value` made of them.
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
-from occmap.cells import Box, CellBox, Evidence, Manifest, Slices
-from occmap.choices import take
-from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError
-from occmap.evidence.manifest import BuildRecord, describe_files, list_inputs, list_trajectory
+from occmap import evidence
+from occmap.cells import Box, CellBox, Evidence, Manifest, OccupancyMap, Slices
+from occmap.choices import option, take
+from occmap.errors import LogError, MapError, OccmapError, PoseError, UsageError, require
+from occmap.evidence import manifest as records
+from occmap.evidence.manifest import BuildRecord
 from occmap.grid import Lattice, tiles
-from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
+from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid, find_unit, unite
 from occmap.options import OPTIONS, BuildOptions
 from occmap.readers import open_log
-from occmap.report import HIDDEN, Count, join_names, printed_as
+from occmap.report import HIDDEN, Count, Printed, Share, count, join_names, printed_as
 from occmap.scans import plan_grid
-from occmap.scans.tracing import Progress, Reading
+from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.sensor import interpret
-from occmap.types import Pose, PosedScans, PoseSample
+from occmap.sensor.models import MODEL, SensorModel, describe_model
+from occmap.store import Saved, as_blocks, read_part
+from occmap.store.publishing import open_map
+from occmap.types import Pose, PosedScans, PoseSample, Update
+from occmap.writers import WriteOptions
+
+
+@dataclass(frozen=True)
+class Question:
+    """Which cell a user asks about, and how it is judged."""
+
+    x: float
+    y: float
+    """A point in the map frame (m)"""
+    logs: tuple[Path, ...] = ()
+    """The logs whose scans are looked for; none: only the evidence is asked"""
+    poses: tuple[Path, ...] = ()
+    """The trajectory files of the builds that had one"""
+    model: SensorModel | None = option(None, form=MODEL)
+    """None: the one that the evidence was built with"""
+    min_passes: int | None = None
+    """The cell keeps its hits only if they came on so many visits; None: it keeps all"""
+    writing: WriteOptions = field(default_factory=WriteOptions)
+    """Its thresholds decide what the cell is called"""
+
+    def __post_init__(self) -> None:
+        is_of_logs = bool(self.logs) or not self.poses
+        require(is_of_logs, "`poses` goes with a log", "add `logs=LOG`, or leave it out")
 
 
 class Use(NamedTuple):
@@ -39,7 +68,7 @@ class Use(NamedTuple):
     options: BuildOptions
 
 
-def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> list[Use]:
+def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> list[Use]:
     """Find every build that used a log; one that used it twice is found twice.
 
     Parameters
@@ -54,7 +83,7 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -
     PoseError
         A trajectory is missing, or none of these builds had it.
     """
-    builds = evidence.manifest.builds
+    builds = part.manifest.builds
     given = {digest: path for path in poses for digest in hash_files(path)}
     distinct: dict[frozenset[str], Path] = {}
     for log in logs:  # of equal logs the first will do: a build cannot tell them apart
@@ -63,10 +92,10 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -
     for hashes, log in distinct.items():
         times = [at for at, build in enumerate(builds) for _ in range(count_uses(hashes, build))]
         if not times:
-            refuse_stranger(evidence, log)
-        recalled = [recall_build(builds[at], evidence.where, log, given) for at in times]
+            refuse_stranger(part, log)
+        recalled = [recall_build(builds[at], part.where, log, given) for at in times]
         uses += [Use(log, hashes, *each) for each in zip(times, recalled, strict=True)]
-    used = {entry["sha256"] for use in uses for entry in list_trajectory(builds[use.build])}
+    used = {entry["sha256"] for use in uses for entry in records.list_trajectory(builds[use.build])}
     idle = given.keys() - used
     if idle:
         found = "is not a trajectory that these logs were built with"
@@ -76,12 +105,12 @@ def find_uses(evidence: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -
 
 def hash_files(path: Path) -> frozenset[str]:
     """SHA-256 of a file, or of all files in a folder; raises LogError if one cannot be read."""
-    return frozenset(entry["sha256"] for entry in describe_files(path))
+    return frozenset(entry["sha256"] for entry in records.describe_files(path))
 
 
 def count_uses(hashes: Iterable[str], build: BuildRecord) -> int:
     """How many times a build read the log whose files have these hashes."""
-    held = Counter(entry["sha256"] for entry in list_inputs(build))
+    held = Counter(entry["sha256"] for entry in records.list_inputs(build))
     return min((held[digest] for digest in hashes), default=0)
 
 
@@ -93,14 +122,14 @@ def list_logs(build: BuildRecord, but: Collection[str] = ()) -> list[str]:
     but
         Hashes of files that are left out.
     """
-    entries = (entry for entry in list_inputs(build) if entry["sha256"] not in but)
+    entries = (entry for entry in records.list_inputs(build) if entry["sha256"] not in but)
     return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in entries))
 
 
-def list_missing(evidence: Evidence, uses: Sequence[Use]) -> list[str]:
+def list_missing(part: Evidence, uses: Sequence[Use]) -> list[str]:
     """Name the logs that went into the evidence, and that no use reads."""
     missing = dict[str, None]()
-    for at, build in enumerate(evidence.manifest.builds):
+    for at, build in enumerate(part.manifest.builds):
         read = {digest for use in uses if use.build == at for digest in use.hashes}
         missing |= dict.fromkeys(list_logs(build, read))
     return list(missing)
@@ -126,7 +155,7 @@ def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Pat
         As `recall_options`.
     """
     options = recall_options(build["options"], where)
-    trajectory = list_trajectory(build)
+    trajectory = records.list_trajectory(build)
     if not trajectory:
         return options
     name = trajectory[0]["name"].partition("/")[0]
@@ -140,7 +169,7 @@ def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Pat
     return replace(options, posing=replace(options.posing, poses=f"{path}{topic}"))
 
 
-def refuse_stranger(evidence: Evidence, log: Path) -> None:
+def refuse_stranger(part: Evidence, log: Path) -> None:
     """Refuse a log that the evidence was not made of.
 
     Raises
@@ -148,11 +177,11 @@ def refuse_stranger(evidence: Evidence, log: Path) -> None:
     LogError
         Saying whether it was changed, and what the evidence was made of.
     """
-    names = list(dict.fromkeys(n for build in evidence.manifest.builds for n in list_logs(build)))
+    names = list(dict.fromkeys(n for build in part.manifest.builds for n in list_logs(build)))
     if log.resolve().name in names:
-        found = f"is not the {log.resolve().name} that {evidence.where} was made of: it was changed"
+        found = f"is not the {log.resolve().name} that {part.where} was made of: it was changed"
         raise LogError(found, where=log, fix="give the log as it was, or build the evidence again")
-    found = f"{evidence.where} was not made of it"
+    found = f"{part.where} was not made of it"
     fix = f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these"
     raise LogError(found, where=log, fix=fix)
 
@@ -212,7 +241,7 @@ Numbers = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Seen:
+class Observation:
     """What observed a cell."""
 
     hits: Count | None
@@ -284,19 +313,19 @@ class Cell:
         """The cell as a box of cells."""
         return CellBox.at(self.lattice_row, self.lattice_column)
 
-    def read_slices(self, evidence: Evidence) -> list[Slices]:
+    def read_slices(self, part: Evidence) -> list[Slices]:
         """Take from each layer of slices, one of each build, that of the cell's tile."""
         tile = self.lattice_row // TILE, self.lattice_column // TILE
-        mine = [np.flatnonzero((each.tiles == tile).all(axis=1)) for each in evidence.slices]
-        return [tiles.take(*each) for each in zip(evidence.slices, mine, strict=True)]
+        mine = [np.flatnonzero((each.tiles == tile).all(axis=1)) for each in part.slices]
+        return [tiles.take(*each) for each in zip(part.slices, mine, strict=True)]
 
-    def read_around(self, grid: TileGrid) -> list[list[Seen]]:
+    def read_around(self, grid: TileGrid) -> list[list[Observation]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
 
         A cell that is in no tile has zeros.
         """
         rows = np.moveaxis(grid.gather(self.box.grow(1), np.int64), 0, -1)[::-1]
-        return [[Seen.read(numbers, grid.kind) for numbers in row] for row in rows.tolist()]
+        return [[Observation.read(numbers, grid.kind) for numbers in row] for row in rows.tolist()]
 
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
@@ -323,7 +352,7 @@ class Sighting:
     """Which build of the evidence used it, counted from 0 as in the manifest"""
     topic: str
     """The topic, or the kind of line"""
-    seen: Seen
+    seen: Observation
     """What the scan added to the cell"""
     x: float
     """Where the sensor was (m)"""
@@ -333,7 +362,7 @@ class Sighting:
     """From there to the middle of the cell (m)"""
 
     @classmethod
-    def note(cls, use: Use, posed: PosedScans, scan: int, seen: Seen, cell: Cell) -> Self:
+    def note(cls, use: Use, posed: PosedScans, scan: int, seen: Observation, cell: Cell) -> Self:
         """Note what one of some scans did to a cell."""
         low_x, low_y, high_x, high_y = cell.extent
         middle = (low_x + high_x) / 2, (low_y + high_y) / 2
@@ -365,13 +394,176 @@ def find_sightings(
             rays, _ = interpret(posed, use.options.returns)
             numbers = look_at_cell(rays, spec, cell.lattice_row, cell.lattice_column)
             for scan in np.flatnonzero(numbers.any(axis=1)).tolist():
-                seen = Seen.read(numbers[scan].tolist(), spec.kind)
+                seen = Observation.read(numbers[scan].tolist(), spec.kind)
                 sightings.append(Sighting.note(use, posed, scan, seen, cell))
             used += len(numbers)
     return sorted(sightings, key=lambda each: each.stamp_ns), used
 
 
-def add_up(sightings: Sequence[Sighting]) -> Numbers:
+def sum_sightings(sightings: Sequence[Sighting]) -> Numbers:
     """Sum up what scans added to the cell."""
     first, second = (sum(each.seen.numbers[part] for each in sightings) for part in (0, 1))
     return first, second
+
+
+@dataclass(frozen=True, kw_only=True)
+class BuildVisits(Visits):
+    """When one build observed the cell."""
+
+    build: Count
+    """Which build of the evidence, counted from 0 as in the manifest"""
+    logs: list[str]
+    """The names of its logs"""
+
+
+Verdict = Literal["occupied", "free", "undecided", "unknown"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Explanation(Printed):
+    """What was seen at a point, and by which scans: what occmap explain prints."""
+
+    point: tuple[float, float]
+    """x and y that were asked for (m)"""
+    cell: Cell
+    """The cell that holds the point"""
+    map_extent: Box | None
+    """Lowest x and y, highest x and y of all observed cells (m); null where there are none"""
+    verdict: Verdict = field(metadata=printed_as("class"))
+    """What the cell is; unknown is what nothing observed, undecided what is neither occupied nor
+    free"""
+    probability: Share
+    """How much the cell is thought to be occupied, from 0 to 1; the prior where it is
+    unknown"""
+    model: str
+    """The sensor model that says so, with its parameters"""
+    unit: Count
+    """What one observation counts in hits, misses, log_odds and observations: divide these by
+    it"""
+    seen: Observation
+    """What observed the cell"""
+    kept: Observation | None
+    """What of that makes the class, where `min_passes` forgets hits, or misses beside lasting hits;
+    null where nobody asked"""
+    ground: float | None
+    """How high the ground is at the point (m); null where no points of clouds showed it"""
+    around: list[list[Observation]]
+    """What observed the cell, in the middle, and its neighbours: rows by falling y, in them
+    cells by rising x"""
+    min_passes: Count | None
+    """On how many visits the cell has to be hit to keep its hits (`min_passes`); null where
+    nobody asked"""
+    visits: Visits | None
+    """When all builds together observed the cell; null where nothing did"""
+    builds: tuple[BuildVisits, ...]
+    """The builds that observed the cell"""
+    scans_used: Count
+    """Scans of the logs given that their builds used"""
+    scans: tuple[Sighting, ...]
+    """Those of them that observed the cell, by time"""
+    notes: tuple[str, ...]
+    """What else to know of the evidence, and what the scans leave unexplained"""
+
+    @property
+    def explained(self) -> Numbers:
+        """What the scans add up to."""
+        return sum_sightings(self.scans)
+
+
+def explain(saved: Saved, question: Question, progress: Progress = ignore_progress) -> Explanation:
+    """Say what was observed at a point, and by which scans of the logs that the user has.
+
+    Raises
+    ------
+    OccmapError
+        The point is in no map, the model cannot read the evidence, a log cannot be read or is none
+        that the evidence was made of, or a trajectory is missing.
+    """
+    model = evidence.choose_model(saved, question.model, question.min_passes)
+    if question.logs and saved.manifest.update == Update.CLOUD:
+        found = "evidence of clouds does not say which of them observed a cell"
+        raise UsageError(found, where=saved.where, fix="leave out `logs`")
+    cell = Cell.find(Lattice(saved.manifest.resolution), question.x, question.y)
+    # All that is in memory, or the tile that holds the point and those beside it.
+    part = read_part(saved, cell.box)
+    manifest, grid = part.manifest, evidence.to_grid(part)
+    around = cell.read_around(grid)
+    layers = cell.read_slices(part)
+    lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
+    made, blocks = evidence.paint_box(lasting, model, cell.box), as_blocks(saved)
+    uses = find_uses(part, question.logs, question.poses)
+    sightings, scans_used = find_sightings(uses, cell, progress)
+    unexplained = list_unexplained(part, around[1][1], uses, sightings)
+    return Explanation(
+        point=(question.x, question.y),
+        cell=cell,
+        map_extent=open_map(blocks, model).extent if blocks.blocks else None,
+        verdict=name_class(made, question.writing),
+        probability=float(made.probability[0, 0]),
+        model=describe_model(model),
+        unit=find_unit(manifest.update),
+        seen=around[1][1],
+        kept=cell.read_around(lasting)[1][1] if question.min_passes else None,
+        ground=measure_ground(saved, question),
+        around=around,
+        min_passes=question.min_passes,
+        visits=cell.read_visits(unite(layers), manifest),
+        builds=tuple(list_visits(cell, layers, manifest)),
+        scans_used=scans_used,
+        scans=tuple(sightings),
+        notes=(*records.list_doubts(manifest), *unexplained),
+    )
+
+
+def list_visits(cell: Cell, layers: Sequence[Slices], manifest: Manifest) -> Iterator[BuildVisits]:
+    """List when each build observed the cell, of those that did."""
+    for at, (layer, build) in enumerate(zip(layers, manifest.builds, strict=True)):
+        if visits := cell.read_visits(layer, manifest):
+            yield BuildVisits(**vars(visits), build=at, logs=list_logs(build))
+
+
+def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
+    """Name what the one cell of a map is."""
+    decided = replace(made, decision=writing.decide(made.decision))
+    if decided.occupied.all():
+        return "occupied"
+    if decided.free.all():
+        return "free"
+    return "undecided" if made.observed.all() else "unknown"
+
+
+def measure_ground(saved: Saved, question: Question) -> float | None:
+    """How high the ground is at the point (m), as clouds showed it; None where they did not."""
+    if saved.ground is None:
+        return None
+    (height,) = saved.ground.find_heights(np.array([[question.x, question.y]])).tolist()
+    return None if math.isnan(height) else height
+
+
+def list_unexplained(
+    part: Evidence, seen: Observation, uses: Sequence[Use], sightings: Sequence[Sighting]
+) -> Iterator[str]:
+    """Say what is not explained by the scans that were found."""
+    found, manifest = sum_sightings(sightings), part.manifest
+    if not uses or found == seen.numbers:
+        return
+    unit = find_unit(manifest.update)
+    parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
+    sums = " of ".join(parts)
+    if missing := list_missing(part, uses):
+        yield f"these logs explain {sums}; the rest is in {join_names(missing)}"
+    elif manifest.subtracted:
+        yield f"the scans explain {sums}; other evidence was subtracted"
+    elif any("moved" in build for build in manifest.builds):
+        yield f"the scans explain {sums}; `occmap merge` moved cells of it, not scans"
+    else:
+        makers = ", ".join(sorted({build["occmap"] for build in manifest.builds}))
+        yield f"the scans explain {sums}: the occmap that built it ({makers}) read them differently"
+
+
+def describe_numbers(numbers: Numbers, kind: EvidenceKind, unit: int) -> str:
+    """Spell out the two numbers of a cell, in observations."""
+    first, second = (each / unit for each in numbers)
+    if kind is EvidenceKind.LOG_ODDS:
+        return f"log-odds {first * LOG_ODDS_UNIT:.3f} of {count(second, 'observation')}"
+    return f"{count(first, 'hit')} and {count(second, 'miss')}"
