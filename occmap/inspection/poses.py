@@ -24,7 +24,7 @@ from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.sources import Sources
-from occmap.readers import Log
+from occmap.readers import Log, Role
 from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT
 from occmap.scans import estimate_agreement, mounts
@@ -136,7 +136,8 @@ def share_posed(poser: Poser, topic: TopicSurvey) -> float:
         return 0.0
     stamps = poser.options.stamps.choose(topic.stamps.header_ns, topic.stamps.record_ns)
     stamp_ns = np.array(stamps) + round(poser.options.time_offset_s * 1e9)
-    return float(np.mean(chain.at(stamp_ns).status == Status.POSED))
+    in_clouds = topic.stream.role is Role.CLOUD
+    return float(np.mean(chain.at(stamp_ns, in_clouds).status == Status.POSED))
 
 
 def list_coverage(sources: Sources) -> list[Coverage]:

@@ -52,6 +52,7 @@ class DropReason(StrEnum):
     BEFORE = "before the first pose"
     AFTER = "after the last pose"
     GAP = "in a pose gap longer than `max_pose_gap_s`"
+    TURN = "in a turn between poses more than 0.3 s apart"
     UNUSABLE = "pose not finite or beyond 1e12 m or without a rotation"
     LEAP = "further from their neighbours than `max_speed` allows"
     NO_TRANSFORM = "no transform to the scan's frame"

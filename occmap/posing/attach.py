@@ -159,15 +159,16 @@ class Poser:
             yield from self._keep(batch, way.at(stamp_ns), carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
-        deskew = Deskew.AUTO if batch.clouds else self.options.deskew
+        in_clouds = bool(batch.clouds)
+        deskew = Deskew.AUTO if in_clouds else self.options.deskew
         deskewed, notes = chain.choose_deskewed(batch, deskew, way)
         self._note(*notes)
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield from self._keep(part, way.at(moment_ns.ravel()))
+            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds))
         if not deskewed.all():
-            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed]))
+            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed], in_clouds))
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""

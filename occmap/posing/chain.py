@@ -10,6 +10,7 @@ A laser turns while it measures, so each beam of a de-skewed scan gets a pose of
 that is not de-skewed has one pose, at its stamp.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -27,11 +28,15 @@ DRIFT_M, DRIFT_RAD = 0.1, 0.05
 DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
 """What a correction drifts by at most, beyond that: 5 cm a second is a bad odometer."""
 
+SPARSE_S, TURNED_RAD, AT_POSE_S = 0.3, math.radians(2), 0.02
+"""Where poses are farther apart, and the robot turned by more between them, they do not tell how
+it turned: at five metres a degree moves a wall by two cells. So near to a pose it hardly did."""
+
 DENSE_S = 0.1
 """Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
 
 
-Status = IntEnum("Status", "POSED BEFORE AFTER GAP UNUSABLE LEAP NO_TRANSFORM", start=0)
+Status = IntEnum("Status", "POSED BEFORE AFTER GAP TURN UNUSABLE LEAP NO_TRANSFORM", start=0)
 """Whether there is a pose at a stamp, and if not, why; the names are those of `DropReason`. Where
 the legs of a chain differ, the highest number counts."""
 
@@ -101,8 +106,14 @@ class Moving:
     """(N,) whether the pose jumps after a sample, which holds until then"""
     max_gap_ns: float
 
-    def at(self, stamp_ns: Int64) -> Transforms:
-        """Interpolate at stamps (N,), in any order."""
+    def at(self, stamp_ns: Int64, in_clouds: bool) -> Transforms:
+        """Interpolate at stamps (N,), in any order.
+
+        Parameters
+        ----------
+        in_clouds
+            Where poses are sparse, and turn, there is none: walls far away would be smeared.
+        """
         track = self.step.track
         stamps = track.stamp_ns
         last = len(stamps) - 1
@@ -119,6 +130,10 @@ class Moving:
             slerp(track.quaternion[earlier], track.quaternion[later], fraction),
         )
         found.status[(width > self.max_gap_ns) & (since > 0)] = Status.GAP
+        if in_clouds and self.max_gap_ns < np.inf:
+            between = np.minimum(since, width - since) > AT_POSE_S * 1e9
+            turned = np.append(track.step_rad, 0)[earlier] > TURNED_RAD
+            found.status[between & turned & (width > SPARSE_S * 1e9)] = Status.TURN
         found.status[stamp_ns < stamps[0]] = Status.BEFORE
         found.status[stamp_ns > stamps[-1]] = Status.AFTER
         return found.invert() if self.step.inverted else found
@@ -146,13 +161,13 @@ class Chain:
         dense: Bool = self.interval_s <= np.maximum(duration_s, DENSE_S)
         return dense & (self.interval_s > 0)
 
-    def at(self, stamp_ns: Int64) -> Transforms:
+    def at(self, stamp_ns: Int64, in_clouds: bool = False) -> Transforms:
         """Look up the sensor at stamps (N,), in any order; the worst status of the legs counts."""
         n = len(stamp_ns)
         unturned = np.broadcast_to(np.eye(3), (n, 3, 3))
         found = Transforms(np.zeros((n, 3)), unturned, np.zeros(n, np.uint8))
         for leg in self.legs:
-            found = found.then(leg.at(stamp_ns) if isinstance(leg, Moving) else leg)
+            found = found.then(leg.at(stamp_ns, in_clouds) if isinstance(leg, Moving) else leg)
         return found
 
 

@@ -191,8 +191,11 @@ class Tally:
 
 def advise_on_dropped(dropped: Mapping[str, int]) -> str:
     """Say what to do about scans that are not used, by the reason of most of them."""
-    if max(dropped, key=dropped.__getitem__, default="") == DropReason.GAP:
+    most = max(dropped, key=dropped.__getitem__, default="")
+    if most == DropReason.GAP:
         return "a larger `max_pose_gap_s` interpolates across the gaps"
+    if most == DropReason.TURN:
+        return "poses of each cloud tell how it turned, and those of key frames do not"
     return "`occmap check` shows the times of scans and poses"
 
 

@@ -99,6 +99,17 @@ def test_a_street_that_climbs_stays_as_it_is() -> None:
     assert len(notes) == 1
 
 
+def test_a_floor_without_walls_does_not_tell_if_it_climbs() -> None:
+    clouds = lean(drive(Room()), turn(2, 1, 0))
+    points = [read_points(each) for each in clouds]
+    floors = [
+        change_points(it, each[each[:, 2] < -0.5]) for it, each in zip(clouds, points, strict=True)
+    ]
+    _, notes, options = level_ground(count(floors), BuildOptions(), None)
+    assert options == BuildOptions()
+    assert len(notes) == 1
+
+
 @pytest.mark.parametrize("level", [(0.0, 0.0), (2.0, 0.0)])
 def test_what_the_user_says_goes_before_what_clouds_show(level: tuple[float, float]) -> None:
     given = BuildOptions(posing=PosingOptions(level=level))

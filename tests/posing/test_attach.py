@@ -9,7 +9,7 @@ from occmap.posing import Deskew, DropReason, PosingOptions, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.frames import Source
 from occmap.sensor import ReturnOptions, interpret
-from occmap.types import Float64, Pose, PoseSample, ScanBatch
+from occmap.types import Cloud, Float64, Pose, PoseSample, ScanBatch
 from tests.posing.scenes import SECOND, at, attach, batch_at, bolted, build, drive, turned, yaw_of
 
 MOUNT = bolted("base_link", "laser", Pose.planar(0.5, 0, 0))
@@ -55,6 +55,19 @@ def test_odometry_that_stops_between_two_corrections_is_a_gap() -> None:
     poser = build(*corrections, *drive("odom", "laser", seconds=(0, 1, 2, 6, 7, 8, 9, 10)))
     _, dropped = attach(poser, batch_at([1.5, 2.0, 3.0, 5.9, 6.0]))
     assert dropped == {DropReason.GAP: 2}
+
+
+@pytest.mark.parametrize("gap", [2.0, None])
+def test_clouds_in_a_turn_between_key_frames_are_left_out_and_scans_are_not(
+    gap: float | None,
+) -> None:
+    poses = [at(t, "map", "laser", turned(20 * t)) for t in (0, 1, 2)]
+    scans = batch_at([0, 0.5, 1, 1.5, 2])
+    clouds = tuple(Cloud(0, "laser", np.zeros((1, 3), np.float32)) for _ in scans.stamp_ns)
+    (posed,), dropped = attach(build(*poses, max_pose_gap_s=gap), replace(scans, clouds=clouds))
+    assert dropped == ({} if gap is None else {DropReason.TURN: 2})
+    assert len(posed.position) == (5 if gap is None else 3)
+    assert not attach(build(*poses), scans)[1]
 
 
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:

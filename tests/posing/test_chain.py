@@ -13,7 +13,8 @@ from occmap.posing.tracks import TrackBuilder
 from occmap.types import Float64, Pose
 from tests.posing.scenes import SECOND, turned, yaw_of
 
-BEFORE, POSED, GAP, AFTER = Status.BEFORE, Status.POSED, Status.GAP, Status.AFTER
+BEFORE, POSED, AFTER = Status.BEFORE, Status.POSED, Status.AFTER
+GAP, TURN = Status.GAP, Status.TURN
 Keyed = Sequence[tuple[float, Pose]]
 """Seconds and poses."""
 
@@ -57,6 +58,18 @@ def test_nothing_is_interpolated_across_a_long_gap() -> None:
 def test_a_gap_of_exactly_the_limit_is_bridged() -> None:
     chain = chain_of(edge("odom", "base", [(0, turned(0)), (2, turned(0, x=2))]), max_gap_s=2.0)
     assert look_up(chain, 1)[2] == [POSED]
+
+
+def test_clouds_have_no_pose_in_a_turn_between_key_frames() -> None:
+    """But straight on, within 0.3 s, and so near to a key frame that the robot hardly turned."""
+    turns = (0, 10, 20, 21.9, 31.9)
+    driven = edge("odom", "base", list(zip((0, 1, 1.3, 3.3, 6), map(turned, turns), strict=True)))
+    stamp_ns = np.array([0, 20, 21, 500, 979, 980, 1150, 2000, 4000, 6000]) * (SECOND // 1000)
+    turning = [POSED, POSED, TURN, TURN, TURN, POSED, POSED, POSED, TURN, POSED]
+    chain = chain_of(driven, max_gap_s=2.0)
+    assert chain.at(stamp_ns, in_clouds=True).status.tolist() == turning
+    assert set(chain.at(stamp_ns).status.tolist()) == {POSED, GAP}
+    assert not chain_of(driven).at(stamp_ns, in_clouds=True).status.any()
 
 
 def test_a_correction_that_jumps_breaks_at_its_sample() -> None:
