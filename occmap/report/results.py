@@ -281,7 +281,7 @@ def list_notes(
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
     yield from list_vain_edits(facts, options.writing)
-    yield from list_unwritten(facts, options.model, options.writing)
+    yield from list_unwritten(facts, options.model, options.writing, outputs)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
@@ -345,9 +345,18 @@ def list_disagreement(
         yield f"{doubt}: the poses do not fit the scans{less}; {fix}"
 
 
-def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -> Iterator[str]:
-    """Say how many walls the YAML's own thresholds lose, where loaders decide by these."""
-    _, occupied, _, walls = facts.counts.tolist()
+def list_unwritten(
+    facts: MapFacts, model: SensorModel, writing: WriteOptions, outputs: Sequence[Path]
+) -> Iterator[str]:
+    """Say what loaders do not find again: walls, by the YAML's own thresholds, and the unknown."""
+    observed, occupied, _, walls = facts.counts.tolist()
+    unknown = math.prod(facts.shape) - observed
+    is_pgm = any(path.suffix.lower() == ".pgm" for path in outputs)
+    if writing.mode is MapMode.SCALE and is_pgm and unknown:
+        yield (
+            f"`mode=scale`: nav2 loads the {count(unknown, 'unknown cell')} of a .pgm as a "
+            "probability of 0.5; `mode=trinary` and `mode=raw` tell them apart"
+        )
     is_left_to_yaml = writing.mode is not MapMode.TRINARY and writing.occupied_thresh is None
     if is_left_to_yaml and occupied < walls:
         # Rounded down, so that it leaves out none of them.
