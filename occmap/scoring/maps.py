@@ -14,7 +14,7 @@ from occmap.errors import MapError, require
 from occmap.evidence.manifest import describe_files
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
-from occmap.report import HIDDEN, Count, Finite, Printed, Share, join_names
+from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes, join_names
 from occmap.report.results import doubt_agreement
 from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
@@ -194,7 +194,7 @@ def score(
         free=int(np.count_nonzero(written.classes == FREE)),
         by_logs=by_logs,
         by_truth=by_truth,
-        notes=tuple(notes),
+        notes=fold_notes(notes),
         files=(str(picture),) if picture else (),
     )
 
