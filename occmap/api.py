@@ -224,7 +224,7 @@ def compare(
     )
     drawn = read_value("picture", Path | None, picture)
     found = page.compare_logs(paths, variants, common, drawn)
-    return replace(found, notes=[*notes, *found.notes])
+    return replace(found, notes=(*notes, *found.notes))
 
 
 @refuse_failures()
@@ -248,7 +248,7 @@ def tune(*logs: AnyPaths, **options: Any) -> tuning.Tuning:
     """
     (paths, notes), common = read_request(logs, options, "tune")
     found = tuning.tune(paths, common)
-    return replace(found, notes=[*notes, *found.notes])
+    return replace(found, notes=(*notes, *found.notes))
 
 
 @refuse_failures()

@@ -73,7 +73,7 @@ def tell_kinds(it: Float32, low: Float32, high: Float32) -> Iterator[tuple[str, 
     nothing = "the driver's way to say that nothing came back"
     yield "+inf", "did not come back (REP 117)", it == np.inf
     yield "= range_max", nothing, (it == high) & (it < np.inf)
-    yield BEYOND, nothing, (it > high) & (it < np.inf)
+    yield BEYOND, f"beyond the limit, stated or found: {nothing}", (it > high) & (it < np.inf)
     yield "-inf", "too close to measure (REP 117)", it == -np.inf
     yield "nan", "not measured (REP 117)", np.isnan(it)
     yield "zero", "no return or too close: drivers differ", it == 0

@@ -267,6 +267,10 @@ class Poser:
             if not jumped and (jumped := courses.warn_of_jumps(way, track, begin_ns)):
                 yield topic, jumped
 
+    def list_standing(self) -> list[str]:
+        """List the topics of sensors that never moved, where there are scans enough to see it."""
+        return [name for (name, _), it in self._list_posed() if courses.stands(it.build())]
+
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""
         for (topic, _), course in self._list_posed():

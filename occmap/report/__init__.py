@@ -182,6 +182,8 @@ class Note(str):
 
     damage: bool
     """True: the log is not as its recorder meant it; the sentence says where, and what is lost."""
+    parts: tuple[str, str] | None = None
+    """The log that it names, and the sentence without it"""
 
     def __new__(cls, text: str, damage: bool = False) -> "Note":
         """Make a note of a sentence."""
@@ -196,7 +198,9 @@ class Note(str):
 
     def placed(self, log: str | Path) -> "Note":
         """Name the log that it is about."""
-        return Note(f"{log}: {self}", self.damage)
+        named = Note(f"{log}: {self}", self.damage)
+        named.parts = str(log), self.text
+        return named
 
 
 class NoteList(list[Note]):
@@ -227,10 +231,11 @@ class Noted(Printed):
     It is a dataclass with the fields `notes`, and `damage`, which is not given but found.
     """
 
-    notes: Sequence[str]
+    notes: tuple[str, ...]
     damage: tuple[str, ...]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "notes", fold_notes(self.notes))
         found = tuple(note for note in self.notes if is_damage(note))
         object.__setattr__(self, "damage", found)
 
@@ -238,6 +243,16 @@ class Noted(Printed):
     def other_notes(self) -> list[str]:
         """The notes that do not tell of damage."""
         return [note for note in self.notes if not is_damage(note)]
+
+
+def fold_notes(notes: Iterable[str]) -> tuple[str, ...]:
+    """Say once what holds for several logs, where it is said first; damage stays as it is."""
+    logs: dict[tuple[str, bool], dict[str, None]] = {}
+    for note in notes:
+        parts = note.parts if isinstance(note, Note) and not note.damage else None
+        log, text = parts or ("", note)
+        logs.setdefault((text, is_damage(note)), {})[log] = None
+    return tuple(f"{join_names(it)}: {text}" if any(it) else text for (text, _), it in logs.items())
 
 
 def is_damage(note: str) -> bool:

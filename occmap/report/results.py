@@ -13,13 +13,23 @@ from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.choices import list_values
 from occmap.grid.tiles import TileGrid
 from occmap.options import OPTIONS, BuildOptions, choose_model, compose_build
-from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
+from occmap.report import (
+    HIDDEN,
+    Count,
+    Noted,
+    Row,
+    Share,
+    count,
+    join_names,
+    write_box,
+    write_counts,
+)
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
-from occmap.types import Int64, Update
-from occmap.writers import MapMode, WriteOptions, list_idle
+from occmap.types import Int64, Trajectory, Update
+from occmap.writers import MapMode, WriteOptions, find_writer, list_idle
 
 LEAST_AGREEMENT = 0.55
 """At 5 cm, logs with sound poses reach 0.68 to 0.94, raw odometry 0.72; noise of 10 cm in the poses
@@ -282,7 +292,8 @@ def list_notes(
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
     yield from list_vain_edits(facts, options.writing)
-    yield from list_unwritten(facts, options.model, options.writing)
+    yield from list_unwritten(facts, options.model, options.writing, outputs)
+    yield from list_shared_stamps(outputs, tally.trajectories)
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
@@ -305,6 +316,22 @@ def list_notes(
     yield from list_odd_points(tally.points)
     misfits = list(list_misfits(paths, options, facts.agreement, tally))
     yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
+
+
+def list_shared_stamps(
+    outputs: Sequence[Path], trajectories: Sequence[Trajectory]
+) -> Iterator[str]:
+    """Say which trajectories that are written do not build the same map again."""
+    written = [str(path) for path in outputs if find_writer(path).needs_journey]
+    for each in trajectories if written else ():
+        order = np.argsort(each.stamp_ns, kind="stable")
+        is_same, moves = np.diff(each.stamp_ns[order]) == 0, np.diff(each.pose[order], axis=0)
+        if shared := int(np.count_nonzero(is_same & moves.any(axis=1))):
+            scans = f"{count(shared, 'scan')} of {each.topic} in {each.log}"
+            yield (
+                f"{join_names(written)}: {scans} have the stamp of the one before and another "
+                "pose, so with `poses=FILE` this builds another map"
+            )
 
 
 def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
@@ -346,9 +373,18 @@ def list_disagreement(
         yield f"{doubt}: the poses do not fit the scans{less}; {fix}"
 
 
-def list_unwritten(facts: MapFacts, model: SensorModel, writing: WriteOptions) -> Iterator[str]:
-    """Say how many walls the YAML's own thresholds lose, where loaders decide by these."""
-    _, occupied, _, walls = facts.counts.tolist()
+def list_unwritten(
+    facts: MapFacts, model: SensorModel, writing: WriteOptions, outputs: Sequence[Path]
+) -> Iterator[str]:
+    """Say what loaders do not find again: walls, by the YAML's own thresholds, and the unknown."""
+    observed, occupied, _, walls = facts.counts.tolist()
+    unknown = math.prod(facts.shape) - observed
+    is_pgm = any(path.suffix.lower() == ".pgm" for path in outputs)
+    if writing.mode is MapMode.SCALE and is_pgm and unknown:
+        yield (
+            f"`mode=scale`: nav2 loads the {count(unknown, 'unknown cell')} of a .pgm as a "
+            "probability of 0.5; `mode=trinary` and `mode=raw` tell them apart"
+        )
     is_left_to_yaml = writing.mode is not MapMode.TRINARY and writing.occupied_thresh is None
     if is_left_to_yaml and occupied < walls:
         # Rounded down, so that it leaves out none of them.

@@ -220,7 +220,7 @@ class Drive:
         if self.is_settled:
             return True
         self.is_settled = True
-        return all([self.limits.settle(), self.poser.settle()])
+        return all([self.limits.settle(self.poser.list_standing()), self.poser.settle()])
 
     def rounds(self) -> Iterator[None]:
         """Yield once, and once more if by then all scans showed other limits, or leaps."""

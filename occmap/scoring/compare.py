@@ -209,7 +209,7 @@ class Scored(Noted):
     """What became of the scans"""
     resolution: float
     """Side of a cell (m)"""
-    notes: list[str]
+    notes: tuple[str, ...]
     """What a user should know, one sentence each, as on stderr"""
     damage: tuple[str, ...] = field(init=False)
     """Those of the notes that tell of damage to a log"""

@@ -3,26 +3,25 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from occmap.cells import CellBox, CellClass, Decision, OccupancyMap
+from occmap.cells import CellClass, Decision, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
 from occmap.evidence.manifest import describe_files
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
-from occmap.report import HIDDEN, Count, Finite, Printed, Share, join_names
+from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes, join_names
 from occmap.report.results import doubt_agreement
 from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import MOST_SCANS, Sample, Trial, score_map
-from occmap.scoring.matching import STAY, Match, Transform, Walls, find_match, list_hits
-from occmap.types import IDENTITY, Bool, Float32, Float64, Rays, UInt8
+from occmap.scoring.matching import REACH_M, STAY, Match, Transform, Walls, find_match, list_hits
+from occmap.types import IDENTITY, Bool, Float32, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 
 WITHIN_M = 0.1
@@ -194,7 +193,7 @@ def score(
         free=int(np.count_nonzero(written.classes == FREE)),
         by_logs=by_logs,
         by_truth=by_truth,
-        notes=tuple(notes),
+        notes=fold_notes(notes),
         files=(str(picture),) if picture else (),
     )
 
@@ -329,23 +328,27 @@ def score_by_truth(
     Raises
     ------
     MapError
-        One of them does not say where it lies, or both together are too large.
+        One of them does not say where it lies, they share nothing, or the truth has too many cells.
     """
-    place, shape = cover(written, truth, moved)
+    place, shape = cover(written, truth, within_m)
     is_true, is_said = lay(truth, STAY, place, shape), lay(written, moved, place, shape)
     side = place.resolution
-    from_true, from_said, from_floor = (
-        measure_distances(cells, place)
-        for cells in (is_true == OCCUPIED, is_said == OCCUPIED, is_true == FREE)
-    )
-    edges = (is_true == OCCUPIED) & (from_floor < BESIDE * side)
     far = within_m + side / 1000  # distances are between middles of cells
+    walls, from_true = is_said == OCCUPIED, measure_distances(is_true == OCCUPIED, place)
+    is_floor_beside = measure_distances(is_true == FREE, place, 2 * side) < BESIDE * side
+    edges = (is_true == OCCUPIED) & is_floor_beside
     open_floor = (is_true == FREE) & (from_true > far)
-    walls, is_missed = is_said == OCCUPIED, edges & (from_said > far)
+    is_missed = edges & (measure_distances(walls, place, far + side) > far)
     # Of what lies where the truth is unknown, as behind a window, it says nothing.
     judged = walls & ((is_true != NEITHER) | (from_true <= far))
     invented, dangerous = judged & (from_true > far), is_missed & (is_said == FREE)
     distances = from_true[judged]
+    if not (distances.size and edges.any()):
+        found = f"none of its walls lies where {truth.path} is known"
+        if distances.size:
+            found = f"{truth.path} has no free cell beside a wall"
+        fix = "check that both are in one map frame: `fit` looks up to 2 m away"
+        raise MapError(found, where=written.path, fix=fix)
     picture = np.full((*shape, 3), GREY, np.uint8)
     layers = (
         (is_said == FREE, WHITE),
@@ -355,7 +358,7 @@ def score_by_truth(
         (invented, INVENTED),
     )
     for cells, colour in layers:
-        picture[cells] = colour
+        np.copyto(picture, np.array(colour, np.uint8), where=cells[..., np.newaxis])
     return TruthScore(
         truth=str(truth.path),
         within_m=within_m,
@@ -364,8 +367,8 @@ def score_by_truth(
         occupied_called_free=share(dangerous, edges),
         free_called_occupied=share(open_floor & walls, open_floor),
         free_found=share(open_floor & (is_said == FREE), open_floor),
-        wall_distance_m=float(distances.mean()) if distances.size else math.inf,
-        wall_distance_95_m=float(np.quantile(distances, 0.95)) if distances.size else math.inf,
+        wall_distance_m=float(distances.mean()),
+        wall_distance_95_m=float(np.quantile(distances, 0.95)),
         transform=moved,
         picture=picture[::-1],
     )
@@ -376,20 +379,21 @@ def share(part: Bool, whole: Bool) -> float:
     return int(np.count_nonzero(part)) / max(int(np.count_nonzero(whole)), 1)
 
 
-def measure_distances(cells: Bool, place: Place) -> Float32:
+def measure_distances(cells: Bool, place: Place, reach: float = REACH_M) -> Float32:
     """(H, W) how far it is from each cell of a map to the nearest of some cells (m)."""
-    away = Walls.of(cells, place).away
+    away = Walls.of(cells, place, reach).away
     margin = (away.shape[0] - cells.shape[0]) // 2
     return away[margin:-margin, margin:-margin]
 
 
-def cover(written: ClassMap, truth: ClassMap, moved: Transform) -> tuple[Place, tuple[int, int]]:
-    """Choose cells that cover both maps, as small as the smaller ones, on the lattice of the truth.
+def cover(written: ClassMap, truth: ClassMap, within_m: float) -> tuple[Place, tuple[int, int]]:
+    """Choose cells that cover the truth and `within_m` around it: nothing else is judged.
 
     Returns
     -------
     place, shape
-        Where they lie, and how many rows and columns there are.
+        Where they lie, as small as the smaller ones, on the lattice of the truth, and how many rows
+        and columns there are.
 
     Raises
     ------
@@ -397,21 +401,16 @@ def cover(written: ClassMap, truth: ClassMap, moved: Transform) -> tuple[Place, 
         They are too many.
     """
     true = place_map(truth)
-    side, corner = min(place_map(written).resolution, true.resolution), np.array(true[1:])
-    reach = np.concatenate([moved.move(list_corners(written)), list_corners(truth)])
-    low = np.floor((reach.min(axis=0) - corner) / side + 1e-6)
-    high = np.ceil((reach.max(axis=0) - corner) / side - 1e-6)
-    cols, rows = (int(each) for each in high - low)
+    side = min(place_map(written).resolution, true.resolution)
+    around = math.ceil(within_m / side - 1e-6)
+    rows, cols = (
+        math.ceil(cells * true.resolution / side - 1e-6) + 2 * around
+        for cells in truth.classes.shape
+    )
     if rows * cols > MAX_CELLS:
-        found = f"both maps together take {cols} x {rows} cells, too many to compare"
-        raise MapError(found, where=written.path, fix="check that both are in one map frame")
-    return Place(side, *(corner + low * side).tolist()), (rows, cols)
-
-
-def list_corners(written: ClassMap) -> Float64:
-    """(4, 2) where the corners of a map are (m)."""
-    low_x, low_y, *high = place_map(written).measure(CellBox(0, 0, *written.classes.shape))
-    return np.array(list(product((low_x, high[0]), (low_y, high[1]))))
+        found = f"{cols} x {rows} cells of {side:g} m cover it, too many to compare"
+        raise MapError(found, where=truth.path, fix="take a coarser map, or a part of the truth")
+    return Place(side, true.x - around * side, true.y - around * side), (rows, cols)
 
 
 def lay(written: ClassMap, moved: Transform, place: Place, shape: tuple[int, int]) -> UInt8:

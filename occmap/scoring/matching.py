@@ -46,6 +46,8 @@ WAYS = sorted(product(BESIDE, BESIDE), key=lambda way: abs(way[0]) + abs(way[1])
 MOST_POINTS = 10_000
 MOST_STEPS = 200
 """Of distances (cells): in a map of millimetres they end nearer by than elsewhere"""
+BAND = 1024
+"""Rows of a map whose distances are measured at once"""
 
 
 class Transform(NamedTuple):
@@ -99,25 +101,19 @@ class Walls(NamedTuple):
     place: Place
 
     @classmethod
-    def of(cls, occupied: Bool, place: Place) -> "Walls":
-        """Measure it between the middles of cells, in a map (H, W) and within REACH_M around it.
+    def of(cls, occupied: Bool, place: Place, reach: float = REACH_M) -> "Walls":
+        """Measure it between the middles of cells, in a map (H, W) and within `reach` (m) around.
 
-        Squares of distances are smallest over columns first and over rows then, which is exact
-        (Felzenszwalb and Huttenlocher 2012), here for whole rows of cells at once.
+        Bands of rows are measured by themselves, as a large map would need much memory at once.
         """
         resolution, x, y = place
-        side = min(math.ceil(REACH_M / resolution), MOST_STEPS)
-        limit = min(REACH_M, side * resolution)
-        mask = np.pad(occupied, side)
-        squares = np.where(mask, 0, np.float32((side + 1) ** 2)).astype(np.float32)
-        for _ in range(2):
-            lowest = squares.copy()
-            for step in range(1, side + 1):
-                farther = squares + np.float32(step * step)
-                np.minimum(lowest[step:], farther[:-step], out=lowest[step:])
-                np.minimum(lowest[:-step], farther[step:], out=lowest[:-step])
-            squares = np.ascontiguousarray(lowest.T)
-        away = np.minimum(np.sqrt(squares) * np.float32(resolution), np.float32(limit))
+        side = min(math.ceil(reach / resolution), MOST_STEPS)
+        mask = np.pad(occupied, ((2 * side, 2 * side), (side, side)))
+        away = np.empty((len(mask) - 2 * side, mask.shape[1]), np.float32)
+        for row in range(0, len(away), BAND):
+            squares = _measure_squares(mask[row : row + BAND + 2 * side], side)[side:-side]
+            away[row : row + BAND] = np.sqrt(squares) * np.float32(resolution)
+        np.minimum(away, np.float32(min(reach, side * resolution)), out=away)
         margin = side * resolution
         return cls(away, Place(resolution, x - margin, y - margin))
 
@@ -133,6 +129,23 @@ class Walls(NamedTuple):
     def measure(self, points: Float64) -> Float32:
         """How far it is from the cells of points (N, 2) to the nearest wall (m)."""
         return self.away[self.place.find_cells(points, self.away.shape)]
+
+
+def _measure_squares(walls: Bool, side: int) -> Float32:
+    """(H, W) squares of the distances to the nearest wall, in cells, as far as `side` cells.
+
+    They are smallest over columns first and over rows then, which is exact (Felzenszwalb and
+    Huttenlocher 2012), here for whole rows of cells at once.
+    """
+    squares = np.where(walls, np.float32(0), np.float32((side + 1) ** 2))
+    for _ in range(2):
+        lowest = squares.copy()
+        for step in range(1, side + 1):
+            farther = squares + np.float32(step * step)
+            np.minimum(lowest[step:], farther[:-step], out=lowest[step:])
+            np.minimum(lowest[:-step], farther[step:], out=lowest[:-step])
+        squares = np.ascontiguousarray(lowest.T)
+    return squares
 
 
 class Match(NamedTuple):

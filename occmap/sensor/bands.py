@@ -139,6 +139,8 @@ class RangeLimits:
         self._tallies: dict[str, RangeTally] = {}
         self._applied: dict[str, float] = {}
         self._settled = False
+        self._standing: frozenset[str] = frozenset()
+        """Topics of lasers that never move: what they see far away repeats as a code would"""
 
     def see(self, some: Scan | ScanRun) -> None:
         """Count the ranges of a scan, or of those of a run."""
@@ -161,17 +163,32 @@ class RangeLimits:
             self._applied[batch.topic] = self._find(batch.topic)
         return replace(batch, range_max=min(batch.range_max, self._applied[batch.topic]))
 
-    def settle(self) -> bool:
-        """Say whether the limits so far are the whole log's, and apply those from now on."""
+    def settle(self, standing: Iterable[str] = ()) -> bool:
+        """Say whether the limits so far are the whole log's, and apply those from now on.
+
+        Parameters
+        ----------
+        standing
+            Topics of lasers that never move.
+        """
+        self._standing = frozenset(standing)
         right = all(limit == self._find(topic) for topic, limit in self._applied.items())
         self._settled = True
         self._applied.clear()
         return right
 
     def _find(self, topic: str) -> float:
-        tally = self._tallies.get(topic)  # of this topic alone: there may be very many
-        band = tally and tally.find_band()
+        band = self._find_band(topic)
         return band.limit if band else math.inf
+
+    def _find_band(self, topic: str) -> Band | None:
+        if topic not in self._tallies:  # of this topic alone: there may be very many
+            return None
+        tally = self._tallies[topic]
+        band = tally.find_band()
+        may_be_wall = topic in self._standing and math.isfinite(tally.stated)
+        is_code = band is not None and band.limit == SICK_CODES[0]
+        return band if is_code or not may_be_wall else None
 
     def list_notes(self) -> Iterator[str]:
         """Say what the user should know of each topic, and how to change it."""
@@ -179,7 +196,7 @@ class RangeLimits:
             unstated = math.isinf(tally.stated)
             stated = f"{tally.stated:g} m as its range limit"
             limit = "no usable range limit" if unstated else stated
-            band = tally.find_band()
+            band = self._find_band(topic)
             count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
             if band is not None:
                 count, where = band.count, f"read {band.values}"

@@ -154,7 +154,7 @@ def tune(
     if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
         doubts += list_other_cures(paths, options)
     command = search.compose(scorer, best) if best.is_any and not doubts else ()
-    notes = [*remarks.notes, *unsearched, *doubts]
+    notes = (*remarks.notes, *unsearched, *doubts)
     return replace(tuning, command=command, notes=notes, doubts=doubts)
 
 

@@ -50,7 +50,7 @@ class TumWriter(Writer):
     def write_pose(self, stamp_ns: int, pose: list[float]) -> str:
         """Write a line; the stamp has all of its nanoseconds."""
         sign, (seconds, rest) = "-" * (stamp_ns < 0), divmod(abs(stamp_ns), 10**9)
-        return " ".join([f"{sign}{seconds}.{rest:09}", *(f"{number:.9g}" for number in pose)])
+        return " ".join([f"{sign}{seconds}.{rest:09}", *map(write_number, pose)])
 
 
 class EurocWriter(TumWriter):
@@ -63,7 +63,12 @@ class EurocWriter(TumWriter):
         """Write a line; the scalar part of the quaternion comes first."""
         *vector, scalar = pose
         numbers = [*vector[:3], scalar, *vector[3:]]
-        return ",".join([str(stamp_ns), *(f"{number:.9g}" for number in numbers)])
+        return ",".join([str(stamp_ns), *map(write_number, numbers)])
+
+
+def write_number(number: float) -> str:
+    """Write eight decimals, also of a place in UTM, or nine digits where these are more."""
+    return f"{number:.{8 + len(str(int(abs(number))))}g}"
 
 
 def describe(trajectory: Trajectory) -> str:

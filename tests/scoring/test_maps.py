@@ -1,6 +1,7 @@
 """Written maps are scored by beams, and by the truth: expected values by hand."""
 
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from occmap.errors import MapError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.scoring import matching
 from occmap.scoring.compare import combine, compare
 from occmap.scoring.maps import LogScore, score_by_logs, score_by_truth
 from occmap.scoring.matching import STAY, Transform, Walls, find_match
@@ -68,7 +70,7 @@ def test_what_is_missed_and_what_is_invented_by_hand() -> None:
     # The invented cell lies in the third row from above: 2 cells from the upper wall.
     assert score.wall_distance_m == pytest.approx(0.2 / 18)
     colours = {tuple(pixel) for pixel in score.picture.reshape(-1, 3).tolist()}
-    assert len(colours) == 5  # free, walls, missed, called free, invented
+    assert len(colours) == 6  # free, walls, missed, called free, invented, unknown around them
 
 
 def test_a_wall_that_is_off_by_a_cell_is_found_within_a_cell() -> None:
@@ -94,7 +96,30 @@ def test_resolutions_may_differ(times: int) -> None:
         assert (score.edges_found, score.edges_invented, score.free_found) == (1, 0, 1)
 
 
-def test_distances_are_those_to_the_nearest_wall() -> None:
+def test_only_cells_around_the_truth_are_judged() -> None:
+    """A map of 300 x 300 m takes no more time and memory than the truth does."""
+    large = np.full((3000, 3000), CellClass.OCCUPIED, np.uint8)
+    large[: ROOM.classes.shape[0], : ROOM.classes.shape[1]] = ROOM.classes
+    score = score_by_truth(replace(ROOM, classes=large), ROOM, 0.2)
+    assert score.picture.shape == (6 + 4, 7 + 4, 3)
+    assert (score.edges_found, score.edges_invented) == (1, 0)
+
+
+def test_distances_need_memory_for_a_band_of_rows_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matching, "BAND", 128)
+    occupied = np.zeros((4000, 500), np.bool_)
+    tracemalloc.start()
+    Walls.of(occupied, HERE)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * occupied.size
+
+
+@pytest.mark.parametrize("band", [5, 1024])
+def test_distances_are_those_to_the_nearest_wall(
+    band: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(matching, "BAND", band)
     occupied = np.random.default_rng(1).random((23, 31)) < 0.01
     walls = Walls.of(occupied, HERE)
     middles = (np.argwhere(occupied)[:, ::-1] + 0.5) * 0.1
@@ -175,14 +200,17 @@ def test_a_log_may_reach_as_far_as_cells_of_the_map_allow(tmp_path: Path) -> Non
 
 
 def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
-    far = replace(ROOM, place=Place(0.1, 1e6, 1e6))
-    for written, found in (
-        (draw("#.", None), "not say where it lies"),
-        (draw("..?"), "no occupied cell"),
-        (far, "too many to compare"),
+    far, fine = (replace(ROOM, place=place) for place in (Place(0.1, 1e6, 1e6), Place(1e-6, 0, 0)))
+    for written, truth, found in (
+        (draw("#.", None), ROOM, "not say where it lies"),
+        (draw("..?"), ROOM, "no occupied cell"),
+        (far, ROOM, "none of its walls lies where m.pgm is known"),
+        (ROOM, draw(".#", Place(0.1, 0.3, 0.2)), "none of its walls lies where"),
+        (ROOM, draw("###?."), "no free cell beside a wall"),
+        (fine, ROOM, "too many to compare"),
     ):
         with pytest.raises(MapError, match=found):
-            score_by_truth(written, ROOM, 0.1)
+            score_by_truth(written, truth, 0.1)
     blind = write_csv(tmp_path / "log.csv", [(0.0, 0.0, 0.0)] * 2, [math.nan])
     with pytest.raises(MapError, match="no beam measured a range"):
         ask(ROOM, blind)

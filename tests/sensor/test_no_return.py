@@ -18,6 +18,7 @@ from occmap.scans import stream
 from occmap.sensor import ReturnOptions
 from occmap.sensor.bands import Band, RangeLimits, RangeTally
 from occmap.types import Scan
+from tests.csv_logs import write_scans
 from tests.grid.scans import FEW
 from tests.samples import PLAIN, make_batch, write_late
 
@@ -347,3 +348,25 @@ def test_check_says_of_a_band_what_build_says(
     assert f"{log}: {said[0]}" in built.notes
     (topic,) = of_log.scans
     assert topic.ranges.largest < 6
+
+
+@pytest.mark.parametrize(
+    ("step", "stated", "far", "taken"),
+    [
+        (0.0, 40.0, 30.0, 0),
+        (0.01, 40.0, 30.0, 80),  # the laser moves
+        (0.0, 0.0, 30.0, 80),  # no limit is stated
+        (0.0, 90.0, 81.83, 80),  # a code of the SICK LMS
+    ],
+)
+def test_far_hits_of_a_laser_that_never_moves_are_no_band_below_a_stated_limit(
+    tmp_path: Path, step: float, stated: float, far: float, taken: int
+) -> None:
+    number, beam = np.arange(40)[:, None], np.arange(60)
+    ranges = np.round(2 + 0.05 * beam + 0.01 * (number % 7), 2)
+    ranges[:, :2] = far  # the end of a corridor, which two beams see
+    head = {"angle_min": 0, "angle_increment": 0.02, "range_max": stated}
+    log = write_scans(tmp_path / "log.csv", range(40), ranges, number * (0, step, 0), **head)
+    report = build([log], BuildOptions()).report
+    assert report.beams.no_return == taken
+    assert any("taken as no return" in note for note in report.notes) == bool(taken)
