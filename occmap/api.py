@@ -21,7 +21,7 @@ from occmap.scoring import compare as scoring
 from occmap.scoring import maps
 from occmap.scoring.fit import lay_on
 from occmap.sensor.models import MODEL, SensorModel
-from occmap.store import merging, open_saved, publishing, read_all
+from occmap.store import merging, open_saved, painting, read_all
 from occmap.types import Float64, Update
 from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
 
@@ -271,10 +271,10 @@ def merge(*paths: AnyPaths, subtract: AnyPaths = (), fit: bool = False, **option
         its range.
     """
     added, taken = list_paths(paths, "merge"), read_value("subtract", Paths, subtract)
-    chosen = read_options(publishing.RenderOptions, options, "merge")
+    chosen = read_options(painting.RenderOptions, options, "merge")
     lay = lay_on if read_value("fit", bool, fit) else None
     whole = read_all(merging.combine(added, taken, lay))
-    made = publishing.render_kept(whole, chosen)
+    made = painting.render_kept(whole, chosen)
     return Map.of(made, chosen.writing, [*added, *taken])
 
 

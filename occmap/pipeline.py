@@ -28,7 +28,7 @@ from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ign
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import open_saved, read_all
 from occmap.store.merging import refuse_different
-from occmap.store.publishing import sum_scans
+from occmap.store.painting import sum_scans
 from occmap.types import Journey, Update
 from occmap.writers import Product, check_outputs, want_evidence, want_journey, write_outputs
 from occmap.writers.atomic import hold_alone

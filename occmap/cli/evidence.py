@@ -22,7 +22,7 @@ from occmap.report.limits import SAVED
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
-from occmap.store.publishing import RenderOptions, publish, refuse_unsaved
+from occmap.store.painting import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
 
 EVIDENCE = click.Argument(["path"], type=PATH, metavar="NPZ|ZARR")

@@ -21,7 +21,7 @@ from occmap.report import Count, Printed, Share, count, join_names, printed_as
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.sensor.models import MODEL, SensorModel, describe_model
 from occmap.store import Saved, as_blocks, read_part
-from occmap.store.publishing import open_map
+from occmap.store.painting import open_map
 from occmap.types import Update
 from occmap.writers import WriteOptions
 

@@ -41,13 +41,13 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     with name_log(evidence.where):
         refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
-    mine, its = extend_ground(ground, blocks), extend_ground(other, blocks)
+    mine, its = place_ground(ground, blocks), place_ground(other, blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
     height = np.where(known, mine.height_mm, its.height_mm)
     return Ground(blocks, height, mine.measured | its.measured)
 
 
-def extend_ground(ground: Ground, blocks: Int64) -> Ground:
+def place_ground(ground: Ground, blocks: Int64) -> Ground:
     """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
     at = ground.find_blocks(blocks)
     there = (at >= 0)[:, np.newaxis]

@@ -14,8 +14,8 @@ from occmap.options import BuildOptions
 from occmap.scans import make_engine
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
+from occmap.threads import Threads
 from occmap.types import BEAM_UPDATES, Int64, PosedScans, Update
-from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
@@ -55,9 +55,9 @@ def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1)
         rays, _ = interpret(posed, ReturnOptions())
         engine.add(rays)
 
-    with Workers(add, jobs) as workers:
+    with Threads(add, jobs) as threads:
         for posed in workload.pose_scans():
-            workers.give(posed)
+            threads.give(posed)
     return engine.finish()
 
 

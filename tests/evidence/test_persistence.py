@@ -18,7 +18,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import parse_model
-from occmap.store.publishing import RenderOptions
+from occmap.store.painting import RenderOptions
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence

@@ -18,7 +18,7 @@ from occmap.errors import MapError
 from occmap.grid.tiles import TILE, pack
 from occmap.store import Blocks, as_blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
-from occmap.store.publishing import RenderOptions, render_kept
+from occmap.store.painting import RenderOptions, render_kept
 from occmap.store.writing import ZarrWriter, create_store, finish_store, paint_block, write_block
 from occmap.types import UInt8, Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
