@@ -13,7 +13,7 @@ from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_failures, require
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.options import OF_A_SCORED_MAP, OF_ONE_MAP, BuildOptions
-from occmap.pipeline import build, list_inputs
+from occmap.pipeline import build, list_input_files
 from occmap.readers import DEFAULT_OPTIONS, Log, open_log
 from occmap.report.results import Build, Report
 from occmap.scans.logs import Inputs, find_inputs
@@ -151,7 +151,7 @@ def build_map(*logs: AnyPaths, outputs: AnyPaths = (), **options: Any) -> Map:
     (paths, notes), chosen = read_request(logs, options, "build_map", (), files)
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))
-    return Map.of(made._replace(report=report), chosen.writing, list_inputs(paths, chosen))
+    return Map.of(made._replace(report=report), chosen.writing, list_input_files(paths, chosen))
 
 
 if build_map.__doc__:  # Python leaves texts out where it is told to

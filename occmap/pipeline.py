@@ -54,7 +54,7 @@ def build(
         A log cannot be read, has no scans or no poses, the map would be too large, or an output
         cannot be written.
     """
-    check_outputs(outputs, list_inputs(paths, options), options.writing)
+    check_outputs(outputs, list_input_files(paths, options), options.writing)
     with hold_alone(options.resume or options.resume_if_there, outputs):
         past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)
@@ -66,7 +66,7 @@ def build(
 
         manifest = plan_manifest(options, past.manifest if past else None)
         with tally.time("render"):
-            grid, lost = paint(paths, seen, manifest)
+            grid, lost = paint_seen(paths, seen, manifest)
         with tally.time("write"):  # to hash the logs takes time
             wants_evidence = want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
@@ -94,7 +94,7 @@ def build(
         return Build(grid, report, seen.tiles, evidence if wants_evidence else None)
 
 
-def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
+def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
     inputs = [*paths, *options.posing.files]
     bags = [path / "metadata.yaml" for path in inputs]  # of a folder that is a bag
@@ -178,7 +178,7 @@ def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]
     return seen, [f"{past.where}: {text}" for text in misfit]
 
 
-def paint(
+def paint_seen(
     paths: Sequence[Path], seen: Observed, manifest: Manifest
 ) -> tuple[OccupancyMap, list[str]]:
     """Render what was observed, as it is to be shown; say of what it is, and what does not last."""

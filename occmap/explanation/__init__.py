@@ -117,7 +117,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         The point is in no map, the model cannot read the evidence, a log cannot be read or is none
         that the evidence was made of, or a trajectory is missing.
     """
-    model = evidence.choose_model(saved, question.model, question.min_passes)
+    model = evidence.choose_model_for(saved, question.model, question.min_passes)
     if question.logs and saved.manifest.update == Update.CLOUD:
         found = "evidence of clouds does not say which of them observed a cell"
         raise UsageError(found, where=saved.where, fix="leave out `logs`")

@@ -288,7 +288,7 @@ class Cell:
         """Take from each layer of slices, one of each build, that of the cell's tile."""
         tile = self.lattice_row // TILE, self.lattice_column // TILE
         mine = [np.flatnonzero((each.tiles == tile).all(axis=1)) for each in evidence.slices]
-        return [tiles.take(*each) for each in zip(evidence.slices, mine, strict=True)]
+        return [tiles.take_tiles(*each) for each in zip(evidence.slices, mine, strict=True)]
 
     def read_around(self, grid: TileGrid) -> list[list[Seen]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
@@ -301,7 +301,7 @@ class Cell:
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
         row, col = self.lattice_row % TILE, self.lattice_column % TILE
-        seen = np.unpackbits(tiles.unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
+        seen = np.unpackbits(tiles.unpack_bits(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
         if not seen.any():
             return None
         numbers = slices.numbers[seen].tolist()

@@ -167,12 +167,12 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     """
     chosen = options or RenderOptions()
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
-    bounds = find_bounds(kept, model, chosen.min_passes)
+    bounds = bound_map(kept, model, chosen.min_passes)
     box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
     return BlockMap(kept, model, chosen, box)
 
 
-def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
+def bound_map(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
     """The smallest box around all cells of a map; only blocks that may reach its edges are read.
 
     Raises
@@ -315,7 +315,7 @@ def settle_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, Sen
     OccmapError
         The model cannot read the evidence or knows no visits.
     """
-    model = evidence.choose_model(saved, options.model, options.min_passes)
+    model = evidence.choose_model_for(saved, options.model, options.min_passes)
     return replace(saved, manifest=replace(saved.manifest, model=describe_model(model))), model
 
 

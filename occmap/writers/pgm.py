@@ -58,7 +58,7 @@ class PgmWriter(Writer):
             image.write(f"P5\n{cols} {rows}\n255\n".encode("ascii"))
             for band in bands_from_top(replace(grid, decision=options.decide(grid.decision))):
                 image.write(to_pixels(band)[::-1].tobytes())
-            write_yaml(yaml, describe_map(image_path.name, grid, options), grid.about)
+            write_yaml(yaml, describe_image(image_path.name, grid, options), grid.about)
         return image_path, yaml_path
 
 
@@ -89,7 +89,7 @@ class KeepoutWriter(PgmWriter):
         return super().write(path, mask, WriteOptions())
 
 
-def describe_map(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:
+def describe_image(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:
     """Return the fields of the map_server YAML, in its order."""
     occupied_thresh, free_thresh = written_thresholds(options)
     return {

@@ -8,7 +8,7 @@ from time import process_time
 import numpy as np
 
 from occmap.cells import CellBox
-from occmap.grid.rendering import paint
+from occmap.grid.rendering import paint_cells
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions
 from occmap.scans import make_engine
@@ -112,5 +112,5 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
 
 def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
     """(H, W) of a box around all evidence: the first or second number of each cell."""
-    counts, _ = paint(evidence, lambda *pair: pair[number], 0.0, box)
+    counts, _ = paint_cells(evidence, lambda *pair: pair[number], 0.0, box)
     return counts.astype(np.int64)

@@ -15,7 +15,7 @@ import zarr
 
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError
-from occmap.grid.tiles import TILE, pack
+from occmap.grid.tiles import TILE, pack_bits
 from occmap.store import Blocks, as_blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
 from occmap.store.painting import RenderOptions, render_kept
@@ -133,7 +133,7 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     tiles = {(block.row * 16 + 5, block.col * 16 + 9): tile for block in blocks}
     bits = np.packbits([tile != 0] * 2, axis=-1)
     bits[:, 1] |= bits[:, 0]
-    slices = pack(np.array(list(tiles)), np.array([3, 4]), bits)
+    slices = pack_bits(np.array(list(tiles)), np.array([3, 4]), bits)
     evidence = replace(drive, tiles=tiles, slices=(slices,))
     contents = dict(split_evidence(evidence))
     assert list(contents) == blocks
