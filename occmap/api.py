@@ -13,7 +13,7 @@ from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_failures, require
 from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
 from occmap.options import OF_A_SCORED_MAP, OF_ONE_MAP, BuildOptions
-from occmap.pipeline import build, list_inputs
+from occmap.pipeline import build, list_input_files
 from occmap.readers import DEFAULT_OPTIONS, Log, open_log
 from occmap.report.results import Build, Report
 from occmap.scans.logs import Inputs, find_inputs
@@ -21,7 +21,7 @@ from occmap.scoring import compare as scoring
 from occmap.scoring import maps
 from occmap.scoring.matching import lay_on
 from occmap.sensor.models import MODEL, SensorModel
-from occmap.store import merging, open_saved, publishing, read_all
+from occmap.store import merging, open_saved, painting, read_all
 from occmap.types import Float64, Update
 from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
 
@@ -45,7 +45,7 @@ class Map(OccupancyMap):
     def of(cls, made: Build, writing: WriteOptions, inputs: Sequence[Path]) -> Self:
         """Add to a map what was found beside it, and how and over what it may be saved."""
         whole = made.map
-        if isinstance(whole, publishing.BlockMap):
+        if isinstance(whole, painting.BlockMap):
             painted, _ = whole.paint_all()
             whole = replace(painted, about=whole.about)
         found: dict[str, Any] = {it.name: getattr(whole, it.name) for it in fields(OccupancyMap)}
@@ -155,7 +155,7 @@ def build_map(*logs: AnyPaths, outputs: AnyPaths = (), **options: Any) -> Map:
     (paths, notes), chosen = read_request(logs, options, "build_map", (), files)
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))
-    return Map.of(made._replace(report=report), chosen.writing, list_inputs(paths, chosen))
+    return Map.of(made._replace(report=report), chosen.writing, list_input_files(paths, chosen))
 
 
 if build_map.__doc__:  # Python leaves texts out where it is told to
@@ -275,10 +275,10 @@ def merge(*paths: AnyPaths, subtract: AnyPaths = (), fit: bool = False, **option
         its range.
     """
     added, taken = list_paths(paths, "merge"), read_value("subtract", Paths, subtract)
-    chosen = read_options(publishing.RenderOptions, options, "merge")
+    chosen = read_options(painting.RenderOptions, options, "merge")
     lay = lay_on if read_value("fit", bool, fit) else None
     whole = read_all(merging.combine(added, taken, lay))
-    made = publishing.render_kept(whole, chosen)
+    made = painting.render_kept(whole, chosen)
     return Map.of(made, chosen.writing, [*added, *taken])
 
 

@@ -29,7 +29,7 @@ from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.sensor import interpret
 from occmap.sensor.models import MODEL, SensorModel, describe_model
 from occmap.store import Saved, as_blocks, read_part
-from occmap.store.publishing import open_map
+from occmap.store.painting import open_map
 from occmap.types import Pose, PosedScans, PoseSample, Update
 from occmap.writers import WriteOptions
 
@@ -317,7 +317,7 @@ class Cell:
         """Take from each layer of slices, one of each build, that of the cell's tile."""
         tile = self.lattice_row // TILE, self.lattice_column // TILE
         mine = [np.flatnonzero((each.tiles == tile).all(axis=1)) for each in part.slices]
-        return [tiles.take(*each) for each in zip(part.slices, mine, strict=True)]
+        return [tiles.take_tiles(*each) for each in zip(part.slices, mine, strict=True)]
 
     def read_around(self, grid: TileGrid) -> list[list[Observation]]:
         """Read what observed the cell and its neighbours: rows by falling y, in them by rising x.
@@ -330,7 +330,7 @@ class Cell:
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
         row, col = self.lattice_row % TILE, self.lattice_column % TILE
-        seen = np.unpackbits(tiles.unpack(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
+        seen = np.unpackbits(tiles.unpack_bits(slices)[:, 1, row], axis=1)[:, col].astype(np.bool_)
         if not seen.any():
             return None
         numbers = slices.numbers[seen].tolist()
@@ -479,7 +479,7 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
         The point is in no map, the model cannot read the evidence, a log cannot be read or is none
         that the evidence was made of, or a trajectory is missing.
     """
-    model = evidence.choose_model(saved, question.model, question.min_passes)
+    model = evidence.choose_model_for(saved, question.model, question.min_passes)
     if question.logs and saved.manifest.update == Update.CLOUD:
         found = "evidence of clouds does not say which of them observed a cell"
         raise UsageError(found, where=saved.where, fix="leave out `logs`")

@@ -17,8 +17,8 @@ from occmap.posing import PosingOptions
 from occmap.readers import ReaderOptions
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import MODEL, PARAMETERS, CountingModel, SensorModel
+from occmap.threads import count_cores
 from occmap.types import Update
-from occmap.workers import count_cores
 from occmap.writers import WriteOptions
 
 DEFAULT_UPDATE = Update.SURFACE

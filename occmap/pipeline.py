@@ -22,7 +22,7 @@ from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ign
 from occmap.scans.tracing import observe as observe_here
 from occmap.store import open_saved, read_all
 from occmap.store.merging import refuse_different
-from occmap.store.publishing import RenderOptions, paint_saved, sum_scans
+from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
 from occmap.writers import (
     Product,
@@ -55,7 +55,7 @@ def build(
         A log cannot be read, has no scans or no poses, the map would be too large, or an output
         cannot be written.
     """
-    check_outputs(outputs, list_inputs(paths, options), options.writing)
+    check_outputs(outputs, list_input_files(paths, options), options.writing)
     with hold_alone(options.resume or options.resume_if_there, outputs):
         past, options, fitted = open_past(paths, options)
         options, unaligned = settle_align(paths, options)
@@ -67,7 +67,7 @@ def build(
 
         manifest = plan_manifest(options, past.manifest if past else None)
         with tally.time("render"):
-            grid, facts = paint(paths, seen, manifest, want_whole(outputs))
+            grid, facts = paint_seen(paths, seen, manifest, want_whole(outputs))
         with tally.time("write"):  # to hash the logs takes time
             wants_evidence = want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
@@ -94,7 +94,7 @@ def build(
         return Build(grid, report, seen.tiles, evidence if wants_evidence else None)
 
 
-def list_inputs(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
+def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
     """List the files that a build reads, which nothing may write over."""
     inputs = [*paths, *options.posing.files]
     bags = [path / "metadata.yaml" for path in inputs]  # of a folder that is a bag
@@ -178,7 +178,7 @@ def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]
     return seen, [f"{past.where}: {text}" for text in misfit]
 
 
-def paint(
+def paint_seen(
     paths: Sequence[Path], seen: Observed, manifest: Manifest, is_whole: bool
 ) -> tuple[Any, MapFacts]:
     """Render what was observed, as `paint_saved` does."""

@@ -28,7 +28,7 @@ from occmap.posing import Deskew, Stamps
 from occmap.readers import Echo
 from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
-from occmap.store.publishing import RenderOptions
+from occmap.store.painting import RenderOptions
 from occmap.types import Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade
 from tests.cli.runner import ask

@@ -29,7 +29,7 @@ from occmap.scoring.maps import Against, MapScore, score
 from occmap.scoring.matching import STAY, Transform, lay_on
 from occmap.store import Saved, open_saved
 from occmap.store.merging import combine
-from occmap.store.publishing import RenderOptions, publish, refuse_unsaved
+from occmap.store.painting import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
 
 EVIDENCE = click.Argument(["path"], type=PATH, metavar="NPZ|ZARR")

@@ -21,7 +21,7 @@ from occmap.evidence import read_model
 from occmap.evidence.manifest import list_inputs
 from occmap.report import count
 from occmap.store import as_blocks, identify, open_saved
-from occmap.store.publishing import classify_blocks, open_map
+from occmap.store.painting import classify_blocks, open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import UNKNOWN

@@ -1,7 +1,4 @@
-"""Evidence: the map that a model makes of it, a grid made of what was saved, whether two fit.
-
-Of what came on several visits, hits stay; people who walked through once do not.
-"""
+"""Evidence: which model reads it, the map that this makes, what of it lasts, whether two fit."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +13,7 @@ from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
 from occmap.grid import Lattice, rendering, tiles
-from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint_cells
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
@@ -43,7 +40,7 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
 
 def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
     """Let a model say what the evidence means in a box of cells; the map knows no agreement."""
-    painted = paint(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
+    painted = paint_cells(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
     x, y, _, _ = grid.lattice.measure(box)
     return OccupancyMap(*painted, grid.lattice.resolution, (x, y), models.find_decision(model))
 
@@ -89,7 +86,7 @@ class Described(Protocol):
         """What it was read from."""
 
 
-def choose_model(
+def choose_model_for(
     evidence: Described, model: SensorModel | None, min_passes: int | None
 ) -> SensorModel:
     """Choose the model that evidence is read by: the one that is wanted, or else its own.

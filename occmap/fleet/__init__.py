@@ -107,7 +107,7 @@ class Fleet:
         """
         with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
             pieces = work.cluster.run("reduce", tasks.reduce_block, work.reductions)
-            seen = tasks.add_up(work.setting, pieces)
+            seen = tasks.add_up_pieces(work.setting, pieces)
             settled = work.setting.keep.ground, work.setting.options
             return Observed(*seen, work.tally, work.remarks, *settled)
 
@@ -115,7 +115,7 @@ class Fleet:
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
     ) -> Report:
         """Build a store of which this process never holds the map; raises as `build`."""
-        writers.check_outputs([output], pipeline.list_inputs(paths, options), options.writing)
+        writers.check_outputs([output], pipeline.list_input_files(paths, options), options.writing)
         options, unaligned = settle_align(paths, options)
         options, keep = pipeline.choose_keep(options, [output], None)
         with self.work(paths, options, keep, progress) as work:
@@ -162,7 +162,7 @@ class Fleet:
             setting = Setting(options, keep, folder, len(paths), window, spare)
             jobs = [Job(setting, f"log{place:05}", str(each)) for place, each in enumerate(paths)]
             tally = Tally()
-            remarks = Remarks([str(path) for path in paths], list(list_others(folder)))
+            remarks = Remarks([str(path) for path in paths], list(list_other_builds(folder)))
             setting = settle(cluster, jobs, tally, remarks)
             jobs = [replace(job, setting=setting) for job in jobs]
             traced = cluster.run(
@@ -181,7 +181,7 @@ class Fleet:
             yield Work(cluster, setting, jobs, tally, remarks, reductions)
 
 
-def list_others(folder: Path) -> Iterator[str]:
+def list_other_builds(folder: Path) -> Iterator[str]:
     """Say which folders beside that of a build are of other ones."""
     for other in sorted(folder.parent.glob("build-*")):
         if other != folder:

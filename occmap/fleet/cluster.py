@@ -82,17 +82,17 @@ class Cluster:
 
         results: dict[Any, Result] = {}
         try:
-            if self._client.status != "running":  # it would be waited for for ever
-                raise CancelledError
+            if self._client.status != "running":
+                raise CancelledError  # as Dask does if it goes later; now Dask would wait for ever
             # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
             futures = self._client.map(task, jobs, pure=False, retries=0)
-            for done, future in enumerate(as_completed(futures), start=1):
+            for future in as_completed(futures):
                 if future.status != "finished":
-                    break  # what comes later does not matter any more; what comes earlier may fail
+                    break  # but a job before it may fail, too, and then that one says why
                 results[future] = future.result()
                 tell(results[future])
                 future.release()
-                self._describe(f"{phase} {done}/{len(jobs)}, {self._crew}")
+                self._describe(f"{phase} {len(results)}/{len(jobs)}, {self._crew}")
             return [
                 results[future] if future in results else self._wait_for(job, future)
                 for job, future in zip(jobs, futures, strict=True)

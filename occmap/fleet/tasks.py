@@ -1,8 +1,8 @@
 """What workers do: plain functions of plain values, which may run anywhere and again.
 
-A task leaves its result in the scratch folder, and gives it at once where it is there already. What
-a log observed lies in run files, block by block and end to end; results say where. All files are
-renamed into place, and a result comes after the run files that it tells of.
+A task leaves its result in the scratch folder, and does nothing where its result is there already.
+What a log observed lies in run files, block by block and end to end; results say where. All files
+are renamed into place, and a result comes after the run files that it tells of.
 """
 
 import pickle
@@ -112,7 +112,7 @@ class Traced:
 
 
 def once(task: Callable[[AnyJob], Result]) -> Callable[[AnyJob], Result]:
-    """Let a task keep its result, and give that at once where it is there already.
+    """Let a task keep its result in the scratch folder, and read it from there the next time.
 
     Then it also raises OutputError, where its result cannot be written.
     """
@@ -252,7 +252,7 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
         yield pickle.loads(data)
 
 
-def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[Slices, ...]]:
+def add_up_pieces(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[Slices, ...]]:
     """Add up parts of blocks: what was observed, and, where that is kept, when.
 
     Raises
@@ -271,7 +271,7 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[S
 
 def add_up_block(job: BlockJob) -> Evidence:
     """Add up all that was observed in a block; raises MapError as `add_up`."""
-    grid, slices = add_up(job.setting, job.pieces)
+    grid, slices = add_up_pieces(job.setting, job.pieces)
     return Evidence(plan_manifest(job.setting.options), grid.tiles, slices)
 
 

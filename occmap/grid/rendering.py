@@ -69,7 +69,7 @@ def measure_bounds(tiles: TileGrid) -> CellBox | None:
     return box
 
 
-def paint(
+def paint_cells(
     tiles: TileGrid, log_odds: Callable[[Float64, Float64], Float64], prior: float, box: CellBox
 ) -> tuple[Float32, Bool]:
     """Let a model say what the numbers mean, cell by cell.

@@ -272,10 +272,10 @@ def mark_observed(grid: TileGrid, number: int) -> Slices:
         bits[:, 1] |= bits[:, 0]
     else:
         bits[:, 0] = 0  # the sum of log-odds, which says nothing of hits
-    return pack(tiles, np.full(len(tiles), number), bits)
+    return pack_bits(tiles, np.full(len(tiles), number), bits)
 
 
-def pack(tiles: Int64, numbers: Int64, bits: UInt8) -> Slices:
+def pack_bits(tiles: Int64, numbers: Int64, bits: UInt8) -> Slices:
     """Pack the bits (K, 2, 64, 8) of tiles (K, 2) in slices (K,)."""
     changes = bits.copy()
     changes[:, :, 1:] ^= bits[:, :, :-1]
@@ -285,7 +285,7 @@ def pack(tiles: Int64, numbers: Int64, bits: UInt8) -> Slices:
     return Slices(tiles, numbers, there, parts[parts != 0], rows[rows != 0])
 
 
-def unpack(slices: Slices) -> UInt8:
+def unpack_bits(slices: Slices) -> UInt8:
     """(K, 2, 64, 8) bits of each tile's hit and seen cells."""
     parts = np.zeros(slices.rows.size * 8, np.uint8)
     parts[np.unpackbits(slices.rows).view(np.bool_)] = slices.parts
@@ -294,19 +294,19 @@ def unpack(slices: Slices) -> UInt8:
     return np.asarray(np.bitwise_xor.accumulate(changes.reshape(-1, *BITS), axis=2))
 
 
-def take(slices: Slices, which: Int64) -> Slices:
+def take_tiles(slices: Slices, which: Int64) -> Slices:
     """Some of the tiles, in the order of `which`."""
-    part_sizes, change_sizes = measure(slices)
+    part_sizes, change_sizes = count_bytes(slices)
     return Slices(
         slices.tiles[which],
         slices.numbers[which],
         slices.rows[which],
-        slices.parts[spread(part_sizes, which)],
-        slices.changes[spread(change_sizes, which)],
+        slices.parts[list_places(part_sizes, which)],
+        slices.changes[list_places(change_sizes, which)],
     )
 
 
-def measure(slices: Slices) -> tuple[Int64, Int64]:
+def count_bytes(slices: Slices) -> tuple[Int64, Int64]:
     """(K,) how many `parts` and (K,) how many `changes` each tile has."""
     part_sizes = np.bitwise_count(slices.rows).sum(axis=1, dtype=np.int64)
     ends = np.cumsum(part_sizes)
@@ -314,7 +314,7 @@ def measure(slices: Slices) -> tuple[Int64, Int64]:
     return part_sizes, change_ends[ends] - change_ends[ends - part_sizes]
 
 
-def spread(sizes: Int64, which: Int64) -> Int64:
+def list_places(sizes: Int64, which: Int64) -> Int64:
     """Places of all items of some runs; the runs, of these sizes, lie one behind the other."""
     starts, wanted = (np.cumsum(sizes) - sizes)[which], sizes[which]
     shift = np.repeat(starts - (np.cumsum(wanted) - wanted), wanted)
@@ -324,7 +324,7 @@ def spread(sizes: Int64, which: Int64) -> Int64:
 def unite(parts: Iterable[Slices]) -> Slices:
     """Put slices in order; a cell was hit or seen in a slice where any of the parts says so."""
     whole = Slices.join(parts)
-    whole = take(whole, np.lexsort((whole.numbers, *whole.tiles.T[::-1])))
+    whole = take_tiles(whole, np.lexsort((whole.numbers, *whole.tiles.T[::-1])))
     keys = np.column_stack([whole.tiles, whole.numbers])
     is_new = np.append(True, (np.diff(keys, axis=0) != 0).any(axis=1))[: len(keys)]
     if is_new.all():
@@ -334,15 +334,15 @@ def unite(parts: Iterable[Slices]) -> Slices:
     for first in range(0, len(starts), BLOCK):
         block = starts[first : first + BLOCK]
         end = starts[first + BLOCK] if first + BLOCK < len(starts) else len(keys)
-        bits = unpack(take(whole, np.arange(block[0], end)))
+        bits = unpack_bits(take_tiles(whole, np.arange(block[0], end)))
         bits = np.bitwise_or.reduceat(bits, block - block[0], axis=0)
-        united.append(pack(whole.tiles[block], whole.numbers[block], bits))
+        united.append(pack_bits(whole.tiles[block], whole.numbers[block], bits))
     return Slices.join(united)
 
 
 def split_tiles(slices: Slices) -> Iterator[tuple[tuple[int, int], Slices]]:
     """What each tile has of slices that are in order."""
-    part_sizes, change_sizes = measure(slices)
+    part_sizes, change_sizes = count_bytes(slices)
     part_ends, change_ends = (np.append(0, np.cumsum(s)) for s in (part_sizes, change_sizes))
     new = np.flatnonzero((np.diff(slices.tiles, axis=0) != 0).any(axis=1)) + 1
     for begin, end in pairwise([0, *new.tolist(), len(slices.tiles)]):
@@ -360,7 +360,7 @@ def count_visits(slices: Slices) -> Int64:
     nothing = np.zeros(BITS[1:], np.uint8)
     going = was_hit = nothing  # cells seen in the slice before; cells hit on the visit so far
     before = None
-    of_slices = zip(began, slices.numbers.tolist(), unpack(slices), strict=True)
+    of_slices = zip(began, slices.numbers.tolist(), unpack_bits(slices), strict=True)
     for begin, number, (hit, seen) in of_slices:
         if before != number - 1:
             going = was_hit = nothing
@@ -377,7 +377,7 @@ def restrict(slices: Slices, grid: TileGrid) -> Slices:
     for key, of_tile in split_tiles(slices):
         tile = grid.tiles.get(key)
         still = np.packbits(nothing if tile is None else grid.observed(*tile), axis=-1)
-        bits = unpack(of_tile) & still
+        bits = unpack_bits(of_tile) & still
         some = bits.any(axis=(1, 2, 3))
-        kept.append(pack(of_tile.tiles[some], of_tile.numbers[some], bits[some]))
+        kept.append(pack_bits(of_tile.tiles[some], of_tile.numbers[some], bits[some]))
     return Slices.join(kept)

@@ -104,7 +104,7 @@ def pack_scans(journey: Journey) -> dict[str, Any]:
         "x": [round(each.origin[0], 3) for each in scans],
         "y": [round(each.origin[1], 3) for each in scans],
         "hits": [
-            raster.pack(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
+            raster.pack_layer(np.rint((axis - low) / HIT_UNIT_M).astype(np.int64)[None])
             for axis, low in zip(hits, origin, strict=True)
         ],
     }
@@ -237,7 +237,7 @@ def stage_changes(difference: MapDifference) -> Stage:
         step *= 2
     place = difference.place
     shown = raster.thin(layers | {"rank": layers["change"]}, step)  # of each block one that changed
-    packed = {name: raster.pack(shown[name]) for name in layers}
+    packed = {name: raster.pack_layer(shown[name]) for name in layers}
     made = raster.Raster(place.x, place.y, place.resolution * step, step, packed)
     box = place.measure(CellBox(0, 0, *difference.before.shape))
     note = f"Of each {step} x {step} cells the one that changed most is shown."

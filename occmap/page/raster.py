@@ -133,11 +133,11 @@ def list_rasters(grid: OccupancyMap, seen: Seen | None) -> Iterator[Raster]:
             if name != "rank"
         }
         place = round(shown.col * size, 9), round(shown.row * size, 9), size, step
-        packed = {name: pack(layer) for name, layer in layers.items()}
+        packed = {name: pack_layer(layer) for name, layer in layers.items()}
         yield Raster(*place, packed)
         for parts in COUNT_STEPS:
             counts = {name: round_counts(layers[name], parts) for name in COUNTS & layers.keys()}
-            packed = packed | {name: pack(layer) for name, layer in counts.items()}
+            packed = packed | {name: pack_layer(layer) for name, layer in counts.items()}
             yield Raster(*place, packed, 0.5 / parts)
 
 
@@ -153,7 +153,7 @@ def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[
             "p": np.full((TILE, outer.cols), NOT_OBSERVED, np.uint8),
             "rank": np.full((TILE, outer.cols), -np.inf, np.float32),
         }
-        band["class"][there] = classify(part)
+        band["class"][there] = number_classes(part)
         band["p"][there] = np.where(part.observed, np.rint(100 * part.probability), NOT_OBSERVED)
         band["rank"][there] = np.where(part.observed, part.log_odds, -np.inf)
         if seen:
@@ -161,7 +161,7 @@ def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[
         yield band
 
 
-def classify(grid: OccupancyMap) -> NDArray[np.uint8]:
+def number_classes(grid: OccupancyMap) -> NDArray[np.uint8]:
     """(H, W) what each cell is."""
     masks, classes = [grid.occupied, grid.free, grid.observed], [OCCUPIED, FREE, UNDECIDED]
     return np.select(masks, classes, UNKNOWN).astype(np.uint8)
@@ -174,7 +174,7 @@ def read_seen(seen: Seen, box: CellBox) -> Layers:
     band: Layers = {"hits": first, "misses": second} if is_counted else {"looks": second}
     band |= {name: np.zeros(box.shape, np.uint32) for name in ("visits", "last")}
     there = box.shrink(TILE).find(seen.slices.tiles)
-    for (_, col), slices in tiles.split_tiles(tiles.take(seen.slices, there)):
+    for (_, col), slices in tiles.split_tiles(tiles.take_tiles(seen.slices, there)):
         start = col * TILE - box.col
         band["visits"][:, start : start + TILE] = tiles.count_visits(slices)[1]
         band["last"][:, start : start + TILE] = find_last(slices, seen.first)
@@ -195,7 +195,7 @@ def read_ground(ground: Ground, lowest_cm: int, box: CellBox, resolution: float)
 def find_last(slices: Slices, first: int) -> Int64:
     """(64, 64) the last slice that saw each cell of one tile, counted from 1; 0 where none did."""
     last = np.zeros((TILE, TILE), np.int64)
-    for number, bits in zip(slices.numbers.tolist(), tiles.unpack(slices)[:, 1], strict=True):
+    for number, bits in zip(slices.numbers.tolist(), tiles.unpack_bits(slices)[:, 1], strict=True):
         seen: Bool = np.unpackbits(bits, axis=-1).view(np.bool_)
         last[seen] = number - first + 1
     return last
@@ -227,7 +227,7 @@ def round_counts(counts: NDArray[Any], steps: int) -> NDArray[Any]:
     return rounded
 
 
-def pack(array: NDArray[Any]) -> Packed:
+def pack_layer(array: NDArray[Any]) -> Packed:
     """Pack (H, W) numbers from 0 to 2^32 - 1; larger ones become the largest."""
     largest = min(int(array.max(initial=0)), 2**32 - 1)
     planes = max(-(-largest.bit_length() // 8), 1)

@@ -25,8 +25,8 @@ from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
+from occmap.threads import Threads
 from occmap.types import Float64, PosedScans, Rays, Update
-from occmap.workers import Workers
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
     from occmap.clouds.engine import CloudEngine
@@ -212,9 +212,9 @@ def count_ground(drive: Drive, finder: "GroundFinder") -> None:
     """Let a finder of the ground see the clouds of a drive."""
     for _ in drive.rounds():  # the second time without clouds that leap away
         seen = finder.start_over(str(drive.log.path))
-        with name_log(drive.log.path), Workers(seen.add, drive.options.jobs) as workers:
+        with name_log(drive.log.path), Threads(seen.add, drive.options.jobs) as threads:
             for posed in drive.read(Tally(), seen.wants):
-                workers.give(posed)
+                threads.give(posed)
     finder.join(seen.count())
 
 
@@ -225,10 +225,10 @@ def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:
         with tally.time("trace"):
             taker.add(seen)
 
-    with name_log(drive.log.path), Workers(work, drive.options.jobs) as workers:
+    with name_log(drive.log.path), Threads(work, drive.options.jobs) as threads:
         for seen in read_seen(drive, tally):
             is_short = isinstance(seen, Rays) and seen.kind.size < HANDED_BEAMS
-            (work if is_short else workers.give)(seen)
+            (work if is_short else threads.give)(seen)
 
 
 def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from occmap.cells import OccupancyMap
 from occmap.report import Count, Finite, Share
+from occmap.threads import Threads
 from occmap.types import Float64, Kind, Rays, ScanBatch
-from occmap.workers import Workers
 
 NOISE = 2.0
 """Standard errors: a difference that is not larger may be chance."""
@@ -166,9 +166,9 @@ def score_map(grid: OccupancyMap, held_out: Sequence[Rays], jobs: int) -> Trial:
     def cast(index: int) -> None:
         cast_beams(held_out[index], chart, totals[index], looks[index])
 
-    with Workers(cast, jobs) as workers:
+    with Threads(cast, jobs) as threads:
         for index in range(len(held_out)):
-            workers.give(index)
+            threads.give(index)
     return Trial(np.concatenate(totals), np.sum(looks, axis=0), grid.agreement)
 
 

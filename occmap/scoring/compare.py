@@ -27,8 +27,8 @@ from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, Remarks, ignore_progress
 from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, score_map
 from occmap.sensor.models import SensorModel, parse_model, shorten_model
+from occmap.threads import Threads
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
-from occmap.workers import Workers
 
 FEW_SCANS = 10
 """Fewer scans do not show how far the next one may lie from them."""
@@ -267,11 +267,11 @@ def compare(
         each.evidence: SharedEvidence(replace(options, update=each.update, model=each.model))
         for each in variants
     }
-    with Workers[Task](lambda it: it[0].add(it[1]), options.jobs) as workers:
+    with Threads[Task](lambda it: it[0].add(it[1]), options.jobs) as threads:
         for rays in reading.list_rays():
             seen = hold_out.split(rays)
             for evidence in shared.values() if len(seen.kind) else ():
-                workers.give((evidence, seen))
+                threads.give((evidence, seen))
     tally, remarks = reading.tally, reading.remarks
     fix = "choose one with `map_frame`, or compare each log by itself"
     if apart := name_frames(tally):

@@ -405,12 +405,12 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     """Move what slices say, one after the other."""
     parts = []
     for number in np.unique(slices.numbers).tolist():
-        of_slice = tiles.take(slices, np.flatnonzero(slices.numbers == number))
-        known = np.unpackbits(tiles.unpack(of_slice), axis=-1).view(np.int8)
+        of_slice = tiles.take_tiles(slices, np.flatnonzero(slices.numbers == number))
+        known = np.unpackbits(tiles.unpack_bits(of_slice), axis=-1).view(np.int8)
         moved = _move_tiles(view_tiles(of_slice.tiles, known), origins)
         places, cells = stack_tiles(moved)
         bits, numbers = np.packbits(cells != 0, axis=-1), np.full(len(places), number)
-        parts.append(tiles.pack(places, numbers, bits))
+        parts.append(tiles.pack_bits(places, numbers, bits))
     return tiles.unite(parts)
 
 

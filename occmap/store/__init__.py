@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from occmap.cells import CellBox, Evidence, Ground, Manifest, sum_tiles
 from occmap.errors import MapError
-from occmap.grid.tiles import TILE, take, unite
+from occmap.grid.tiles import TILE, take_tiles, unite
 from occmap.store import layout
 from occmap.store.layout import Block
 from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
@@ -132,7 +132,8 @@ def read_part(saved: Saved, box: CellBox) -> Evidence:
         return saved
     near = box.align(TILE).grow(TILE)
     blocks = (block for block in layout.list_blocks(near) if block in saved.blocks)
-    return join_blocks(saved, (cut(saved.read_block(block), near.shrink(TILE)) for block in blocks))
+    parts = (keep_inside(saved.read_block(block), near.shrink(TILE)) for block in blocks)
+    return join_blocks(saved, parts)
 
 
 def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
@@ -148,9 +149,9 @@ def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
     return Evidence(saved.manifest, tiles, slices, where, ground=ground)
 
 
-def cut(part: Evidence, box: CellBox) -> Evidence:
+def keep_inside(part: Evidence, box: CellBox) -> Evidence:
     """Keep the tiles in a box, which counts tiles."""
     rows, cols = range(box.row, box.row_end), range(box.col, box.col_end)
     tiles = {key: tile for key, tile in part.tiles.items() if key[0] in rows and key[1] in cols}
-    slices = tuple(take(layer, box.find(layer.tiles)) for layer in part.slices)
+    slices = tuple(take_tiles(layer, box.find(layer.tiles)) for layer in part.slices)
     return replace(part, tiles=tiles, slices=slices)

@@ -18,7 +18,7 @@ import numpy as np
 from occmap.cells import CellBox, Evidence, Key, Manifest, Slices, Tile, stack_tiles, view_tiles
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
-from occmap.grid.tiles import INT32_LIMIT, TILE, take
+from occmap.grid.tiles import INT32_LIMIT, TILE, take_tiles
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8
 from occmap.writers.npz import compute_checksum, refuse_other_version, unpack_slices
@@ -73,7 +73,7 @@ def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
         places = of_tiles.get(block, nothing)
         own = {(row, col): tiles[row, col] for row, col in keys[places].tolist()}
         parts = tuple(
-            take(layer, found.get(block, nothing))
+            take_tiles(layer, found.get(block, nothing))
             for layer, found in zip(slices, of_slices, strict=True)
         )
         yield block, replace(evidence, tiles=own, slices=parts, ground=None)
@@ -124,7 +124,7 @@ def import_zarr() -> Any:
     return zarr
 
 
-def find_place(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
+def locate_block(block: Block, offset: tuple[int, int], side: int = 1) -> tuple[slice, slice]:
     """Rows and columns of a block in an array, of which an item is a square of so many cells."""
     row, col = offset
     return block.box.move(-row, -col).shrink(side).slices
@@ -136,7 +136,7 @@ def make_head(manifest: Manifest, offset: tuple[int, int]) -> dict[str, Any]:
     return dict(json.loads(json.dumps(head | asdict(manifest), allow_nan=False)))
 
 
-def read_tiles(root: Any, box: CellBox) -> dict[Key, Tile]:
+def read_box(root: Any, box: CellBox) -> dict[Key, Tile]:
     """Read the tiles of a box in which anything was observed.
 
     Parameters
@@ -160,7 +160,7 @@ def read_block(root: Any, block: Block, manifest: Manifest, where: str) -> Evide
     """Read what was observed in a block of the group of a store, as it is there."""
     array = root[f"slices/{block.row}.{block.col}"]
     slices = unpack_layers(array[:], array.attrs["arrays"], len(manifest.builds))
-    return Evidence(manifest, read_tiles(root, block.box), slices, where)
+    return Evidence(manifest, read_box(root, block.box), slices, where)
 
 
 def refuse_unfinished(path: Path, head: dict[str, Any]) -> None:
@@ -202,7 +202,7 @@ def pack_arrays(arrays: Mapping[str, Any]) -> tuple[UInt8, list[dict[str, Any]]]
     return np.frombuffer(data, np.uint8), layout
 
 
-def list_builds(content: Evidence) -> tuple[int, ...]:
+def list_observing_builds(content: Evidence) -> tuple[int, ...]:
     """List the builds that observed something: the others do not change what a block is."""
     return tuple(build for build, each in enumerate(content.slices) if len(each.numbers))
 
@@ -240,7 +240,7 @@ def hash_content(content: Evidence) -> str:
         np.packbits(seen, axis=-1),
         *(cells[:, part][seen].astype("<i8") for part in (0, 1)),
     ]
-    for build in list_builds(content):
+    for build in list_observing_builds(content):
         slices = content.slices[build]
         arrays += [np.array([build], "<i8"), slices.tiles.astype("<i8")]
         arrays += [slices.numbers.astype("<i8")]

@@ -41,13 +41,13 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     with name_log(evidence.where):
         refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
-    mine, its = extend_ground(ground, blocks), extend_ground(other, blocks)
+    mine, its = place_ground(ground, blocks), place_ground(other, blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
     height = np.where(known, mine.height_mm, its.height_mm)
     return Ground(blocks, height, mine.measured | its.measured)
 
 
-def extend_ground(ground: Ground, blocks: Int64) -> Ground:
+def place_ground(ground: Ground, blocks: Int64) -> Ground:
     """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
     at = ground.find_blocks(blocks)
     there = (at >= 0)[:, np.newaxis]
@@ -83,12 +83,14 @@ def combine(
     with suppress(MapError):  # without a model, no note says what does not fit
         model = read_model(held[0])
     if lay is None:
-        return add_up(held, len(added), model)
+        return add_and_take(held, len(added), model)
     fitted = reduce(lambda past, other: merge([past, lay(other, past)], model), held[: len(added)])
-    return add_up([fitted, *held[len(added) :]], 1)
+    return add_and_take([fitted, *held[len(added) :]], 1)
 
 
-def add_up(parts: Sequence[Evidence], added: int, model: SensorModel | None = None) -> Evidence:
+def add_and_take(
+    parts: Sequence[Evidence], added: int, model: SensorModel | None = None
+) -> Evidence:
     """Add so many of the parts, the first ones, and take the others away; raises as `combine`."""
     total = merge(parts[:added], model)
     for other in parts[added:]:
@@ -105,12 +107,12 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
         The parts do not go together.
     """
     nothing = [join_blocks(each, ()) for each in parts]
-    whole = add_up(nothing, added)  # what differs is refused at once
+    whole = add_and_take(nothing, added)  # what differs is refused at once
 
     def read_block(block: Block) -> Evidence:
         pairs = zip(parts, nothing, strict=True)
         found = [of.read_block(block) if block in of.blocks else none for of, none in pairs]
-        return add_up(found, added)
+        return add_and_take(found, added)
 
     blocks = sorted({block for part in parts for block in part.blocks})
     reach = {block: block.box for block in blocks}

@@ -119,12 +119,12 @@ def write_block(path: Path, block: Block, content: Evidence) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    builds, numbers = layout.list_builds(content), layout.spread_cells(block, content)
+    builds, numbers = layout.list_observing_builds(content), layout.spread_cells(block, content)
     packed = pack_slices([content.slices[build] for build in builds])
     data, arrays = layout.pack_arrays({"builds": np.array(builds, "<i8"), **packed})
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        place = layout.find_place(block, head["offset"])
+        place = layout.locate_block(block, head["offset"])
         for name, layer in zip(layout.LAYERS[head["kind"]], numbers, strict=True):
             root[name][place] = layer
         add_list(root["slices"], f"{block.row}.{block.col}", data, {"arrays": arrays})
@@ -150,11 +150,11 @@ def paint_block(path: Path, block: Block, keep: bool = True) -> tuple[TileGrid, 
     """
     with edit_store(path) as root:
         head = root.attrs["occmap"]
-        tiles = layout.read_tiles(root, block.box.grow(TILE))
+        tiles = layout.read_box(root, block.box.grow(TILE))
         grid = to_grid(Evidence(Manifest.from_json(head), tiles))
         made = paint_box(grid, parse_model(head["model"]), block.box)
         for side in FINE_LEVELS if keep else ():
-            place = layout.find_place(block, head["offset"], side)
+            place = layout.locate_block(block, head["offset"], side)
             root["classes"][str(side)][place] = keep_largest(made.classes, side)
     return grid, made
 

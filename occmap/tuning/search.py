@@ -26,8 +26,8 @@ from occmap.scans.tracing import Reading
 from occmap.scoring import SMALL, Gain, HoldOut, Sample, Trial, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
+from occmap.threads import Threads
 from occmap.types import Pose, PosedScans, Rays, ScanBatch
-from occmap.workers import Workers
 
 MOST_SCANS, MOST_OF_ALL = 1000, 4000
 """Scans of a log, and of all: more tell little more, and each is traced over thirty times."""
@@ -246,11 +246,11 @@ class Scorer:
     def score_log(self, log: KeptLog, correction: Correction) -> Trial:
         """Score a map of one log alone, since the frames of several may lie anywhere."""
         hold_out, engine = HoldOut(), make_engine(self.options)
-        with Workers(engine.add, self.options.jobs) as workers:
+        with Threads(engine.add, self.options.jobs) as threads:
             for rays in self.trace(log, correction):
                 seen = hold_out.split(rays)
                 if len(seen.kind):
-                    workers.give(seen)
+                    threads.give(seen)
         held_out = hold_out.sample
         if not hold_out.hits:
             return Trial(np.zeros((held_out.scans, 6)), np.zeros((1, 3)), None)

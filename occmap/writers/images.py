@@ -24,7 +24,7 @@ from occmap.errors import MapError
 from occmap.types import Bool, UInt8
 from occmap.writers import WriteOptions, Writer
 from occmap.writers.atomic import make_folder, open_atomic
-from occmap.writers.pgm import GREYS, describe_map, write_yaml
+from occmap.writers.pgm import GREYS, describe_image, write_yaml
 
 FORMATS = ("PPM", "PNG", "BMP")
 """What map servers load; PPM is pillow's name for the family of PGM."""
@@ -225,5 +225,5 @@ class TileTree:
         x_min, y_min = (round(edge * part.resolution, 12) for edge in (tile.col, tile.row))
         lying = replace(part, origin=(x_min, y_min))
         with file.open("wb") as opened:
-            write_yaml(opened, describe_map(f"{y}.png", lying, TRINARY), self.grid.about)
+            write_yaml(opened, describe_image(f"{y}.png", lying, TRINARY), self.grid.about)
         return classes

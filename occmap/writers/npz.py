@@ -103,7 +103,7 @@ def write_evidence(path: Path, evidence: Evidence, name: str = "") -> None:
     OutputError
         It cannot be written; then nothing is left behind.
     """
-    arrays = pack(evidence)
+    arrays = pack_evidence(evidence)
     head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
     head["evidence"] = name or evidence.identify()
     head["checksum"] = compute_checksum(head, arrays)
@@ -122,7 +122,7 @@ def add_array(archive: zipfile.ZipFile, name: str, array: Any) -> None:
         np.lib.format.write_array(file, array, version=(1, 0), allow_pickle=False)
 
 
-def pack(evidence: Evidence) -> Arrays:
+def pack_evidence(evidence: Evidence) -> Arrays:
     """Keep the observed cells only, each number as narrow as all of its kind allow."""
     places, cells = stack_tiles(evidence.tiles)
     seen: Bool = (cells != 0).any(axis=1)
@@ -166,7 +166,7 @@ def read_evidence(path: Path) -> Evidence:
             refuse_other_version(path, head, FORMAT, VERSION)
             names = ARRAYS + GROUND * (f"{GROUND[0]}.npy" in archive.namelist())
             arrays = {name: read_array(archive, name) for name in names}
-        return unpack(path, head, arrays)
+        return unpack_evidence(path, head, arrays)
 
 
 @contextmanager
@@ -214,7 +214,7 @@ def read_array(archive: zipfile.ZipFile, name: str) -> Any:
     return array
 
 
-def unpack(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
+def unpack_evidence(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:
     """Make evidence of what a file holds, if that is what was written.
 
     Raises

@@ -60,7 +60,7 @@ class PgmWriter(Writer):
             decision = options.decide(grid.decision)
             for band in bands_from_top(grid):
                 image.write(to_pixels(replace(band, decision=decision))[::-1].tobytes())
-            write_yaml(yaml, describe_map(image_path.name, grid, options), grid.about)
+            write_yaml(yaml, describe_image(image_path.name, grid, options), grid.about)
         return image_path, yaml_path
 
 
@@ -92,7 +92,7 @@ class KeepoutWriter(PgmWriter):
         return super().write(path, mask, WriteOptions())
 
 
-def describe_map(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:
+def describe_image(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:
     """Return the fields of the map_server YAML, in its order."""
     occupied_thresh, free_thresh = written_thresholds(options)
     return {

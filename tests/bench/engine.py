@@ -8,14 +8,14 @@ from time import process_time
 import numpy as np
 
 from occmap.cells import CellBox
-from occmap.grid.rendering import paint
+from occmap.grid.rendering import paint_cells
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.options import BuildOptions
 from occmap.scans import make_engine
 from occmap.sensor import ReturnOptions, interpret
 from occmap.sensor.models import QuadraticModel, SensorModel, SimpleModel
+from occmap.threads import Threads
 from occmap.types import BEAM_UPDATES, Int64, PosedScans, Update
-from occmap.workers import Workers
 from tests.bench.measuring import Times, time_in_turn
 from tests.bench.workloads import Workload
 from tests.bench.yardstick import Trace, find_box
@@ -55,9 +55,9 @@ def trace(workload: Workload, update: Update, model: SensorModel, jobs: int = 1)
         rays, _ = interpret(posed, ReturnOptions())
         engine.add(rays)
 
-    with Workers(add, jobs) as workers:
+    with Threads(add, jobs) as threads:
         for posed in workload.pose_scans():
-            workers.give(posed)
+            threads.give(posed)
     return engine.finish()
 
 
@@ -112,5 +112,5 @@ def check_equal(workload: Workload, yardsticks: Mapping[str, Trace]) -> None:
 
 def spread(evidence: TileGrid, number: int, box: CellBox) -> Int64:
     """(H, W) of a box around all evidence: the first or second number of each cell."""
-    counts, _ = paint(evidence, lambda *pair: pair[number], 0.0, box)
+    counts, _ = paint_cells(evidence, lambda *pair: pair[number], 0.0, box)
     return counts.astype(np.int64)

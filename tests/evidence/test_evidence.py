@@ -17,7 +17,7 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SimpleModel, parse_model
-from occmap.store.publishing import RenderOptions, publish, render_kept
+from occmap.store.painting import RenderOptions, publish, render_kept
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import DRIVE, choose, each_combination, save

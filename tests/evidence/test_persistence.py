@@ -13,12 +13,12 @@ import pytest
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.evidence import keep_lasting, render_lasting
-from occmap.grid.tiles import TILE, TileGrid, pack
+from occmap.grid.tiles import TILE, TileGrid, pack_bits
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import parse_model
-from occmap.store.publishing import RenderOptions
+from occmap.store.painting import RenderOptions
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence
@@ -185,7 +185,7 @@ def observe(cells: Sequence[tuple[int, int, int, int]]) -> tuple[TileGrid, Slice
     for col, visits in enumerate(np.array(cells)[:, 2:]):
         for layer, count in enumerate(visits):
             bits[:count, layer, 0, col] = True
-    return grid, pack(np.tile([5, -7], (len(numbers), 1)), numbers, np.packbits(bits, axis=-1))
+    return grid, pack_bits(np.tile([5, -7], (len(numbers), 1)), numbers, np.packbits(bits, axis=-1))
 
 
 @pytest.mark.parametrize(

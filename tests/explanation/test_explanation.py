@@ -18,7 +18,7 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import Deskew, PosingOptions
 from occmap.sensor import models
 from occmap.store.merging import merge, subtract
-from occmap.store.publishing import RenderOptions, render_kept
+from occmap.store.painting import RenderOptions, render_kept
 from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import MapMode, WriteOptions
 from tests.csv_logs import write_poses, write_scans

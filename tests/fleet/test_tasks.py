@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from occmap.fleet.tasks import Job, Setting, add_up, trace_log
+from occmap.fleet.tasks import Job, Setting, add_up_pieces, trace_log
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import text_log
@@ -26,7 +26,7 @@ def test_a_log_that_is_read_twice_counts_once(
     setting = Setting(options, Keep(slices=True), folder, 1, window_cells=1 << 20, most_bytes=1)
     traced = trace_log(Job(setting, "log", str(log)))
     pieces = [piece for block in sorted(traced.pieces) for piece in traced.pieces[block]]
-    grid, _ = add_up(setting, pieces)
+    grid, _ = add_up_pieces(setting, pieces)
     files = {piece.file for piece in pieces}
     assert len(files) > 1
     assert len(list(folder.glob("*.run"))) > len(files)

@@ -10,7 +10,7 @@ from occmap.errors import MapError, UsageError
 from occmap.evidence import render_lasting
 from occmap.grid.rendering import Framing
 from occmap.sensor.models import SimpleModel
-from occmap.store.publishing import RenderOptions
+from occmap.store.painting import RenderOptions
 from occmap.writers import WriteOptions
 from tests.grid.scans import make_grid
 

@@ -17,7 +17,7 @@ from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
-from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint
+from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint_cells
 from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
 from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
@@ -55,7 +55,7 @@ def test_spread_hits_are_those_of_single_cells(numbers: Numbers, share: float, u
     box = find_bounds(tiles)
     assert box == CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
     for layer in (0, 1):
-        painted, observed = paint(tiles, lambda *pair, layer=layer: pair[layer], -1.0, box)
+        painted, observed = paint_cells(tiles, lambda *pair, layer=layer: pair[layer], -1.0, box)
         found = {
             (row + box.row, col + box.col): float(painted[row, col])
             for row, col in np.argwhere(observed).tolist()

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.grid.engine import GridEngine
-from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack
+from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack_bits
 from occmap.types import Rays
 from tests.grid import scans
 from tests.grid.reference import Cell
@@ -57,7 +57,7 @@ def look_scan_by_scan(spec: GridSpec, rays: Rays, slice_ns: int = SLICE) -> Expe
 def spread(slices: Slices) -> Expected:
     cells: Expected = defaultdict(lambda: Seen(set(), set()))
     tiles, numbers = (slices.tiles * TILE).tolist(), slices.numbers.tolist()
-    for k, layer, row, col in np.argwhere(np.unpackbits(unpack(slices), axis=-1)).tolist():
+    for k, layer, row, col in np.argwhere(np.unpackbits(unpack_bits(slices), axis=-1)).tolist():
         seen = cells[tiles[k][0] + row, tiles[k][1] + col]
         (seen.seen if layer else seen.hit).add(numbers[k])
     return dict(cells)

@@ -12,7 +12,7 @@ from occmap.cells import Slices
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid import Lattice, tiles
-from occmap.grid.rendering import Reach, find_bounds, paint
+from occmap.grid.rendering import Reach, find_bounds, paint_cells
 from occmap.grid.tiles import TILE, EvidenceKind
 from occmap.sensor.models import CountingModel
 from tests.grid import scans
@@ -61,13 +61,15 @@ def test_a_robot_that_stands_still_for_ten_hours() -> None:
         scans.add_cell(grid, 4, 4, log_odds * per_minute, per_minute)
     tile = grid.tiles[0, 0]
     assert tile[:, 4, 4].tolist() == [log_odds * times * 1081, times * 1081]
-    of_map, _ = paint(grid, lambda sums, _: sums * tiles.LOG_ODDS_UNIT, 0.0, find_bounds(grid))
+    of_map, _ = paint_cells(
+        grid, lambda sums, _: sums * tiles.LOG_ODDS_UNIT, 0.0, find_bounds(grid)
+    )
     assert of_map[0, 0] == pytest.approx(-2.1972245773 * times * 1081, rel=1e-5)
 
 
 def test_log_odds_of_zero_are_observed_where_there_were_observations() -> None:
     grid = scans.make_grid({(0, 0): (0, 2), (0, 2): (9, 1)}, kind=EvidenceKind.LOG_ODDS)
-    _, observed = paint(grid, np.subtract, 0.0, find_bounds(grid))
+    _, observed = paint_cells(grid, np.subtract, 0.0, find_bounds(grid))
     assert observed.tolist() == [[True, False, True]]
 
 
@@ -138,11 +140,11 @@ def pack_tables(tables: Tables) -> Slices:
     bits = np.packbits(
         np.array(list(tables.values()), np.bool_).reshape(-1, 2, TILE, TILE), axis=-1
     )
-    return tiles.pack(keys[:, :2], keys[:, 2], bits)
+    return tiles.pack_bits(keys[:, :2], keys[:, 2], bits)
 
 
 def read_tables(slices: Slices) -> Tables:
-    bits = np.unpackbits(tiles.unpack(slices), axis=-1).view(np.bool_)
+    bits = np.unpackbits(tiles.unpack_bits(slices), axis=-1).view(np.bool_)
     keys = np.column_stack([slices.tiles, slices.numbers]).tolist()
     return {(row, col, number): bits[k] for k, (row, col, number) in enumerate(keys)}
 
@@ -160,8 +162,8 @@ def test_what_is_packed_comes_out_again(tables: Tables) -> None:
     assert_equal(read_tables(slices), tables)
     every_other = np.arange(len(tables))[::-2]
     some = dict(list(tables.items())[::-2])
-    assert_equal(read_tables(tiles.take(slices, every_other)), some)
-    assert list(read_tables(tiles.take(slices, every_other))) == list(some)
+    assert_equal(read_tables(tiles.take_tiles(slices, every_other)), some)
+    assert list(read_tables(tiles.take_tiles(slices, every_other))) == list(some)
 
 
 def test_rows_like_the_one_before_cost_nothing() -> None:

@@ -17,7 +17,7 @@ from occmap.page.raster import (
     Seen,
     make_raster,
     name_layers,
-    pack,
+    pack_layer,
     round_counts,
 )
 from tests.writers.maps import map_of
@@ -142,13 +142,13 @@ def test_16_million_cells_are_not_thinned_for_their_number() -> None:
 )
 def test_numbers_survive_with_as_few_bytes_as_they_need(largest: int, planes: int) -> None:
     numbers: NDArray[Any] = np.array([[0, largest // 2, largest], [1 % (largest + 1), 0, 0]])
-    packed = pack(numbers)
+    packed = pack_layer(numbers)
     assert (packed.planes, packed.largest) == (planes, largest)
     np.testing.assert_array_equal(unpack(packed), numbers)
 
 
 def test_a_number_too_large_is_the_largest() -> None:
-    assert unpack(pack(np.array([[2**40]]))).tolist() == [[2**32 - 1]]
+    assert unpack(pack_layer(np.array([[2**40]]))).tolist() == [[2**32 - 1]]
 
 
 def test_the_ground_of_clouds_is_a_layer_as_high_as_the_hall_s_floor_and_ramp(

@@ -14,7 +14,7 @@ from occmap import build_map, evidence
 from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
-from occmap.store import open_store, publishing
+from occmap.store import open_store, painting
 from occmap.types import Update
 from occmap.writers import WriteOptions
 from occmap.writers.npz import read_evidence
@@ -322,7 +322,7 @@ def test_large_maps_in_memory_are_painted_in_parts(
         return [(made["map"], made["notes"]) for made in asked], files
 
     whole = run_all("whole"), build_map(DRIVE)
-    monkeypatch.setattr(publishing, "LARGE_TILES", 0)
+    monkeypatch.setattr(painting, "LARGE_TILES", 0)
     monkeypatch.setattr(evidence, "render_lasting", None)  # would make the whole map
     assert run_all("parts") == whole[0]
     shown = build_map(DRIVE)

@@ -18,7 +18,7 @@ from occmap.posing import PosingOptions
 from occmap.scoring.matching import Transform, move_evidence
 from occmap.sensor.models import QuadraticModel
 from occmap.store.merging import merge, subtract
-from occmap.store.publishing import RenderOptions, publish
+from occmap.store.painting import RenderOptions, publish
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
 from tests.evidence.saving import (

@@ -15,10 +15,10 @@ import zarr
 
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError
-from occmap.grid.tiles import TILE, pack
+from occmap.grid.tiles import TILE, pack_bits
 from occmap.store import Blocks, as_blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
-from occmap.store.publishing import RenderOptions, render_kept
+from occmap.store.painting import RenderOptions, render_kept
 from occmap.store.writing import ZarrWriter, create_store, finish_store, paint_block, write_block
 from occmap.types import UInt8, Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
@@ -133,7 +133,7 @@ def test_coarse_pictures_of_a_store_of_blocks_far_apart(tmp_path: Path, drive: E
     tiles = {(block.row * 16 + 5, block.col * 16 + 9): tile for block in blocks}
     bits = np.packbits([tile != 0] * 2, axis=-1)
     bits[:, 1] |= bits[:, 0]
-    slices = pack(np.array(list(tiles)), np.array([3, 4]), bits)
+    slices = pack_bits(np.array(list(tiles)), np.array([3, 4]), bits)
     evidence = replace(drive, tiles=tiles, slices=(slices,))
     contents = dict(split_evidence(evidence))
     assert list(contents) == blocks

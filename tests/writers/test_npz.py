@@ -11,7 +11,7 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.grid.tiles import TILE, pack
+from occmap.grid.tiles import TILE, pack_bits
 from occmap.types import Int64
 from occmap.writers.npz import SIDE, SLICES, add_array, narrow, read_evidence, write_evidence
 from tests.grid.scans import are_equal
@@ -41,7 +41,7 @@ def mark(values: Int64) -> Slices:
     bits = np.packbits(values != 0, axis=-1)
     bits[:, 1] |= bits[:, 0]
     tiles = np.array([[-1, 0], [-1, 0], [2, 3]])
-    return pack(tiles, np.array([-7, 300, 5]), np.stack([bits[0], bits[0] | 255, bits[1]]))
+    return pack_bits(tiles, np.array([-7, 300, 5]), np.stack([bits[0], bits[0] | 255, bits[1]]))
 
 
 NO_SLICES = Slices.join([])

@@ -15,7 +15,7 @@ def count_cores() -> int:
     return os.cpu_count() or 1
 
 
-class Workers(Generic[Item]):
+class Threads(Generic[Item]):
     """Calls a function for each item given, in `jobs` threads, counting the caller's own.
 
     Where two items for each thread are waiting, the giver works on the next one itself. So a fast

@@ -1,6 +1,6 @@
-"""Saved evidence made into files again, and what the report says of it.
+"""Saved evidence painted as a map and written, and what the report says of it.
 
-A map is made block by block: memory is that of the map and of a few blocks.
+A map of a store is painted block by block: memory is that of the map and of a few blocks.
 """
 
 import math
@@ -146,24 +146,31 @@ class BlockMap:
         MapError
             A block cannot be read.
         """
-        is_whole = box == self.box and self.options.framing.extent is None
-        blocks: Iterable[Block] = self.source.blocks
-        if not is_whole:  # maybe a tile of a large map, and most blocks lie far from it
-            blocks = self.source.blocks.keys() & set(list_blocks(box.grow(1)))
-        beside = {each for block in blocks for each in list_blocks(block.box.grow(1))}
-        for shape in self.options.writing.shapes:  # they may lie where nothing was observed
+        # Cells that were forgotten count as lost, also in blocks in which nothing is left.
+        counts_forgotten = self.is_whole(box) and self.options.min_passes is not None
+        for block in self.choose_blocks(box):
+            shown = box.clip(block.box)
+            counted = block.box if counts_forgotten else shown
+            if counted.cells:
+                grids = read_lasting(self.source, counted, self.options.min_passes)
+                made, found = evidence.paint_lasting(*grids, self.model, shown, counted)
+                yield shown.within(box), self.options.writing.edit(made), found
+
+    def is_whole(self, box: CellBox) -> bool:
+        """Whether a box is the whole map, which no extent cuts."""
+        return box == self.box and self.options.framing.extent is None
+
+    def choose_blocks(self, box: CellBox) -> list[Block]:
+        """Choose the blocks in which a box may show something, in the order in which to paint."""
+        observed: Iterable[Block] = self.source.blocks
+        if not self.is_whole(box):  # maybe a tile of a large map, and most blocks lie far from it
+            observed = self.source.blocks.keys() & set(list_blocks(box.grow(1)))
+        # Hits speak for the cells beside them, and edits may lie where nothing was observed.
+        seen = {each for block in observed for each in list_blocks(block.box.grow(1))}
+        for shape in self.options.writing.shapes:
             corners = np.array(shape.measure(self.resolution))
-            beside |= set(list_blocks(Lattice(self.resolution).enclose(corners).clip(box)))
-        # Cells that were forgotten count as lost, and may lie beyond those that are left.
-        counts_beyond = self.options.min_passes is not None and is_whole
-        for block in sorted(beside, key=lambda each: (each.row // STRIPE, each.col, each.row)):
-            own = box.clip(block.box)
-            area = block.box if counts_beyond else own
-            if not area.cells:
-                continue
-            grids = read_lasting(self.source, area, self.options.min_passes)
-            made, found = evidence.paint_lasting(*grids, self.model, own, area)
-            yield own.within(box), self.options.writing.edit(made), found
+            seen |= set(list_blocks(Lattice(self.resolution).enclose(corners).clip(box)))
+        return sorted(seen, key=lambda each: (each.row // STRIPE, each.col, each.row))
 
 
 def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None = None) -> BlockMap:
@@ -176,12 +183,12 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     """
     chosen = options or RenderOptions()
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
-    bounds = find_bounds(kept, model, chosen.min_passes)
+    bounds = bound_map(kept, model, chosen.min_passes)
     box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
     return BlockMap(kept, model, chosen, box)
 
 
-def find_bounds(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
+def bound_map(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
     """The smallest box around all cells of a map; only blocks that may reach its edges are read.
 
     Raises
@@ -318,7 +325,7 @@ def settle_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, Sen
     OccmapError
         The model cannot read the evidence or knows no visits.
     """
-    model = evidence.choose_model(saved, options.model, options.min_passes)
+    model = evidence.choose_model_for(saved, options.model, options.min_passes)
     return replace(saved, manifest=replace(saved.manifest, model=describe_model(model))), model
 
 

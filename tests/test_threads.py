@@ -7,16 +7,16 @@ from threading import Event, Lock, current_thread
 
 import pytest
 
-from occmap.workers import Workers
+from occmap.threads import Threads
 
 PATIENCE_S = 30
 """No test waits so long unless it fails."""
 
 
 def give_all(work: Callable[[int], None], jobs: int, items: int) -> None:
-    with Workers(work, jobs) as workers:
+    with Threads(work, jobs) as threads:
         for item in range(items):
-            workers.give(item)
+            threads.give(item)
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
@@ -49,12 +49,12 @@ def test_the_giver_works_itself_where_enough_items_wait_and_on_what_is_left_at_t
             assert free.wait(PATIENCE_S)
 
     giver = current_thread()
-    with Workers(work, jobs=2) as workers:
-        workers.give(0)
+    with Threads(work, jobs=2) as threads:
+        threads.give(0)
         assert begun.wait(PATIENCE_S)
-        workers.give(1)
-        workers.give(2)
-        workers.give(3)
+        threads.give(1)
+        threads.give(2)
+        threads.give(3)
         assert own == [2, 3]  # the other thread holds 0, and 1 waits
 
     assert own == [2, 3, 1]
@@ -94,10 +94,10 @@ def test_after_an_error_of_the_giver_nothing_more_is_begun(monkeypatch: pytest.M
         done.append(item)
 
     def give_and_fail() -> None:
-        with Workers(work, jobs=2) as workers:
-            workers.give(0)
+        with Threads(work, jobs=2) as threads:
+            threads.give(0)
             assert begun.wait(PATIENCE_S)
-            workers.give(1)
+            threads.give(1)
             raise KeyboardInterrupt
 
     monkeypatch.setattr(ThreadPoolExecutor, "shutdown", shut_down_first)
