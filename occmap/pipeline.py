@@ -72,7 +72,7 @@ def build(
             is_told = wants_evidence or is_compared
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = replace(manifest, builds=(*manifest.builds, *made))
-        facts = results.describe_map(grid, options.writing)
+        facts = results.measure_map(grid, options.writing)
         steady = measure_steady(seen.tiles) if tally.points else 1.0
         seen.remarks.notes += [
             *(*unaligned, *fitted, *misfit, *lost, *list_doubts(manifest)),

@@ -329,7 +329,7 @@ def paint_saved(
         agreement, lost = evidence.sum_up(found)
         shown = replace(shown, agreement=agreement)
     about = describe_about(saved.manifest, identify(saved), options)
-    facts = results.describe_map(shown, options.writing)._replace(lost=lost)
+    facts = results.measure_map(shown, options.writing)._replace(lost=lost)
     return replace(shown, about=about), facts
 
 
