@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from occmap.choices import check_bounds, list_options, list_values, option
 from occmap.clouds import CloudOptions
@@ -39,7 +40,7 @@ def choose_model(update: Update) -> CountingModel:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which scans of a log to use; two parts that end and start at one time share no scan.
+    """Which scans of a log to use: a part begins with its start and ends before its end.
 
     Raises
     ------
@@ -152,12 +153,16 @@ class BuildOptions:
         both = bool(self.resume and self.resume_if_there)
         require(not both, "`resume` and `resume_if_there` are both given", "leave one out")
 
+    def list_changed(self) -> dict[str, Any]:
+        """List the values of the options that are not at their defaults, by name."""
+        values = list_values(self)
+        return {name: values[name] for name in values if values[name] != OPTIONS[name].default}
+
     def list_idle(self) -> Iterator[str]:
         """Name the options that do nothing under the update."""
-        values = list_values(self)
-        for name in IDLE[self.update]:
-            if values[name] != OPTIONS[name].default:
-                yield f"`{name}` does nothing with the {self.update} update"
+        changed = self.list_changed()
+        for name in (name for name in IDLE[self.update] if name in changed):
+            yield f"`{name}` does nothing with the {self.update} update"
         if self.fit and not (self.resume or self.resume_if_there):
             yield "`fit` does nothing: it is for `resume`"
 
@@ -228,8 +233,8 @@ def compose_build(
     """
     given = {
         name: OPTIONS[name].write(value)
-        for name, value in list_values(options).items()
-        if value != OPTIONS[name].default and name not in {*OF_ONE_MAP, "jobs"}
+        for name, value in options.list_changed().items()
+        if name not in {*OF_ONE_MAP, "jobs"}
     }
     for name, text in changes.items():
         kept = []

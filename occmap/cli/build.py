@@ -14,7 +14,7 @@ from click.core import ParameterSource
 from occmap.choices import read_value, take
 from occmap.cli import options
 from occmap.cli.console import Console, write_rows
-from occmap.cli.declaring import CONFIG, PATH, TEXT, Answer, Option, command, fail_if, flag
+from occmap.cli.declaring import CONFIG, PATH, TEXT, Answer, CliOption, command, fail_if, flag
 from occmap.cli.options import Values
 from occmap.errors import LogError, OccmapError, PoseError, UsageError
 from occmap.options import DEFAULT_UPDATE, OPTIONS, RUN, BuildOptions, choose_model
@@ -28,7 +28,7 @@ from occmap.scans.mounts import open_drive
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
 
-DASK = Option(
+DASK = CliOption(
     RUN,
     "--dask",
     type=TEXT,
@@ -36,7 +36,7 @@ DASK = Option(
     help="Build by processes on this machine, as many as --jobs, or by the workers of a Dask "
     "scheduler, such as tcp://HOST:8786.",
 )
-SCRATCH = Option(
+SCRATCH = CliOption(
     RUN,
     "--scratch",
     type=PATH,

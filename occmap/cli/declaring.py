@@ -73,7 +73,7 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
 PATH, TEXT = Value.of(Path), Value.of(str)
 
 
-class Option(click.Option):
+class CliOption(click.Option):
     """An option that stands under a heading of --help."""
 
     def __init__(self, section: str, *names: str, **settings: Any) -> None:
@@ -113,8 +113,8 @@ class Command(click.Command):
         sections: dict[str, list[tuple[str, str]]] = {}
         is_short = self.usual and ALL not in ctx.meta
         for param in self.get_params(ctx):
-            section = param.section if isinstance(param, Option) else RUN
-            is_left_out = is_short and isinstance(param, Option) and param.name not in self.usual
+            section = param.section if isinstance(param, CliOption) else RUN
+            is_left_out = is_short and isinstance(param, CliOption) and param.name not in self.usual
             record = param.get_help_record(ctx)
             if record and isinstance(param, click.Option) and not is_left_out:
                 sections.setdefault(section, []).append(record)
@@ -137,9 +137,9 @@ def tell_console(ctx: click.Context, param: click.Parameter, is_wanted: bool) ->
     setattr(ctx.ensure_object(Console), str(param.name), is_wanted)
 
 
-def flag(section: str, *names: str, text: str, **settings: Any) -> Option:
+def flag(section: str, *names: str, text: str, **settings: Any) -> CliOption:
     """Declare an option that takes no value."""
-    return Option(section, *names, is_flag=True, help=text, **settings)
+    return CliOption(section, *names, is_flag=True, help=text, **settings)
 
 
 TOLD: dict[str, Any] = {"expose_value": False, "callback": tell_console}
@@ -169,7 +169,7 @@ class Limited(Printed):
     """The limits of `limits` that the result does not keep to; any of them makes the exit code 3"""
 
 
-def fail_if(measures: Measures, example: str, *others: str) -> Option:
+def fail_if(measures: Measures, example: str, *others: str) -> CliOption:
     """Declare the option that sets limits on what a command measures.
 
     Parameters
@@ -187,7 +187,7 @@ def fail_if(measures: Measures, example: str, *others: str) -> Option:
     text = f'Exit with 3 if this is true, such as "{example}"; < <= >= == != work, too. May repeat.'
     text += "".join(f" {each} SHARE is short for {measures[0].name} > SHARE." for each in others)
     form = choices.Form(read, f'a limit such as "{example}"')
-    return Option(
+    return CliOption(
         "Limits",
         *("--fail-if", *others, "limits"),
         type=Value.of(Limit, "limits", form),
@@ -263,7 +263,7 @@ BESIDE = frozenset({"edits", "ground", "poses"})
 """Options that may name a file beside the file of options: it is looked for there first"""
 
 
-class ConfigOption(Option):
+class ConfigOption(CliOption):
     """The option that names a file of options; what the file states are the defaults of others."""
 
     def handle_parse_result(

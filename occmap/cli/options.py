@@ -19,7 +19,7 @@ import click
 from occmap import choices
 from occmap.choices import list_options
 from occmap.cli.console import Console, put_on_stdout, spell
-from occmap.cli.declaring import PATH, Option, Value
+from occmap.cli.declaring import PATH, CliOption, Value
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
@@ -42,7 +42,7 @@ TYPED: dict[str, dict[str, Any]] = {
 """What differs, by the names of options, from how others of their types are typed"""
 
 
-def field(known: choices.Option, **more: Any) -> Option:
+def field(known: choices.Option, **more: Any) -> CliOption:
     """Make an option as it is declared, but for what `more` settings say."""
     kind, default = known.kind, known.default
     settings: dict[str, Any] = {
@@ -60,18 +60,18 @@ def field(known: choices.Option, **more: Any) -> Option:
         settings |= {"default": default, "show_default": math.isfinite(default)}
     settings |= TYPED.get(known.name, {}) | more
     short = settings.pop("short", ())
-    return Option(known.section, *short, known.flag, known.name, **settings)
+    return CliOption(known.section, *short, known.flag, known.name, **settings)
 
 
-def fields(names: Iterable[str]) -> list[Option]:
+def fields(names: Iterable[str]) -> list[CliOption]:
     """Make some options of a build."""
     return [field(OPTIONS[name]) for name in names]
 
 
-def paths(section: str, metavar: str, text: str, *names: str) -> Option:
+def paths(section: str, metavar: str, text: str, *names: str) -> CliOption:
     """Make an option that names files, and may repeat."""
     text = f"{text} May repeat."
-    return Option(section, *names, type=PATH, multiple=True, metavar=metavar, help=text)
+    return CliOption(section, *names, type=PATH, multiple=True, metavar=metavar, help=text)
 
 
 def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...]) -> Any:
@@ -83,10 +83,12 @@ def take_one(_ctx: click.Context, param: click.Parameter, values: tuple[Any, ...
     return next(iter(values), None)
 
 
-def one_output(name: str, metavar: str, text: str) -> Option:
+def one_output(name: str, metavar: str, text: str) -> CliOption:
     """Make the option that names the one file that a command writes."""
     names = FILES, "-o", "--output", name
-    return Option(*names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text)
+    return CliOption(
+        *names, type=PATH, multiple=True, callback=take_one, metavar=metavar, help=text
+    )
 
 
 LOGS = click.Argument(["logs"], nargs=-1, required=True, type=PATH, metavar="LOG...")
@@ -106,11 +108,11 @@ OUTPUTS = paths(
 WRITING = [OUTPUTS, *fields(list_options(WriteOptions))]
 
 
-def list_model(usual: str) -> list[Option]:
+def list_model(usual: str) -> list[CliOption]:
     """Make the options of a sensor model; `usual` is what --help shows for the default."""
     model = field(OPTIONS["model"], type=Value.of(str, "model"), show_default=usual)
     parameters = [
-        Option(
+        CliOption(
             *(model.section, "--" + name.replace("_", "-")),
             type=Value.of(float, name),
             metavar=metavar,

@@ -15,7 +15,7 @@ from occmap.scans.tally import count_wanted
 
 
 @dataclass(frozen=True)
-class Shape:
+class ScanShape:
     """Beams and limits that scans share."""
 
     beams: int
@@ -185,7 +185,7 @@ class ScanFindings:
     """Scans of the topic"""
     left_out: dict[str, int]
     """Scans that are left out whatever their poses, by reason"""
-    shapes: tuple[Shape, ...]
+    shapes: tuple[ScanShape, ...]
     """The most frequent shapes, with the most frequent first"""
     shape_count: int
     """How many shapes there are, listed or not"""

@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from occmap import sensor
 from occmap.cells import Box, CellBox
 from occmap.grid import Lattice
-from occmap.inspection.findings import RangeFindings, Repeated, Shape, Special, TimeFindings
+from occmap.inspection.findings import RangeFindings, Repeated, ScanShape, Special, TimeFindings
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.readers import Stream
@@ -403,7 +403,7 @@ class TopicSurvey:
     is_sampled: bool
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
-    shapes: Counter[Shape] = field(default_factory=Counter)
+    shapes: Counter[ScanShape] = field(default_factory=Counter)
     frames: dict[str, None] = field(default_factory=dict)
     read: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
@@ -425,7 +425,7 @@ class TopicSurvey:
         if isinstance(first, Cloud):
             return
         angles = first.angle_min, first.angle_increment
-        shape = Shape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
+        shape = ScanShape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
         self.shapes[shape] += some.scans
 
 
@@ -473,7 +473,7 @@ class Survey(Selector):
                 box = lattice.enclose(some, around)
                 self.box = box.join(self.box) if self.box else box
 
-    def look(self, batch: ScanBatch) -> None:
+    def see_batch(self, batch: ScanBatch) -> None:
         """Count the ranges of a batch; those of clouds only stand for moments."""
         if not batch.clouds:
             self.topics[batch.topic].census.add(batch)

@@ -138,7 +138,7 @@ def compose(page: Page) -> str:
 
 
 def to_script(value: Any) -> str:
-    """Write JSON, of dataclasses too, that ends no script, whatever names are in it."""
+    """Write JSON, of dataclasses too, in which no `</script>` can occur, whatever names it has."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"), default=vars)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

@@ -172,9 +172,14 @@ class Poser:
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
-        found, sensor = Transforms.read(poses), self.options.sensor_pose
-        self._note(*_list_idle(self.options))
-        return found.then(Transforms.fixed(sensor)) if sensor else found
+        found, sensor, usual = Transforms.read(poses), self.options.sensor_pose, PosingOptions()
+        if sensor is not None:
+            self._note(POSES_OF_BODY)
+            found = found.then(Transforms.fixed(sensor))
+        for name in ("map_frame", "base_frame", "time_offset_s", "deskew"):
+            if getattr(self.options, name) != getattr(usual, name):
+                self._note(f"`{name}` does nothing: the poses stand beside the scans")
+        return found
 
     def _find_carrier(self, frame: str) -> Chain | None:
         """Find what moves, where a frame of clouds does not: they are in the map already."""
@@ -290,13 +295,3 @@ class Poser:
 
     def _note(self, *sentences: str) -> None:
         self.notes += [each for each in dict.fromkeys(sentences) if each not in self.notes]
-
-
-def _list_idle(options: PosingOptions) -> Iterator[str]:
-    """Say whose poses stand beside the scans, and which options change nothing about them."""
-    if options.sensor_pose is not None:
-        yield POSES_OF_BODY
-    usual = PosingOptions()
-    for name in ("map_frame", "base_frame", "time_offset_s", "deskew"):
-        if getattr(options, name) != getattr(usual, name):
-            yield f"`{name}` does nothing: the poses stand beside the scans"

@@ -141,7 +141,7 @@ def write_box(box: Sequence[float]) -> str:
 
 
 def write_duration(seconds: float) -> str:
-    """Write a duration in seconds, from an hour on also in hours; it may be negative."""
+    """Write a duration in seconds, from an hour on also in hours."""
     if seconds < 100:
         return f"{seconds:.3g} s"
     hours, minutes = divmod(round(seconds / 60), 60)

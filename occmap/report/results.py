@@ -10,9 +10,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
-from occmap.choices import list_values
 from occmap.grid.tiles import TileGrid
-from occmap.options import OPTIONS, BuildOptions, choose_model, compose_build
+from occmap.options import BuildOptions, choose_model, compose_build
 from occmap.report import (
     HIDDEN,
     Count,
@@ -194,7 +193,7 @@ class Build(NamedTuple):
     """The same with its slices of time, to write and to merge; None where no output needs it"""
 
 
-def describe_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
+def measure_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:
     """Measure a map, as it is written."""
     counts = count_cells(grid, writing)
     return MapFacts(grid.resolution, grid.extent, grid.shape, counts, grid.agreement)
@@ -210,7 +209,7 @@ def count_cells(grid: OccupancyMap, writing: WriteOptions) -> Int64:
     return np.array([np.count_nonzero(mask) for mask in masks])
 
 
-MEASURED_WITH = ("resolution", "update", "hit_offset", "jump", "no_return", "min_passes")
+MEASURED_WITH = {"resolution", "update", "hit_offset", "jump", "no_return", "min_passes"}
 """What the bounds of the agreement hold for: these options as they are by default, and the model"""
 MOST_NAMED = 3
 """Logs that a command in a sentence names"""
@@ -223,8 +222,7 @@ def hint_at_tune(agreement: float | None, logs: Sequence[str], options: BuildOpt
     stands beside the number and not among the notes, as nothing need be wrong. Where the agreement
     is poorer still, a note says more.
     """
-    values = list_values(options)
-    is_usual = all(values[name] == OPTIONS[name].default for name in MEASURED_WITH)
+    is_usual = MEASURED_WITH.isdisjoint(options.list_changed())
     is_poor = agreement is not None and LEAST_AGREEMENT <= agreement < DOUBTFUL_AGREEMENT
     if not is_poor or not is_usual or options.model != choose_model(options.update):
         return ""

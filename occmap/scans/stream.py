@@ -56,7 +56,7 @@ class Selector:
         if reason is not None:
             self.left_out[reason] += 1
 
-    def look(self, batch: ScanBatch) -> None:
+    def see_batch(self, batch: ScanBatch) -> None:
         """Take a look at scans that are used, of which some may have no pose."""
 
     def _split(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
@@ -272,7 +272,7 @@ class Drive:
             )
         limited = map(self.limits.apply, stack(chosen, stamps))
         for batch in tally.time_each("read", limited):
-            selector.look(batch)
+            selector.see_batch(batch)
             self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
             if oddity := find_oddity(batch):
                 self._odd[batch.topic, oddity] = None

@@ -178,8 +178,8 @@ def score(
     if true:
         found = AS_THEY_LIE
         if against.fit:
-            walls = place_map(written).list_middles(written.classes == OCCUPIED)
-            found = find_match(walls, Walls.of(true.classes == OCCUPIED, place_map(true)))
+            walls = find_place(written).list_middles(written.classes == OCCUPIED)
+            found = find_match(walls, Walls.of(true.classes == OCCUPIED, find_place(true)))
         notes += filter(None, [found.doubt("the map", str(truth))])
         by_truth = score_by_truth(written, true, against.within_m, found.transform)
         if picture:
@@ -188,7 +188,7 @@ def score(
             write_colours(picture, by_truth.picture)
     return MapScore(
         map=str(path),
-        resolution=place_map(written).resolution,
+        resolution=find_place(written).resolution,
         occupied=int(np.count_nonzero(written.classes == OCCUPIED)),
         free=int(np.count_nonzero(written.classes == FREE)),
         by_logs=by_logs,
@@ -210,7 +210,7 @@ def list_own(written: ClassMap, logs: Sequence[Path]) -> Iterator[str]:
         yield f"{written.path} was made of {names}, so what these say is better than it should be"
 
 
-def place_map(written: ClassMap) -> Place:
+def find_place(written: ClassMap) -> Place:
     """Where a map lies; raises MapError where it does not say, or has no walls."""
     if written.place is None:
         fix = "give the YAML of map_server, or an .npz"
@@ -241,7 +241,7 @@ def score_by_logs(
     OccmapError
         As a build, no beam measured a range, or the map does not say where it lies.
     """
-    place = place_map(written)
+    place = find_place(written)
     options = replace(options, resolution=place.resolution)
     sample = Sample[Rays](MOST_SCANS)
     reading = Reading(open_scans(paths, options), options, progress)
@@ -305,7 +305,7 @@ def weigh(written: ClassMap, seen: Sequence[Rays], jobs: int) -> tuple[Trial, fl
 
 def to_probabilities(written: ClassMap, occupied: float, free: float) -> OccupancyMap:
     """Make a map in which all cells of a class have one probability."""
-    place = place_map(written)
+    place = find_place(written)
     chances = np.clip([0.5, free, occupied], LEAST_CHANCE, 1 - LEAST_CHANCE)  # as CellClass has it
     log_odds = np.log(chances / (1 - chances)).astype(np.float32)[written.classes]
     middle = float(chances[1:].mean())
@@ -400,8 +400,8 @@ def cover(written: ClassMap, truth: ClassMap, within_m: float) -> tuple[Place, t
     MapError
         They are too many.
     """
-    true = place_map(truth)
-    side = min(place_map(written).resolution, true.resolution)
+    true = find_place(truth)
+    side = min(find_place(written).resolution, true.resolution)
     around = math.ceil(within_m / side - 1e-6)
     rows, cols = (
         math.ceil(cells * true.resolution / side - 1e-6) + 2 * around
@@ -415,7 +415,7 @@ def cover(written: ClassMap, truth: ClassMap, within_m: float) -> tuple[Place, t
 
 def lay(written: ClassMap, moved: Transform, place: Place, shape: tuple[int, int]) -> UInt8:
     """(H, W) the classes of a map that is moved, cell by cell; NEITHER outside of it."""
-    own, framed = place_map(written), np.pad(written.classes, 1)
+    own, framed = find_place(written), np.pad(written.classes, 1)
     # A little farther on, as a border that two maps share may be rounded either way.
     x, y = (edge - (1 + 1e-6) * own.resolution for edge in own[1:])
     around = Place(own.resolution, x, y)

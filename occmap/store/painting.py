@@ -365,7 +365,7 @@ def paint_saved(
     else:
         shown, lost = open_map(saved, model, options).paint_all()
     about = describe_about(saved.manifest, identify(saved), options, logs)
-    facts = results.describe_map(shown, options.writing)._replace(lost=[*notes, *lost])
+    facts = results.measure_map(shown, options.writing)._replace(lost=[*notes, *lost])
     return replace(shown, about=about), facts
 
 
