@@ -17,7 +17,7 @@ from difflib import get_close_matches
 from enum import StrEnum
 from glob import has_magic
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 from occmap.choices import option
 from occmap.errors import DamageError, LogError, name_log, refuse_unreadable
@@ -303,12 +303,12 @@ class Reader(Protocol):
         """
 
 
-def find_reader(probe: Probe) -> Any:
-    """Find the `Reader` that recognises a path, or None; they are loaded one by one."""
+def find_reader(probe: Probe) -> Reader | None:
+    """Find the reader that recognises a path; they are loaded one by one, the quick ones first."""
     for entry in list_plugins("occmap.readers"):
         reader_class = load_plugin("occmap.readers", entry.name)
         if reader_class and (reader := reader_class()).recognises(probe):
-            return reader
+            return cast(Reader, reader)
     return None
 
 
@@ -328,6 +328,5 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         raise explain_unknown(
             probe, f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
         )
-    is_tuned = hasattr(reader, "open_tuned")
-    log = reader.open_tuned(path, options) if is_tuned else reader.open(path)
+    log = reader.open_tuned(path, options) if hasattr(reader, "open_tuned") else reader.open(path)
     return log if isinstance(log, Log) else PluginLog(log)

@@ -309,7 +309,7 @@ class CloudFolder(Log):
             try:
                 with refuse_unreadable(file):
                     points = read_cloud(file)
-                cloud = make_cloud(points.columns, FRAME, stamp_ns, TOPIC, stamp_ns)
+                cloud = make_cloud(points.columns, (stamp_ns, FRAME), TOPIC, stamp_ns)
             except LogError as error:
                 self.notes.add_damage(f"{file.name} {error.found}; it is left out")
                 lost += 1

@@ -56,8 +56,7 @@ def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     steps = row_step if rows > 1 else width * step, step
     fields = read_fields(message, "datatype", ROS_KINDS)
     columns = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)
-    stamp_ns, frame = get_header(message)
-    return make_cloud(columns, frame, stamp_ns, topic, record_ns)
+    return make_cloud(columns, get_header(message), topic, record_ns)
 
 
 def read_fields(
@@ -114,18 +113,24 @@ def view_columns(
 
 
 def make_cloud(
-    columns: Mapping[str, NDArray[Any]], frame: str, stamp_ns: int, topic: str, record_ns: int
+    columns: Mapping[str, NDArray[Any]], header: tuple[int, str], topic: str, record_ns: int
 ) -> Cloud:
-    """Make a cloud of the fields of its points; raises DamageError where x, y or z is absent."""
+    """Make a cloud of the fields of its points, its stamp and frame, its topic and record time.
+
+    Raises
+    ------
+    DamageError
+        x, y or z is absent.
+    """
     if missing := [name for name in "xyz" if name not in columns]:
         raise DamageError(f"has no field {missing[0]} among {', '.join(columns) or 'none'}")
     points = stack_points([columns[name] for name in "xyz"])
     for name in TIME_FIELDS:
         if name in columns:
-            offset_ns, found = find_offsets(columns[name], points, stamp_ns)
+            offset_ns, found = find_offsets(columns[name], points, header[0])
             times = f"{name}, {found}" if found else ""
-            return Cloud(stamp_ns, frame, points, offset_ns, None, topic, record_ns, times)
-    return Cloud(stamp_ns, frame, points, None, None, topic, record_ns)
+            return Cloud(*header, points, offset_ns, None, topic, record_ns, times)
+    return Cloud(*header, points, None, None, topic, record_ns)
 
 
 def stack_points(axes: Sequence[NDArray[Any]]) -> Float32:
@@ -242,8 +247,7 @@ def parse_livox(encoding: str, data: memoryview) -> Mapping[str, Any]:
 
 def convert_livox(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert what `parse_livox` gives."""
-    stamp_ns, frame = get_header(message)
-    return make_cloud(message["points"], frame, stamp_ns, topic, record_ns)
+    return make_cloud(message["points"], get_header(message), topic, record_ns)
 
 
 def read_camera(message: Any) -> Camera:
@@ -278,9 +282,8 @@ def convert_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> C
     fields = {"z": (kind, 0)}
     steps = step, np.dtype(kind).itemsize
     depth = view_columns(get_bytes(message, "data"), fields, (rows, width), steps, order)["z"]
-    return _project(
-        camera, depth.reshape(rows, width) * np.float32(unit), message, topic, record_ns
-    )
+    depth = depth.reshape(rows, width) * np.float32(unit)
+    return _project(camera, depth, message, topic, record_ns)
 
 
 def convert_compressed_depth(camera: Camera, message: Any, topic: str, record_ns: int) -> Cloud:
@@ -314,6 +317,4 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     row, column = np.nonzero(np.isfinite(depth) & (depth > 0))
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
-    columns = {"x": x, "y": y, "z": z}
-    stamp_ns, frame = get_header(message)
-    return make_cloud(columns, frame, stamp_ns, topic, record_ns)
+    return make_cloud({"x": x, "y": y, "z": z}, get_header(message), topic, record_ns)

@@ -153,13 +153,12 @@ def convert_foxglove_scan(message: Any, topic: str, record_ns: int) -> Scan:
     ranges = as_float32(get_row(message, "ranges"))
     start, end = (as_number(get(message, name)) for name in ("start_angle", "end_angle"))
     angles = start, (end - start) / max(len(ranges) - 1, 1)
-    stamp_ns, frame = _find_frame(message, topic, record_ns)
-    limits = 0.0, math.inf
-    return Scan(stamp_ns, frame, *angles, ranges, *limits, topic=topic, record_ns=record_ns)
+    header = _find_header(message, topic, record_ns)
+    return Scan(*header, *angles, ranges, 0.0, math.inf, topic=topic, record_ns=record_ns)
 
 
-def _find_frame(message: Any, topic: str, record_ns: int) -> tuple[int, str]:
-    """Find when a message of Foxglove's was recorded, and in which frame: its own if it has one."""
+def _find_header(message: Any, topic: str, record_ns: int) -> tuple[int, str]:
+    """Find the time and the frame of a message of Foxglove's: its own frame if it has an origin."""
     origin = convert_origin(message, topic, record_ns)
     frame = origin[0].child if origin else get_frame(message, "frame_id")
     return get_stamp(message, "timestamp"), frame
@@ -174,9 +173,8 @@ def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]
 
 def convert_foxglove_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     """Convert a foxglove.PointCloud, whose origin is stated as that of a scan."""
-    columns = cloud_messages.view_packed(message)
-    stamp_ns, frame = _find_frame(message, topic, record_ns)
-    return cloud_messages.make_cloud(columns, frame, stamp_ns, topic, record_ns)
+    columns, header = cloud_messages.view_packed(message), _find_header(message, topic, record_ns)
+    return cloud_messages.make_cloud(columns, header, topic, record_ns)
 
 
 def convert_fix(message: Any, _topic: str, _record_ns: int) -> list[Fix]:

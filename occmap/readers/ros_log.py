@@ -89,20 +89,19 @@ class RosLog(Log):
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every sample of every pose topic, many at once where messages are laid out alike."""
-        return self._read_stacked(self._make_readers(Role.POSE))
+        return self._read(Role.POSE)
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans of these topics, many at once where one laser has many in a row."""
-        return self._read_stacked(self._make_readers(Role.SCAN, topics))
+        return self._read(Role.SCAN, topics)
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of these topics, in file order."""
-        clouds = self._read(self._make_readers(Role.CLOUD, topics))
-        return tell_clouds(clouds, self.path, self.notes)
+        return tell_clouds(self._read(Role.CLOUD, topics), self.path, self.notes)
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes of satellites, in file order."""
-        return self._read(self._make_readers(Role.OTHER))
+        return self._read(Role.OTHER)
 
     def _find_camera(self, channel: Channel) -> Camera | None:
         """Find the camera of images; None where they are not depths, or of no known camera."""
@@ -127,7 +126,7 @@ class RosLog(Log):
                     return cast(T, found)
         return None
 
-    def _make_readers(self, role: Role, topics: Collection[str] | None = None) -> "_Readers":
+    def _make_readers(self, role: Role, topics: Collection[str] | None) -> "_Readers":
         """Build a reader for each channel that has values of a role, on some topics or on all.
 
         What cannot be understood is noted and left out.
@@ -144,17 +143,12 @@ class RosLog(Log):
                 self.notes.add_damage(f"{found}: its {channel.count} messages are not used")
         return readers
 
-    def _read(self, readers: "_Readers") -> Iterator[Any]:
-        """Read messages one by one, passing over those that are damaged."""
-        for channel, record_ns, data in self._messages(readers):
-            yield from readers[channel].read(data, record_ns)
-        self._note_damage(readers)
+    def _read(self, role: Role, topics: Collection[str] | None = None) -> Iterator[Any]:
+        """Read the messages of a role, on some topics or on all; those laid out alike together.
 
-    def _read_stacked(self, readers: "_Readers") -> Iterator[Any]:
-        """Read messages of one channel and length together.
-
-        Scans stay in file order, so that runs of several lasers are split.
+        All but poses stay in file order, so that runs of scans of several lasers are split.
         """
+        readers = self._make_readers(role, topics)
         for groups in self._gather(readers):
             found: list[tuple[int, Any]] = []
             for (channel, _), held in groups.items():

@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 from mcap.writer import Writer as BagWriter
 from numpy.typing import NDArray
-from rosbags import interfaces
-from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_typestore
 
 from occmap.cells import CellClass, OccupancyMap, list_captions
@@ -31,19 +29,20 @@ CELLS = np.array([-1, 0, 100], np.int8)
 """Of each CellClass"""
 LAST_NS = (2**31 - 1) * 10**9
 """A ROS time has 32 bits for its seconds."""
-EVER = interfaces.QosTime(2147483647, 4294967295)
-LATCHED = interfaces.Qos(
-    interfaces.QosHistory.KEEP_LAST,
-    1,
-    interfaces.QosReliability.RELIABLE,
-    interfaces.QosDurability.TRANSIENT_LOCAL,
-    EVER,
-    EVER,
-    interfaces.QosLiveliness.AUTOMATIC,
-    EVER,
-    avoid_ros_namespace_conventions=False,
-)
-"""RViz wants a map that late subscribers get, too; `ros2 bag play` offers topics as this says."""
+EVER = "{nsec: 4294967295, sec: 2147483647}"
+LATCHED = f"""\
+- avoid_ros_namespace_conventions: false
+  deadline: {EVER}
+  depth: 1
+  durability: 1
+  history: 1
+  lifespan: {EVER}
+  liveliness: 1
+  liveliness_lease_duration: {EVER}
+  reliability: 1"""
+"""RViz wants a map that late subscribers get, too; `ros2 bag play` offers topics as this says: the
+last message is kept (history, depth) for all who come (durability), and sent again until it arrives
+(reliability)."""
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 ROS = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in STORE.types.items()})
@@ -66,7 +65,7 @@ class McapWriter(Writer):
         OutputError
             It cannot be written; then nothing is left behind.
         """
-        latched = {"offered_qos_profiles": dump_qos_v8([LATCHED])}
+        latched = {"offered_qos_profiles": LATCHED}
         with open_atomic(path) as (file,):
             bag = BagWriter(file)
             bag.start(profile="ros2", library="occmap")
