@@ -191,6 +191,10 @@ OTHER_FILES = {
         "a file that begins with zeros, as a power cut leaves one",
         "take the log from where it was copied from",
     ),
+    rb"ply\r?\n|# \.PCD|VERSION \.7": (
+        "a single cloud of points",
+        "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`",
+    ),
     b"VERTEX": ("a pose graph, whose poses have no times", "let the SLAM write TUM"),
 }
 """By a pattern of how a file begins: what it is, and how to make of it what is read; "" where that

@@ -50,6 +50,7 @@ FILLED = 10
 """Columns so far from measured ground have ground"""
 DEEP_MM, FEWEST_POINTS = 300, 2
 """So many points of a column that lie so deep below the ground around it show a hole"""
+ALL_FAR = f"no point of any cloud lies within {heights.FAR_M:g} m of its sensor"
 NO_FLOOR = "no ground is seen below the sensor along its way"
 GIVE_HEIGHT = (
     "see in `occmap check` if the mount is wrong, else give `sensor_height=M`, or a plane: "
@@ -94,6 +95,13 @@ class Counted(NamedTuple):
     def path(self) -> Int64:
         """(P, 3) where any sensor went (mm)."""
         return np.concatenate([np.zeros((0, 3), np.int64), *self.paths.values()])
+
+    def is_far(self) -> bool:
+        """Whether most points lie much higher or deeper than any sensor."""
+        if not len(self.sample):
+            return False
+        apart = np.abs(self.sample[:, 2] - np.median(self.path[:, 2]) / 1000)
+        return bool(np.median(apart) > heights.FAR_M)
 
 
 class GroundFinder:
@@ -170,6 +178,8 @@ class GroundFinder:
         counted = self.count()
         columns = read_columns(counted.table, counted.path, known)
         blocks = columns.blocks
+        if not columns.filled and counted.is_far():
+            raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
         seats = list_seats(columns, counted.paths, options.sensor_height)
         stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
         if options.ground == FLAT:

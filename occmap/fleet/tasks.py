@@ -170,7 +170,7 @@ def trace_log(job: Job) -> Traced:
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
-    return Traced(tally, drive.list_notes(), tuple(log.notes), runs.pieces)
+    return Traced(tally, drive.list_notes(setting.keep.ground), tuple(log.notes), runs.pieces)
 
 
 class RunWriter:

@@ -285,6 +285,7 @@ def list_floor_concerns(
     ground: Ground | None,
 ) -> Iterator[tuple[str, Concern]]:
     """List what the floor in some clouds says against mounts and poses, with their topics."""
+    yield from ((topic, Concern(doubt)) for topic, doubt in poser.suspect_axes(ground))
     for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
         if concern := find_misplaced(mount, clouds):

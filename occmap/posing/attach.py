@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from occmap.cells import Ground
 from occmap.errors import PoseError
 from occmap.posing import Concern, Deskew, PosingOptions, chain
 from occmap.posing import course as courses
@@ -29,6 +30,12 @@ TWIN_SHARE = 0.5
 """Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
 STATED_FRAME, STATED_LASER = "map", "laser"
 """Names for the frames of logs that state poses beside their scans and name no frame."""
+Z_DOWN = (
+    "the sensor hangs upside down, below the zero of the map, and no floor is near below it: does "
+    "z point down in the poses (NED)? `level=(180,0)` turns the map over"
+)
+NEAR_FLOOR_M = 1.5
+"""A ceiling that is taken for a floor is farther from most robots"""
 Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
 
@@ -275,6 +282,16 @@ class Poser:
     def list_standing(self) -> list[str]:
         """List the topics of sensors that never moved, where there are scans enough to see it."""
         return [name for (name, _), it in self._list_posed() if courses.stands(it.build())]
+
+    def suspect_axes(self, ground: Ground | None) -> Iterator[tuple[str, str]]:
+        """Say of which clouds z may point down in the poses, by the ground below their sensor."""
+        for (topic, _), course in self._list_posed():
+            place = course.build().position
+            above = np.inf if ground is None else place[:, 2] - ground.find_heights(place)
+            stance = Stance.measure(course.build())
+            is_odd = stance.upside_down and stance.height < 0
+            if course.is_of_clouds and is_odd and np.mean(above < NEAR_FLOOR_M) < 0.5:
+                yield topic, Z_DOWN
 
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from occmap.errors import DamageError, LogError
 from occmap.readers import NoteList
 from occmap.readers.fields import get, get_bytes, get_header, get_list, get_row, get_whole, look
-from occmap.types import Cloud, Float32, Int64, UInt8
+from occmap.types import Bool, Cloud, Float32, Int64, UInt8
 from occmap.values import as_text, shorten
 
 TIME_FIELDS = ("t", "time", "timestamp", "offset_time", "time_stamp", "time_offset")
@@ -314,7 +314,24 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     if depth.shape != (camera.height, camera.width):
         found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
         raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0))
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(depth))
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
     return make_cloud({"x": x, "y": y, "z": z}, get_header(message), topic, record_ns)
+
+
+FLYING_M, FLYING_SHARE = 0.1, 0.03
+"""At an edge, a pixel so far (m, or this share of its depth) from both things mixes the two"""
+
+
+def find_flying(depth: Float32) -> Bool:
+    """Find pixels (H, W) that hang in the air between a nearer and a farther one in their row.
+
+    A pole one pixel wide is nearer than both.
+    """
+    left, here, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
+    near, far = np.minimum(left, right), np.maximum(left, right)
+    least = np.maximum(FLYING_SHARE * here, FLYING_M)
+    with np.errstate(invalid="ignore"):
+        between = (near > 0) & (here - near > least) & (far - here > least) & (far < np.inf)
+    return np.pad(between, ((0, 0), (1, 1)))

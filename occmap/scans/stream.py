@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from occmap.cells import Ground
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
@@ -301,8 +302,14 @@ class Drive:
         if left and not self.options.selection.topics:
             yield f"clouds are left out, as there are scans: `topics={left[0]}` maps clouds alone"
 
-    def list_notes(self) -> list[str]:
-        """Say what there is to say of poses, scans and ranges, once all scans were read."""
+    def list_notes(self, ground: Ground | None = None) -> list[str]:
+        """Say what there is to say of poses, scans and ranges, once all scans were read.
+
+        Parameters
+        ----------
+        ground
+            That clouds were traced over.
+        """
         concerns = self.poser.list_concerns(self._first_ns, self.options.returns.max_range)
         # A list, as the poser takes notes meanwhile.
         told = [f"{topic}: {concern.text}" for topic, concern in concerns]
@@ -311,6 +318,7 @@ class Drive:
             *self.list_left(),
             *self.poser.notes,
             *map(": ".join, self.list_doubts()),
+            *(map(": ".join, self.poser.suspect_axes(ground)) if ground else ()),
             *told,
             *self.limits.list_notes(),
         ]

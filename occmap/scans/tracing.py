@@ -87,7 +87,7 @@ BEGIN_M = 100.0
 UPRIGHT_CELL_M = 0.05
 """Side of the cells that tell if walls stand upright"""
 SHARPER = 0.005
-"""Walls that lean by a degree spread by 0.01 more, those of a street, which are few, by 0.002"""
+"""Walls that lean by a degree spread by 0.01 more; where walls are few, chance makes 0.002"""
 LEAST_OVERLAP = 0.25
 """Grounds that share less of the smaller one saw that from afar, where poses put it elsewhere."""
 OTHER_SHARE = 0.75
@@ -401,7 +401,7 @@ def observe(
         with tally.time("fold"):
             misfit = add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
-        remarks.note(log.path, log.notes, [*drive.list_notes(), *misfit])
+        remarks.note(log.path, log.notes, [*drive.list_notes(ground), *misfit])
     with tally.time("fold"):
         kept = (unite(slices),) if keep.slices else ()
         return Observed(tiles, kept, tally, remarks, ground, options)

@@ -63,6 +63,7 @@ def test_a_link_to_nothing_is_named_as_one() -> None:
         ("older.bag", "#ROSRECORD V1\n", "convert it with ROS 1's `rosbag fix"),
         ("new.bag", "#ROSBAG V2.0\n", "holds nothing behind its first bytes"),
         ("drive.mcap", "version https://git-lfs.github.com/spec/v1\n", "fetch it: git lfs pull"),
+        ("map.ply", "ply\nformat ascii 1.0\n", "clouds of single scans, in a folder"),
     ],
 )
 def test_a_file_that_is_no_log(name: str, content: str | bytes, found: str) -> None:

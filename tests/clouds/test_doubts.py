@@ -13,8 +13,16 @@ from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.course import Course
 from occmap.posing.sources import gather
-from tests.cli.runner import ask
-from tests.clouds.simulation import HALL, Room, drive, drive_turning, find_ground
+from tests.cli.runner import ask, occmap
+from tests.clouds.simulation import (
+    HALL,
+    Room,
+    drive,
+    drive_turning,
+    find_ground,
+    turn,
+    write_leaning,
+)
 from tests.grid.scans import make_grid
 
 TURNED = ("--sensor-pose", "0,0,3.14")
@@ -57,6 +65,15 @@ def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
         warnings = ask("check", HALL, *words)["warnings"]
         for told in (notes, warnings):
             assert any("clouds contradict each other" in text for text in told) == is_wrong
+
+
+@pytest.mark.parametrize("command", ["build", "check"])
+def test_poses_whose_z_points_down_are_told(command: str, tmp_path: Path) -> None:
+    poses = write_leaning(tmp_path / "ned.tum", turn(180, 0, 0))
+    for words, is_told in (((), True), (("--level", "180,0"), False)):
+        made = ("-o", tmp_path / "hall.pgm") if command == "build" else ()
+        told = occmap(command, HALL, "--poses", poses, *words, *made)
+        assert ("does z point down in the poses" in told.out + told.err) == is_told
 
 
 def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path) -> None:

@@ -237,6 +237,14 @@ def test_no_floor_in_view_is_refused_with_what_to_type() -> None:
         find_ground(above)
 
 
+def test_points_in_millimetres_are_refused_and_clouds_of_zeros_not_as_such() -> None:
+    clouds = drive(Room(), clouds=4)
+    with pytest.raises(MapError, match="are these millimetres"):
+        find_ground([change_points(each, 1000 * read_points(each)) for each in clouds])
+    with pytest.raises(MapError, match="sensor_height"):
+        find_ground([change_points(each, 0 * read_points(each)) for each in clouds])
+
+
 def test_clouds_in_the_map_may_be_seen_from_where_the_robot_stands() -> None:
     clouds = drive(Room(), clouds=4)
     standing = [replace(it, origin=it.position - [0, 0, 0.61]) for it in clouds]

@@ -12,7 +12,7 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
 from occmap.readers import Role, open_log, read_recorded
-from occmap.readers.cloud_messages import convert_cloud, find_offsets
+from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets
 from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
 from tests.readers.clouds import cloud, image, info, livox, packed
@@ -230,6 +230,28 @@ def test_a_depth_image_is_a_point_for_each_pixel(
     np.testing.assert_allclose(cloud.points, SEEN, rtol=1e-6)
     assert (cloud.frame, cloud.topic, cloud.offset_ns) == ("optical", topic, None)
     assert notes == []
+
+
+@pytest.mark.parametrize(
+    ("depths", "flying"),
+    [
+        ([1.0, 1.0, 2.0, 4.0, 4.0], [2]),
+        ([4.0, 4.0, 2.0, 1.0, 1.0], [2]),
+        ([4.0, 2.0, 4.0], []),  # a pole
+        ([1.0, 1.0, 4.0, 4.0], []),
+        ([1.0, 1.09, 4.0], []),  # a wall that is seen at a slant
+        ([5.0, 5.14, 6.0], []),
+        ([0.0, 2.0, 4.0], []),
+        ([1.0, 2.0, np.nan], []),
+        ([1.0, 2.0, np.inf], []),
+        ([1.0], []),
+    ],
+)
+def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
+    depths: list[float], flying: list[int]
+) -> None:
+    found = find_flying(np.array([depths, depths], np.float32))
+    assert [np.flatnonzero(row).tolist() for row in found] == [flying, flying]
 
 
 def test_a_camera_that_never_comes_is_told_of(tmp_path: Path) -> None:
