@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from occmap.options import Selection
 from occmap.posing import Stamps
-from occmap.scans.stream import Selector, stack
+from occmap.scans.stream import Selector, find_oddity, stack
 from occmap.scans.tally import LeftOut
 from occmap.sensor import ReturnOptions
 from occmap.sensor.bands import RangeLimits
 from occmap.types import Scan, ScanBatch, ScanRun
 from tests.readers.runs import flatten
+from tests.samples import make_batch
 
 SECOND = 10**9
 RUN = ScanRun(
@@ -127,3 +128,11 @@ def test_a_range_limit_that_none_can_be_is_none(range_max: float, single: bool) 
     assert (batch.range_min, batch.range_max) == (0.0, math.inf)
     (note,) = limits.list_notes()
     assert note.startswith("/scan states no usable range limit")
+
+
+@pytest.mark.parametrize(("beams", "is_odd"), [(63, False), (96, True), (0, False)])
+def test_beams_at_the_end_that_are_empty_do_not_go_round(beams: int, is_odd: bool) -> None:
+    """Rows of a CSV with fewer beams than others end in empty cells; a beam is a tenth of a rad."""
+    ranges = np.full((2, 400), np.nan)
+    ranges[1, :beams] = 2.0
+    assert ("are these degrees?" in find_oddity(make_batch(ranges))) == is_odd
