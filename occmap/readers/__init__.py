@@ -341,4 +341,9 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         )
     if isinstance(reader, TunableReader):
         return reader.open_tuned(path, options)
-    return reader.open(path)
+    log = reader.open(path)
+    needed = "path", "notes", "streams", "poses", "scans"
+    if lacks := [name for name in needed if not hasattr(log, name)]:
+        found = f"the reader {reader.name} gives {shorten(log)}, which has no {lacks[0]}"
+        raise LogError(found, where=path, fix="a reader's `open` returns a `Log`: mend the plugin")
+    return log

@@ -13,17 +13,7 @@ from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.choices import list_values
 from occmap.grid.tiles import TileGrid
 from occmap.options import OPTIONS, BuildOptions, choose_model, compose_build
-from occmap.report import (
-    HIDDEN,
-    Count,
-    Noted,
-    Row,
-    Share,
-    count,
-    join_names,
-    write_box,
-    write_counts,
-)
+from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
@@ -328,7 +318,7 @@ def list_shared_stamps(
         if shared := int(np.count_nonzero(is_same & moves.any(axis=1))):
             scans = f"{count(shared, 'scan')} of {each.topic} in {each.log}"
             yield (
-                f"{join_names(written)}: {scans} have the stamp of the one before and another "
+                f"{', '.join(written)}: {scans} have the stamp of the one before and another "
                 "pose, so with `poses=FILE` this builds another map"
             )
 

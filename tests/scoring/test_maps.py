@@ -205,8 +205,8 @@ def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
     for written, truth, found in (
         (draw("#.", None), ROOM, "not say where it lies"),
         (draw("..?"), ROOM, "no occupied cell"),
-        (far, ROOM, "none of its walls lies where m.pgm is known"),
-        (ROOM, draw(".#", Place(0.1, 0.3, 0.2)), "none of its walls lies where"),
+        (far, ROOM, "m.pgm is not known where this map has walls"),
+        (ROOM, draw(".#", Place(0.1, 0.3, 0.2)), "not known where this map has walls"),
         (ROOM, draw("###?."), "no free cell beside a wall"),
         (fine, ROOM, "too many to compare"),
     ):
