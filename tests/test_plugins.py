@@ -124,7 +124,7 @@ def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install) -> No
         ({"write": "1 // 0"}, f"{PACKAGE}.py:36); this is a fault in the plugin {PACKAGE}:"),
         ({"log": "None"}, "a.log: the reader lines gives None, which has no path"),
         ({"log": "type('Log', (), {'path': path})()"}, "a.log: the reader lines gives Log, which"),
-        ({"prior": "2"}, "the model odd has the prior 2, which is no probability"),
+        ({"prior": "2"}, "the model odd has the prior 2; give one"),
         ({"scan": "{}"}, "a.log: its reader gives "),
         ({"scan": 'Scan(0.5, "laser", 0, 1, ranges, 0, 9)'}, "a.log: holds 0.5 where a time"),
         ({"odds": "np.zeros(9)"}, "the model odd gives no log-odds"),

@@ -349,7 +349,7 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
         It cannot be read, is not TOML, or names what is no command or no option of any.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         found = f"cannot be read ({error.strerror})"
         raise UsageError(found, where=path, fix="check the path of --config") from None

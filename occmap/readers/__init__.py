@@ -70,7 +70,7 @@ def probe_path(path: Path) -> Probe:
         if path.is_dir():
             return Probe(path, b"", b"")
         if path.exists() and not path.is_file():
-            raise LogError("neither a file nor a folder", where=path, fix="save it to a file first")
+            raise LogError("no file and no folder", where=path, fix="pipe it: | occmap build -")
         with path.open("rb") as file:
             raw = file.read(PROBE_BYTES)
     except FileNotFoundError:
