@@ -442,6 +442,7 @@ def list_paths(paths: Sequence[AnyPaths], call: str) -> Paths:
     UsageError
         There is none, or one of them is not a path.
     """
-    made: Paths = read_value("paths", Paths, paths[0] if len(paths) == 1 else paths)
+    name = "paths" if call == "merge" else "logs"
+    made: Paths = read_value(name, Paths, paths[0] if len(paths) == 1 else paths)
     require(bool(made), "no file is given", f"see help(occmap.{call})")
     return made

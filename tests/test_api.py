@@ -203,14 +203,15 @@ def test_an_option_that_would_do_nothing_is_refused(call: Any, name: str) -> Non
 @pytest.mark.parametrize("call", [occmap.build_map, occmap.check, occmap.compare, occmap.merge])
 def test_paths_are_given_one_by_one_or_as_a_list(call: Any) -> None:
     name = getattr(call, "__name__", "")
+    asked = "paths" if call is occmap.merge else "logs"
     given: Any
     for given in ((), ([],)):
         with pytest.raises(UsageError, match=rf"no file is given; see help\(occmap.{name}\)"):
             call(*given)
-    with pytest.raises(UsageError, match=r"`paths` is b'a.bag'; give a list, each item a path"):
+    with pytest.raises(UsageError, match=rf"`{asked}` is b'a.bag'; give a list, each item a path"):
         call(b"a.bag")
     for given in (("a.bag", 3), (["a.bag", 3],)):
-        with pytest.raises(UsageError, match=r"`paths` is 3; give a list, each item a path"):
+        with pytest.raises(UsageError, match=rf"`{asked}` is 3; give a list, each item a path"):
             call(*given)
 
 
@@ -270,7 +271,7 @@ def test_a_path_that_is_too_long_is_an_error_in_one_line(call: Any) -> None:
 
 @pytest.mark.parametrize("path", [3, b"a", "a\0", "\ud800"])
 def test_what_is_no_path_is_refused(path: Any) -> None:
-    with pytest.raises(UsageError, match=r"`paths` is .*; give .*a path"):
+    with pytest.raises(UsageError, match=r"`logs` is .*; give .*a path"):
         occmap.check(path)
     with pytest.raises(UsageError, match=r"^`path` is .*; give a path"):
         occmap.read_log(path)

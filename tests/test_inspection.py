@@ -144,6 +144,18 @@ def test_walls_are_not_suspicious_and_markers_are() -> None:
     assert find(np.full(1000, 5.0, np.float32)) == []  # drawn by hand
 
 
+@pytest.mark.parametrize(("codes", "suspected"), [(3, 3), (4, 0)])
+def test_many_values_that_repeat_are_no_codes(tmp_path: Path, codes: int, suspected: int) -> None:
+    number, beam = np.arange(40)[:, None], np.arange(20)
+    ranges = 2 + 0.9 * beam + 0.003 * number  # beyond the codes, which no band is made of
+    ranges[:, :codes] = 12 + np.arange(codes)
+    shape = {"angle_min": 0, "angle_increment": 0.02, "range_max": 30}
+    log = write_scans(tmp_path / "log.csv", range(40), ranges, 0.1 * number * (1, 0, 0), **shape)
+    found = look(log)
+    assert sum("may mean no return" in text for text in found.warnings) == suspected
+    assert len(topic(found).ranges.repeated) == suspected
+
+
 def test_a_band_below_the_limit_is_no_return_without_a_flag(tmp_path: Path) -> None:
     def spoil(ranges: Float64) -> Float64:
         ranges[::9] = 25.6

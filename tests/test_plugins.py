@@ -32,11 +32,11 @@ from occmap.types import Pose, Scan
 class Reader:
     name, description = "lines", "a log of one scan"
     def recognises(self, probe): return probe.content.startswith(b"#lines")
-    def open(self, path): return Log(path)
+    def open(self, path): return $log
 
 class Log:
     def __init__(self, path):
-        self.path, self.notes, self.streams = path, [], [Stream("scan", "", 1, Role.SCAN)]
+        self.path, self.notes, self.streams = path, $notes, [Stream("scan", "", 1, Role.SCAN)]
     def poses(self): return iter(())
     def scans(self, topics):
         ranges, pose = np.ones(5, np.float32), Pose.planar(0, 0, 0)
@@ -52,14 +52,19 @@ class Priorless:
 @dataclass(frozen=True)
 class Model(Priorless):
     name = "odd"
-    prior: float = 0.5
+    prior: float = $prior
     def log_odds(self, hits, misses): return $odds
 
 class Writer:
     description = "text"
+    def targets(self, path): return $targets
     def write(self, path, grid, options): $write
 """
 GOOD = {
+    "log": "Log(path)",
+    "notes": "[]",
+    "prior": "0.5",
+    "targets": "(path,)",
     "scan": 'Scan(0, "laser", -1, 0.5, ranges, 0, np.inf, pose=pose)',
     "odds": "hits - misses",
     "write": "path.touch()",
@@ -116,7 +121,10 @@ def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install) -> No
     [
         ({"scan": "[][0]"}, f"{PACKAGE}.py:18); this is a fault in the plugin {PACKAGE}:"),
         ({"odds": "1 // 0"}, f"{PACKAGE}.py:31); this is a fault in the plugin {PACKAGE}:"),
-        ({"write": "1 // 0"}, f"{PACKAGE}.py:35); this is a fault in the plugin {PACKAGE}:"),
+        ({"write": "1 // 0"}, f"{PACKAGE}.py:36); this is a fault in the plugin {PACKAGE}:"),
+        ({"log": "None"}, "a.log: the reader lines gives None, which has no path"),
+        ({"log": "type('Log', (), {'path': path})()"}, "a.log: the reader lines gives Log, which"),
+        ({"prior": "2"}, "the model odd has the prior 2; give one"),
         ({"scan": "{}"}, "a.log: its reader gives "),
         ({"scan": 'Scan(0.5, "laser", 0, 1, ranges, 0, 9)'}, "a.log: holds 0.5 where a time"),
         ({"odds": "np.zeros(9)"}, "the model odd gives no log-odds"),
@@ -129,3 +137,26 @@ def test_who_is_at_fault_is_named(install: Install, lines: dict[str, str], named
     result = occmap("build a.log --model odd -o m.txt")
     assert named in read_error(result, result.code)
     assert "fault in occmap" not in result.err
+
+
+def test_text_is_taken_where_notes_and_paths_belong(install: Install) -> None:
+    install(notes='["hello"]', targets="str(path)", write="path.touch(); return str(path)")
+    made = ask("build a.log --model odd -o m.txt")
+    assert made["files"] == ["m.txt"]
+    assert "a.log: hello" in made["notes"]
+
+
+def test_what_a_writer_does_to_the_map_spoils_no_other_output(install: Install) -> None:
+    install(write="grid.log_odds[:] = 9")
+    result = occmap("build a.log --model odd -o m.txt -o m.pgm")
+    assert "read-only" in read_error(result, result.code)
+    assert f"fault in the plugin {PACKAGE}" in result.err
+    assert not Path("m.pgm").exists()
+
+
+@pytest.mark.parametrize("kind", ["float32", "uint8"])
+def test_masked_ranges_are_not_measured(install: Install, kind: str) -> None:
+    masked = f"np.ma.masked_array(ranges, [0, 0, 0, 1, 1], {kind!r})"
+    install(scan=GOOD["scan"].replace("ranges", masked))
+    beams = ask("build a.log --model odd -o m.pgm")["beams"]
+    assert (beams["hit"], beams["nan"]) == (3, 2)

@@ -114,6 +114,16 @@ def test_the_action_maps_a_log_that_needs_options(tmp_path: Path) -> None:
 
 @needs_bash
 @pytest.mark.parametrize(
+    ("options", "code"), [("--fail-if 'agreement < 1%'", 0), ("--fail-if 'agreement < 1%", 1)]
+)
+def test_quotes_keep_an_option_of_the_action_whole(tmp_path: Path, options: str, code: int) -> None:
+    done = act(tmp_path, log=str(SAMPLE_LOGS / "drive.csv"), options=options)
+    assert done.returncode == code, done.stderr
+    assert ("unmatched single quote" in done.stderr) == bool(code)
+
+
+@needs_bash
+@pytest.mark.parametrize(
     "limits", [{"check_fail_if": "topics == 1"}, {"fail_if": "hits > 1%\nunknown > 1%"}]
 )
 def test_the_action_fails_where_a_limit_is_not_kept(tmp_path: Path, limits: dict[str, str]) -> None:

@@ -350,7 +350,7 @@ def read_config(path: Path, command: str, own: Iterable[str]) -> dict[str, Any]:
     """
     try:
         with refuse_unreadable(path, UsageError, "check the path of --config"):
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
+            values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"is not TOML ({error})", where=path) from None
     tables = {name: value for name, value in values.items() if isinstance(value, dict)}

@@ -115,6 +115,9 @@ class RangeCensus:
         hardly one of them leads through a wall or, as through glass, out of all that was hit.
         """
         repeated = tuple(list_repeated(sample, self.limit))
+        if sum(not item.is_no_return for item in repeated) > bands.MOST_CODES:
+            # So many are no codes of a driver: without noise a wall repeats its ranges, too.
+            repeated = tuple(item for item in repeated if item.is_no_return)
         crossed = measure_crossing(sample, options)
         low, high = bands.SICK_CODES
         is_code = any(low <= item.value <= high for item in repeated)

@@ -72,7 +72,7 @@ def probe_path(path: Path) -> Probe:
         if not path.exists():
             raise _miss(path)
         if not path.is_file():
-            raise LogError("neither a file nor a folder", where=path, fix="save it to a file first")
+            raise LogError("no file and no folder", where=path, fix="pipe it: | occmap build -")
         with path.open("rb") as file:
             raw = file.read(PROBE_BYTES)
     content = raw
@@ -329,4 +329,10 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
             probe, f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
         )
     log = reader.open_tuned(path, options) if hasattr(reader, "open_tuned") else reader.open(path)
-    return log if isinstance(log, Log) else PluginLog(log)
+    if isinstance(log, Log):
+        return log
+    needed = "path", "notes", "streams", "poses", "scans"
+    if lacks := [name for name in needed if not hasattr(log, name)]:
+        found = f"the reader {reader.name} gives {shorten(log)}, which has no {lacks[0]}"
+        raise LogError(found, where=path, fix="a reader's `open` returns a `Log`: mend the plugin")
+    return PluginLog(log)

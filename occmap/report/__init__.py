@@ -183,7 +183,7 @@ class Note(str):
     damage: bool
     """True: the log is not as its recorder meant it; the sentence says where, and what is lost."""
     parts: tuple[str, str] | None = None
-    """The log that it names, and the sentence without it"""
+    """The log that it names, and the sentence without it; None of damage, which stays apart"""
 
     def __new__(cls, text: str, damage: bool = False) -> "Note":
         """Make a note of a sentence."""
@@ -199,7 +199,7 @@ class Note(str):
     def placed(self, log: str | Path) -> "Note":
         """Name the log that it is about."""
         named = Note(f"{log}: {self}", self.damage)
-        named.parts = str(log), self.text
+        named.parts = None if self.damage else (str(log), self.text)
         return named
 
 
@@ -249,8 +249,7 @@ def fold_notes(notes: Iterable[str]) -> tuple[str, ...]:
     """Say once what holds for several logs, where it is said first; damage stays as it is."""
     logs: dict[tuple[str, bool], dict[str, None]] = {}
     for note in notes:
-        parts = note.parts if isinstance(note, Note) and not note.damage else None
-        log, text = parts or ("", note)
+        log, text = getattr(note, "parts", None) or ("", note)
         logs.setdefault((text, is_damage(note)), {})[log] = None
     return tuple(f"{join_names(it)}: {text}" if any(it) else text for (text, _), it in logs.items())
 

@@ -12,17 +12,7 @@ import numpy as np
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, choose_model, compose_build
-from occmap.report import (
-    HIDDEN,
-    Count,
-    Noted,
-    Row,
-    Share,
-    count,
-    join_names,
-    write_box,
-    write_counts,
-)
+from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
@@ -316,19 +306,16 @@ def list_notes(
     yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
 
-def list_shared_stamps(
-    outputs: Sequence[Path], trajectories: Sequence[Trajectory]
-) -> Iterator[str]:
+def list_shared_stamps(outputs: Sequence[Path], ways: Sequence[Trajectory]) -> Iterator[str]:
     """Say which trajectories that are written do not build the same map again."""
-    written = [str(path) for path in outputs if find_writer(path).needs_journey]
-    for each in trajectories if written else ():
-        order = np.argsort(each.stamp_ns, kind="stable")
-        is_same, moves = np.diff(each.stamp_ns[order]) == 0, np.diff(each.pose[order], axis=0)
+    written = ", ".join(str(path) for path in outputs if find_writer(path).needs_journey)
+    for way in ways if written else ():
+        order = np.argsort(way.stamp_ns, kind="stable")
+        is_same, moves = np.diff(way.stamp_ns[order]) == 0, np.diff(way.pose[order], axis=0)
         if shared := int(np.count_nonzero(is_same & moves.any(axis=1))):
-            scans = f"{count(shared, 'scan')} of {each.topic} in {each.log}"
             yield (
-                f"{join_names(written)}: {scans} have the stamp of the one before and another "
-                "pose, so with `poses=FILE` this builds another map"
+                f"{written}: {count(shared, 'scan')} of {way.topic} in {way.log} have the stamp of "
+                "the one before and another pose, so with `poses=FILE` this builds another map"
             )
 
 

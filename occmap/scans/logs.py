@@ -21,7 +21,7 @@ from occmap.posing.attach import Poser
 from occmap.posing.frames import last_part
 from occmap.posing.sources import gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
-from occmap.report import STDIN_FOLDER, count, join_names
+from occmap.report import STDIN_FOLDER, count, is_damage, join_names
 from occmap.sensor.models import CountingModel, RadialModel
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, Update
 
@@ -41,9 +41,9 @@ def choose_topics(log: Log, wanted: Sequence[str]) -> list[str]:
     there = scans + clouds if wanted else scans or clouds
     if not there:
         held = ", ".join(f"{s.topic} ({s.type}, {s.count})" for s in log.streams if s.count)
-        notes = sorted(log.notes, key=lambda note: not note.damage)
+        notes = sorted(log.notes, key=is_damage, reverse=True)
         found = f"holds no laser scans and no clouds; it holds {held or 'nothing'}"
-        raise LogError(found, where=log.path, fix=notes[0].text if notes else "")
+        raise LogError(found, where=log.path, fix=str(notes[0]) if notes else "")
     asked = set(wanted)
     missing = sorted(asked - set(there))
     if missing:
@@ -148,7 +148,7 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
     path, _ = posing.recording
     other = open_log(path)
     yield from read_beside(other)
-    damage = (note.placed(path) for note in other.notes if note.damage)
+    damage = (note.placed(path) for note in other.notes if is_damage(note))
     if isinstance(log.notes, MutableSequence):  # a plugin's may be a tuple
         log.notes.extend(note for note in damage if note not in log.notes)
 

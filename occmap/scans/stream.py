@@ -166,11 +166,12 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
 
 def find_oddity(batch: ScanBatch) -> str:
     """Say what is odd about the angles of scans; "" where nothing is."""
-    beams, step = batch.ranges.shape[1], batch.angle_increment
-    turns = abs(step) * (beams - 1) / math.tau
+    # A scan with fewer beams than others of its file ends in NaN.
+    beams = int(np.flatnonzero(~np.isnan(batch.ranges).all(axis=0)).max(initial=-1)) + 1
+    turns = abs(batch.angle_increment) * (beams - 1) / math.tau
     if MOST_TURNS < turns < math.inf:
         return f"{beams} beams go round {turns:.3g} times: angles are radians; are these degrees?"
-    if beams > 1 and step == 0:
+    if beams > 1 and batch.angle_increment == 0:
         return f"{beams} beams all point the same way: angle_increment is 0"
     return ""
 

@@ -18,7 +18,7 @@ from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
-from occmap.report import Note, join_names
+from occmap.report import Note, is_damage, join_names
 from occmap.scans import encode_cells, make_engine, make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
@@ -286,9 +286,9 @@ class Remarks:
     logs: list[str]
     notes: list[str] = field(default_factory=list)
 
-    def note(self, log: Path, notes: Sequence[Note], others: Iterable[str]) -> None:
-        """Keep the notes of a log's reader, and the notes of others on it."""
-        self.notes += [note.placed(log) for note in (*map(Note, others), *notes)]
+    def note(self, log: Path, notes: Sequence[str], others: Iterable[str]) -> None:
+        """Keep the notes of others on a log, and of its reader; a plugin may give text."""
+        self.notes += [Note(note, is_damage(note)).placed(log) for note in (*others, *notes)]
 
 
 class Reading:

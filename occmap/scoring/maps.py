@@ -344,9 +344,7 @@ def score_by_truth(
     invented, dangerous = judged & (from_true > far), is_missed & (is_said == FREE)
     distances = from_true[judged]
     if not (distances.size and edges.any()):
-        found = f"none of its walls lies where {truth.path} is known"
-        if distances.size:
-            found = f"{truth.path} has no free cell beside a wall"
+        found = f"{truth.path} has no edge of a wall, or is not known where this map has walls"
         fix = "check that both are in one map frame: `fit` looks up to 2 m away"
         raise MapError(found, where=written.path, fix=fix)
     picture = np.full((*shape, 3), GREY, np.uint8)

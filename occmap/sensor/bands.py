@@ -6,7 +6,7 @@ of the ranges just below.
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -64,6 +64,9 @@ class RangeTally:
         """Finite ranges above the limit that their own scan states"""
         self.largest = 0.0
         """The largest finite range above the limit of its scan (m)"""
+        self.may_be_wall = False
+        """Whether a band may be the farthest wall, as of a laser that never moves: from one place
+        that repeats as a code would"""
         self._different: set[float] = set()
         """Different measured ranges, until there are at least MIN_VALUES"""
         self._values = np.zeros(0, np.float32)
@@ -112,6 +115,7 @@ class RangeTally:
             low, empty = np.searchsorted(values, [limit, (1 - 2 * BAND) * top])
             readings, below = counts[low : at + 1].sum(), counts[empty:low].sum()
             enough = len(self._different) >= MIN_VALUES and readings >= MIN_READINGS
+            enough = enough and not self.may_be_wall
             codes = np.sort(counts[low : at + 1])[-MOST_CODES:].sum()
             stands_out = readings >= DOMINANCE * below and 2 * codes >= readings
             if is_code or (enough and stands_out):
@@ -139,8 +143,6 @@ class RangeLimits:
         self._tallies: dict[str, RangeTally] = {}
         self._applied: dict[str, float] = {}
         self._settled = False
-        self._standing: frozenset[str] = frozenset()
-        """Topics of lasers that never move: what they see far away repeats as a code would"""
 
     def see(self, some: Scan | ScanRun) -> None:
         """Count the ranges of a scan, or of those of a run."""
@@ -163,7 +165,7 @@ class RangeLimits:
             self._applied[batch.topic] = self._find(batch.topic)
         return replace(batch, range_max=min(batch.range_max, self._applied[batch.topic]))
 
-    def settle(self, standing: Iterable[str] = ()) -> bool:
+    def settle(self, standing: Collection[str] = ()) -> bool:
         """Say whether the limits so far are the whole log's, and apply those from now on.
 
         Parameters
@@ -171,24 +173,17 @@ class RangeLimits:
         standing
             Topics of lasers that never move.
         """
-        self._standing = frozenset(standing)
+        for topic, tally in self._tallies.items():
+            tally.may_be_wall = topic in standing and math.isfinite(tally.stated)
         right = all(limit == self._find(topic) for topic, limit in self._applied.items())
         self._settled = True
         self._applied.clear()
         return right
 
     def _find(self, topic: str) -> float:
-        band = self._find_band(topic)
+        tally = self._tallies.get(topic)  # of this topic alone: there may be very many
+        band = tally and tally.find_band()
         return band.limit if band else math.inf
-
-    def _find_band(self, topic: str) -> Band | None:
-        if topic not in self._tallies:  # of this topic alone: there may be very many
-            return None
-        tally = self._tallies[topic]
-        band = tally.find_band()
-        may_be_wall = topic in self._standing and math.isfinite(tally.stated)
-        is_code = band is not None and band.limit == SICK_CODES[0]
-        return band if is_code or not may_be_wall else None
 
     def list_notes(self) -> Iterator[str]:
         """Say what the user should know of each topic, and how to change it."""
@@ -196,7 +191,7 @@ class RangeLimits:
             unstated = math.isinf(tally.stated)
             stated = f"{tally.stated:g} m as its range limit"
             limit = "no usable range limit" if unstated else stated
-            band = self._find_band(topic)
+            band = tally.find_band()
             count, where = tally.above, f"are above it, up to {tally.largest:.4g} m"
             if band is not None:
                 count, where = band.count, f"read {band.values}"

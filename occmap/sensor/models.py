@@ -275,6 +275,8 @@ def make_model(name: str, parameters: dict[str, float]) -> SensorModel:
         found = f"the model {name} has no parameter {parameter!r}"
         raise UsageError(found, fix=f"{choose}{name} has {', '.join(known)}")
     model: SensorModel = model_class(**parameters)
+    found = f"the model {name} has the prior {model.prior}"
+    require(0 < model.prior < 1, found, "give one between 0 and 1")
     return model
 
 

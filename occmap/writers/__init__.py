@@ -7,7 +7,7 @@ the way of the robot. Nothing here imports PIL: a writer is loaded on use. The o
 names are found to be writable before the work starts, and written after it.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -261,7 +261,9 @@ def check_outputs(outputs: Sequence[Path], inputs: Sequence[Path], options: Writ
     inputs = [*inputs, *([options.edits] if options.edits else [])]
     for path, writer in writers:
         writer.check(path, options)
-    targets = [(target, writer) for path, writer in writers for target in writer.targets(path)]
+    targets = [
+        (target, writer) for path, writer in writers for target in to_paths(writer.targets(path))
+    ]
     files = [follow_links(target) for target, _ in targets]
     for (target, writer), file in zip(targets, files, strict=True):
         if not writer.is_folder:
@@ -309,6 +311,11 @@ def refuse_input(target: Path, inputs: Sequence[Path]) -> None:
             raise UsageError(found, where=target, fix="give another name")
 
 
+def to_paths(files: Iterable[Path | str] | str) -> list[Path]:
+    """Take the files that a writer names; a plugin may give text, and one file alone."""
+    return [Path(files)] if isinstance(files, str | Path) else [*map(Path, files)]
+
+
 def want_evidence(outputs: Sequence[Path]) -> bool:
     """Whether any output is of what was observed, or shows when it was."""
     return any(find_writer(path).needs_evidence for path in outputs)
@@ -347,10 +354,12 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
         A file cannot be written, and is not left behind; or a plugin did not write it.
     """
     written: list[Path] = []
+    if isinstance(product.grid, OccupancyMap):  # a plugin must not change what comes after it
+        product.grid.log_odds.flags.writeable = product.grid.observed.flags.writeable = False
     for path in outputs:
         writer = find_writer(path)
         files = writer.write_product(path, product, options) or writer.targets(path)
-        written += map(Path, files)
+        written += to_paths(files)
     for path in (each for each in written if not each.exists()):
         raise OutputError("its writer did not write it", where=path, fix="choose another format")
     return list(map(str, written))

@@ -93,7 +93,7 @@ def test_a_folder_that_cannot_be_read_or_written() -> None:
 
 def test_a_pipe_is_no_file() -> None:
     os.mkfifo("pipe")
-    assert "pipe: neither a file nor a folder; save it to a file" in fail("pipe")
+    assert "pipe: no file and no folder; pipe it: | occmap build -" in fail("pipe")
 
 
 def test_a_bag_whose_files_are_missing() -> None:

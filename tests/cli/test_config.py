@@ -71,6 +71,11 @@ def test_a_named_file_goes_before_the_one_beside_the_logs_and_a_typed_value_befo
     assert make_map(words)["map"]["resolution"] == resolution
 
 
+def test_a_file_may_begin_with_a_byte_order_mark() -> None:
+    write("\ufeffresolution = 0.1\r\n")
+    assert make_map()["map"]["resolution"] == 0.1
+
+
 def test_flags_and_options_of_one_command() -> None:
     build = "[build]\nlight-occupied = true\nstrict = false\n"
     write(f'stride = 3\n{build}[check]\nfail-if = "warnings > 0"\n')

@@ -15,12 +15,13 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.readers import open_log
 from occmap.scans.mounts import open_drive
-from occmap.scans.stream import Selector, stack
+from occmap.scans.stream import Selector, find_oddity, stack
 from occmap.scans.tally import LeftOut
 from occmap.sensor import ReturnOptions
 from occmap.sensor.bands import RangeLimits
 from occmap.types import Scan, ScanBatch, ScanRun
 from tests.readers.runs import flatten
+from tests.samples import make_batch
 
 SECOND = 10**9
 RUN = ScanRun(
@@ -144,3 +145,11 @@ def test_each_topic_is_sampled_by_how_many_scans_it_has_itself(tmp_path: Path) -
     for part in open_drive(open_log(path, options.reading), options).sample():
         kept[part.batch.topic] += len(part.batch.stamp_ns)
     assert kept == {"RLASER": 30, "FLASER": 300}
+
+
+@pytest.mark.parametrize(("beams", "is_odd"), [(63, False), (96, True), (0, False)])
+def test_beams_at_the_end_that_are_empty_do_not_go_round(beams: int, is_odd: bool) -> None:
+    """Rows of a CSV with fewer beams than others end in empty cells; a beam is a tenth of a rad."""
+    ranges = np.full((2, 400), np.nan)
+    ranges[1, :beams] = 2.0
+    assert ("are these degrees?" in find_oddity(make_batch(ranges))) == is_odd

@@ -204,9 +204,9 @@ def test_what_cannot_be_scored_is_refused(tmp_path: Path) -> None:
     for written, truth, found in (
         (draw("#.", None), ROOM, "not say where it lies"),
         (draw("..?"), ROOM, "no occupied cell"),
-        (far, ROOM, "none of its walls lies where m.pgm is known"),
-        (ROOM, draw(".#", Place(0.1, 0.3, 0.2)), "none of its walls lies where"),
-        (ROOM, draw("###?."), "no free cell beside a wall"),
+        (far, ROOM, "m.pgm has no edge of a wall, or is not known where"),
+        (ROOM, draw(".#", Place(0.1, 0.3, 0.2)), "no edge of a wall, or is not"),
+        (ROOM, draw("###?."), "no edge of a wall"),
         (fine, ROOM, "too many to compare"),
     ):
         with pytest.raises(MapError, match=found):

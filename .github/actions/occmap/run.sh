@@ -15,8 +15,15 @@ list_limits() {
 }
 mapfile -t check_limits < <(list_limits "${CHECK_FAIL_IF:-}")
 mapfile -t build_limits < <(list_limits "${FAIL_IF:-}")
-read -r -a log_options <<< "${LOG_OPTIONS:-}"
-read -r -a options <<< "${OPTIONS:-}"
+# Other options are split as by a shell: quotes keep blanks within a word.
+split() {
+  xargs -r -n 1 printf '%s\n' <<< "$1"
+}
+log_words=$(split "${LOG_OPTIONS:-}")
+words=$(split "${OPTIONS:-}")
+log_options=() options=()
+[ -z "$log_words" ] || mapfile -t log_options <<< "$log_words"
+[ -z "$words" ] || mapfile -t options <<< "$words"
 
 occmap check "$LOG" "${log_options[@]}" "${check_limits[@]}" --json > "$FOLDER/check.json"
 occmap build "$LOG" "${log_options[@]}" "${options[@]}" "${build_limits[@]}" --strict --json \
