@@ -58,7 +58,7 @@ def refuse_unreadable(
 
 
 class DamageError(LogError):
-    """One message of a log is damaged; the others can be used."""
+    """One message, scan or file of a log is damaged; the others can be used."""
 
 
 class PoseError(OccmapError):

@@ -12,10 +12,8 @@ import inspect
 import json
 import logging
 import os
-import shutil
 import struct
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache, cached_property
@@ -33,8 +31,6 @@ from occmap.errors import UsageError
 F = TypeVar("F", bound=Callable[..., Any])
 DIGEST_BYTES = hashlib.sha256().digest_size
 RESULT_BYTES, ERROR_BYTES = 248, 8
-KEPT_S = 30 * 24 * 3600
-"""Machine code is surely kept for so long"""
 SCALARS = {
     bool: ("boolean", ctypes.c_bool),
     int: ("int64", ctypes.c_int64),
@@ -113,12 +109,9 @@ class Kernel:
         content = compile_function(self.dispatcher, kind)
         for path in self._list_files(kind):
             with suppress(Exception):
-                is_new = not path.parent.exists()
                 path.parent.mkdir(parents=True, exist_ok=True)
                 # No temporary file is needed: a process that reads half of this one compiles anew.
                 path.write_bytes(hashlib.sha256(content).digest() + content)
-                if is_new:
-                    remove_old(path.parent.parent)
                 break
         else:
             warn_not_kept()
@@ -233,14 +226,6 @@ def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
 
     call.engine = engine  # type: ignore[attr-defined]  # the owner of the code
     return call
-
-
-def remove_old(base: Path) -> None:
-    """Remove what other versions and settings kept below a folder, if nothing came to it lately."""
-    for folder in base.glob("occmap-" + "[0-9a-f]" * 16):
-        with suppress(OSError):  # another process removes it, too
-            if folder.stat().st_mtime < time.time() - KEPT_S:
-                shutil.rmtree(folder)
 
 
 @cache

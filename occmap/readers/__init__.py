@@ -1,9 +1,11 @@
 """Readers: one file for each log format, found through entry points and chosen by content.
 
 A reader is a class with a `name`, a one-line `description`, a `recognises(probe)` and an
-`open(path)` that returns a `Log`. `text_log` lists the way of a line and `ros_log` that of a
-message, from the file to a scan or a pose. Nothing here imports rosbags or mcap: a reader is loaded
-on use.
+`open(path)` that returns a `Log`. `text_log` has what logs of lines share (`carmen`, `csv`), and
+`decimals` parses their numbers. `ros_log` says how a message becomes a scan, a pose or a cloud: one
+of `mcap`, `bag1` (both walk over `records`) and `sqlite` finds it, `messages` decodes it, and
+`message_types` and `cloud_messages` convert what `fields` finds in it. Nothing here imports rosbags
+or mcap: a reader is loaded on use.
 
 A probe holds the first bytes of a path, by which readers know it.
 """
@@ -102,7 +104,9 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
     """Say what a path that no reader knows is, and what mends it; `otherwise` says what is read."""
     raw, content, fix = probe.raw, probe.content, ""
     if probe.path.is_dir():
-        found = _describe_folder(probe.path)
+        with refuse_unreadable(probe.path):
+            names = sorted(entry.name for entry in probe.path.iterdir())
+        found = f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
     elif not raw:
         found = "the file is empty"
     elif not content:
@@ -120,13 +124,6 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
     else:
         found = f"not a known log format: it starts with the bytes {raw[:8].hex(' ')}"
     return LogError(found, where=probe.path, fix=fix or otherwise)
-
-
-def _describe_folder(folder: Path) -> str:
-    """Say what a folder that is not a recording holds."""
-    with refuse_unreadable(folder):
-        names = sorted(entry.name for entry in folder.iterdir())
-    return f"a folder that is not a recording: it holds {', '.join(names[:5]) or 'nothing'}"
 
 
 class Echo(StrEnum):

@@ -29,9 +29,9 @@ from occmap.report import count
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
 and for any other."""
-_ANY, _PLAIN, _FRAME = range(OTHER, 1 << 32), range(DESCRIPTION, 1 << 32), (CHUNK, OTHER)
+_ANY, _IN_CHUNKS, _AROUND = range(OTHER, 1 << 32), range(DESCRIPTION, 1 << 32), (CHUNK, OTHER)
 """All kinds of records, those that lie in chunks (or in the open if a recorder makes none, or died
-before it closed one), and those that do not"""
+before it closed one), and those that lie around these"""
 _WINDOW = 1 << 20
 _LONGEST_MATCH = 64
 """Bytes that `head` looks at, at most."""
@@ -200,7 +200,7 @@ class RecordSource(ABC):
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; note where it is damaged."""
         damaged: list[int] = []
-        records = list(self._walk(block, 0, _PLAIN, lambda at, _: damaged.append(at)))
+        records = list(self._walk(block, 0, _IN_CHUNKS, lambda at, _: damaged.append(at)))
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(position, f"is damaged at byte {min(damaged)}{more}")
@@ -213,13 +213,16 @@ class RecordSource(ABC):
         kinds: Container[int],
         tell: Callable[[int, int | None], object],
     ) -> Iterator[Record]:
-        """Give the records of a file or a chunk one by one.
+        """Give the records of a file or a chunk one by one, from a position on.
 
-        Where none follows one, its length may be wrong. So it ends where the next one begins that
-        is found behind its start. `tell` takes the place of the damage and that of the next record.
+        Each begins where the one before ends, so that its end is all that the walk knows of its
+        place. Where none begins there, either the length of the one before is wrong, or what
+        follows it is damaged. So the next one is looked for from behind the start of the one
+        before, which ends there at the latest. `tell` takes the place of the damage and that of the
+        next record.
         """
         size, parse = len(block), self._parse
-        record: Record = OTHER, 0, at, at, at
+        record: Record = OTHER, 0, at, at, at  # of no bytes, so that each has one before it
         while (end := record[4]) != size:
             following = parse(block, end)
             # The length of a chunk that seems to be cut is looked at in the next round.
@@ -232,22 +235,23 @@ class RecordSource(ABC):
                 place = following[2] if following else None
                 until = size if place is None else place
                 tell(end if end <= until else record[2], place)
-                end = min(end, until)
-                record = (*record[:3], min(record[3], end), end)
-                if following is None:
-                    break
+                record = _cut(record, until)
             yield record
+            if following is None:
+                return
             record = following
         yield record
 
     def _find_following(self, block: Bytes, record: Record, kinds: Container[int]) -> Record | None:
-        """Find the next record behind the start of one; what lies in a chunk does not follow it."""
-        kind, _, at, _, end = record
+        """Find the next record behind the start of one."""
+        kind, _, begin, _, end = record
         if kind != CHUNK:
-            return self._find(block, at + 1, len(block), kinds)
-        found = self._find(block, at + 1, len(block), _FRAME)
-        # Before it may lie the messages of a chunk that lost its head.
-        return self._find(block, end, found[2] if found else len(block), _PLAIN) or found
+            return self._find(block, begin + 1, len(block), kinds)
+        # What lies in a chunk does not follow it, so what does is of the kinds around chunks. But
+        # before that may lie the messages of another chunk, which lost its head.
+        found = self._find(block, begin + 1, len(block), _AROUND)
+        until = found[2] if found else len(block)
+        return self._find(block, end, until, _IN_CHUNKS) or found
 
     def _find(self, block: Bytes, at: int, until: int, kinds: Container[int]) -> Record | None:
         """Find where records of some kinds go on, which end at a position at the latest."""
@@ -289,6 +293,12 @@ class RecordSource(ABC):
         for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
             if begin < end:
                 yield bytes(block[begin:end])
+
+
+def _cut(record: Record, until: int) -> Record:
+    """Let a record end at a position at the latest."""
+    kind, record_ns, begin, start, end = record
+    return kind, record_ns, begin, min(start, until), min(end, until)
 
 
 def _refuse(at: int, _following: int | None) -> NoReturn:

@@ -28,6 +28,8 @@ from occmap.readers.sqlite import SqliteSource
 METADATA = "metadata.yaml"
 _MOST_METADATA = 1 << 20
 """Characters of metadata.yaml that are read: a hundred times what recorders write."""
+_BAD_METADATA = YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError
+"""What is raised where it is not as recorders write it"""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
 _Metadata: TypeAlias = tuple[Sequence[str], bool, Mapping[tuple[str, str], int]]
@@ -140,42 +142,35 @@ class Bag2Source:
         return target
 
     def _read_metadata(self) -> _Metadata:
-        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves."""
+        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves.
+
+        Every value is taken as text, so nothing in it can unfold.
+        """
         path = self.path / METADATA
+        if not path.is_file():
+            return (), False, {}
+        with path.open("rb") as file:
+            content = file.read(_MOST_METADATA)
         try:
-            if path.is_file():
-                return _parse_metadata(path)
-        except (YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError):
+            document: Any = YAML(typ="base", pure=True).load(content.decode())
+            information = document["rosbag2_bagfile_information"]
+            mode = information.get("compression_mode", "").lower()
+            # Old recorders wrote the folder's name before the file's.
+            files = [Path(name).name for name in information["relative_file_paths"]]
+            counts = Counter[tuple[str, str]]()
+            for topic in information.get("topics_with_message_count") or ():
+                described = topic["topic_metadata"]
+                counts[described["name"], described["type"]] += int(topic["message_count"])
+        except _BAD_METADATA:
             self.notes.add_damage(f"{METADATA} is damaged and not used")
-        return (), False, {}
+            return (), False, {}
+        return files, mode == "message", counts
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""
         for part in self._parts:
             for note in part.notes:
                 self.notes.add_damage(f"{part.path.name}: {note.text}")
-
-
-def _parse_metadata(path: Path) -> _Metadata:
-    """Parse metadata.yaml. Every value is taken as text, so nothing in it can unfold.
-
-    Raises
-    ------
-    YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError
-        It is not as recorders write it.
-    """
-    with path.open(encoding="utf-8") as file:
-        text = file.read(_MOST_METADATA)
-    document: Any = YAML(typ="base", pure=True).load(text)
-    information = document["rosbag2_bagfile_information"]
-    mode = information.get("compression_mode", "")
-    # Old recorders wrote the folder's name before the file's.
-    files = [Path(name).name for name in information["relative_file_paths"]]
-    counts = Counter[tuple[str, str]]()
-    for topic in information.get("topics_with_message_count") or ():
-        described = topic["topic_metadata"]
-        counts[described["name"], described["type"]] += int(topic["message_count"])
-    return files, mode.lower() == "message", counts
 
 
 def open_file(path: Path) -> Source:

@@ -82,7 +82,6 @@ SUREST = 1 - 2**-53
 """The largest chance below 1 that a float64 holds"""
 
 probability = partial(option, bounds=(1e-9, 1 - 1e-6))
-below_half = partial(option, bounds=(1e-9, 0.499))
 share = partial(option, bounds=(0, 1))
 weight = partial(option, bounds=(1e-6, 1e6))
 low_clamp = partial(option, NO_CLAMP["clamp_min"], bounds=(0, 0.499))
@@ -215,7 +214,7 @@ class QuadraticModel:
 
     epsilon: float = option(0.0, bounds=(0, 100))  # m: no wall is thicker
     """Half the depth of a hit (m); 0 means half a cell"""
-    p_min: float = below_half(0.4)
+    p_min: float = option(0.4, bounds=(1e-9, 0.499))
     """The probability of one observation is kept within [p_min, 1 - p_min]"""
     prior: float = probability(0.5)
     cut: float = probability(0.5)

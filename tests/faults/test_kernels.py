@@ -4,7 +4,6 @@ import hashlib
 import io
 import os
 import pickle
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -124,24 +123,6 @@ def test_code_is_loaded_from_a_folder_that_cannot_be_written(
     monkeypatch.setattr(jit, "list_folders", lambda _: (nowhere, folder.with_name("another")))
     assert run_anew() == (42.0, False)
     assert run_anew() == (42.0, True)
-
-
-def test_only_what_was_kept_long_ago_makes_room_for_a_new_folder(folder: Path) -> None:
-    names = "occmap-0123456789abcdef", "occmap-fedcba9876543210", "occmap-demo"
-    old, other, users = map(folder.with_name, names)
-    for each in (old, other, users):
-        each.mkdir()
-        (each / "a.code").touch()
-    run_anew()
-    assert old.is_dir()
-    os.utime(old, (0, 0))
-    os.utime(users, (0, 0))
-    os.utime(other / "a.code", (0, 0))
-    shutil.rmtree(folder)
-    run_anew()
-    assert not old.exists()
-    assert other.is_dir()
-    assert users.is_dir()
 
 
 def test_kernels_that_cannot_be_compiled_say_why(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -135,6 +135,25 @@ class Canvas(NamedTuple):
     """(MANY + the larger of H and W + AT_A_TIME,) to work with"""
 
 
+class Ray(NamedTuple):
+    """A beam, or one that is drawn between two, in lattice units from the window's corner."""
+
+    at_x: int
+    """The sensor"""
+    at_y: int
+    x: int
+    """From where it is traced: the sensor, or a place on the way"""
+    y: int
+    to_x: int
+    to_y: int
+    is_hit: bool
+    weight: int
+    range: float
+    """On the map; 0 where no model asks for it, like the next"""
+    begun: float
+    """How far from the sensor it is traced"""
+
+
 @kernel
 def trace_beams(
     beams: Beams,
@@ -157,100 +176,91 @@ def trace_beams(
     clipped
         None: no beam reaches beyond the window.
     """
-    kinds, origins, links = beams.rays.kind, beams.origins, beams.links
-    left, bottom, stride, fill = corner[0], corner[1], canvas.stride, 0
+    kinds, links, depth, fill = beams.rays.kind, beams.links, 0.0, 0
+    if radial is not None:
+        depth = radial.depth * beams.units_per_metre
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
             if kinds[s, b] == units.SKIP:
                 continue
-            viewpoint = min(b, origins.shape[1] - 1)
-            at_x, at_y = origins[s, viewpoint, 0] - left, origins[s, viewpoint, 1] - bottom
-            x, y, to_x, to_y = at_x, at_y, beams.ends_x[s, b] - left, beams.ends_y[s, b] - bottom
-            weight, drawn, is_hit, begun = 1, 0, kinds[s, b] == units.HIT, 0.0
-            if links.size:
-                weight, drawn = links[0, s, b], links[1, s, b]
-            if radial is not None:
-                r, depth = beams.ranges[s, b], radial.depth * beams.units_per_metre
-            for i in range(drawn + 1):
-                if i:  # a beam between this one and the next
-                    to_x, to_y = to_x + links[2, s, b], to_y + links[3, s, b]
-                    x, y = lines.begin_between(at_x, to_x), lines.begin_between(at_y, to_y)
-                    weight = units.BETWEEN
-                    if radial is not None:
-                        length = np.hypot(float(to_x - at_x), float(to_y - at_y))
-                        r, begun = max(length - depth, 0.0), lines.BEGIN_EIGHTHS / 8 * length
-                row, col = y >> units.CELL_SHIFT, x >> units.CELL_SHIFT
-                end_row, end_col = to_y >> units.CELL_SHIFT, to_x >> units.CELL_SHIFT
-                line = lines.draw_line(col, row, end_col, end_row)
-                first, plain, end = 0, line.n + (not is_hit), line.n + 1
-                if radial is not None:
-                    reach = radial.plain * max(r - depth, 0.0) - begun
-                    reach = reach / units.UNITS_PER_CELL - lines.FARTHEST_CENTRE
-                    plain = lines.count_nearer(line.n, line.m, reach)
+            ray = place_ray(beams, s, b, corner)
+            for i in range(1 + (links[1, s, b] if links.size else 0)):
+                if i:
+                    ray = draw_next(ray, links[2, s, b], links[3, s, b], radial, depth)
+                path = find_path(ray, radial, depth)
                 if clipped is not None:
-                    changes = canvas.changes
-                    first, end = lines.clip_line(line, changes.rows, changes.cols)
-                    plain = min(max(plain, first), end)
-                path = Path(line, first, plain, end, weight)
+                    path = lines.clip_path(path, canvas.changes)
                 if tiles is not None:
                     visit_path(path, radial, canvas.numbers, tiles)
-                else:
-                    if first < plain:
-                        lines.note_plain(path, canvas.changes)
-                    if radial is None and plain < end:
-                        place = np.uint64(end_row * stride + end_col)
-                        canvas.numbers[place] += weight << units.COUNT_BITS
+                elif path.first < path.plain:
+                    lines.note_plain(path, canvas.changes)
                 if radial is not None:
-                    slope = Slope(at_x, at_y, r, depth, depth if is_hit else -1.0)
-                    fill = list_slope(path, slope, stride, canvas.notes, fill)
+                    fill = list_slope(path, ray, depth, canvas, fill)
                     if fill >= units.MANY:
                         add_notes(canvas, fill, radial, tiles)
                         fill = 0
+                elif tiles is None and path.plain < path.end:
+                    row, col = ray.to_y >> units.CELL_SHIFT, ray.to_x >> units.CELL_SHIFT
+                    place = np.uint64(row * canvas.stride + col)
+                    canvas.numbers[place] += ray.weight << units.COUNT_BITS
     if radial is not None:
         add_notes(canvas, fill, radial, tiles)
 
 
-class Slope(NamedTuple):
-    """What a model says along a beam, in lattice units from the window's corner."""
-
-    at_x: int
-    """The sensor"""
-    at_y: int
-    range: float
-    """On the map"""
-    depth: float
-    """How far about the range a hit reaches"""
-    reach: float
-    """The depth, or -1 where there is no hit"""
+@step
+def place_ray(beams: Beams, s: int, b: int, corner: Int64) -> Ray:
+    """Place a beam of a scan in a window."""
+    viewpoint, left, bottom = min(b, beams.origins.shape[1] - 1), corner[0], corner[1]
+    x, y = beams.origins[s, viewpoint, 0] - left, beams.origins[s, viewpoint, 1] - bottom
+    to_x, to_y = beams.ends_x[s, b] - left, beams.ends_y[s, b] - bottom
+    weight = int(beams.links[0, s, b]) if beams.links.size else 1
+    measured = beams.ranges[s, b] if beams.ranges.size else 0.0
+    return Ray(x, y, x, y, to_x, to_y, beams.rays.kind[s, b] == units.HIT, weight, measured, 0.0)
 
 
 @step
-def list_slope(path: Path, slope: Slope, stride: int, notes: Float64, fill: int) -> int:
-    """List what a radial model says of the cells of a path that are not plain.
+def draw_next(ray: Ray, right: int, up: int, radial: units.Tables | None, depth: float) -> Ray:
+    """Draw a beam beside another one, whose end lies so far from that one's."""
+    x, y, to_x, to_y = ray.at_x, ray.at_y, ray.to_x + right, ray.to_y + up
+    begin = lines.begin_between(x, to_x), lines.begin_between(y, to_y)
+    length = 0.0 if radial is None else np.hypot(float(to_x - x), float(to_y - y))
+    measured, begun = max(length - depth, 0.0), lines.BEGIN_EIGHTHS / 8 * length
+    return Ray(x, y, *begin, to_x, to_y, ray.is_hit, int(units.BETWEEN), measured, begun)
 
-    Parameters
-    ----------
-    stride
-        From row to row of the places in the notes.
-    notes
-        Written here from `fill` on; there is room.
 
-    Returns
-    -------
-    How many notes there are now.
+@step
+def find_path(ray: Ray, radial: units.Tables | None, depth: float) -> Path:
+    """Find the cells of a beam, and which of them are plain."""
+    col, row = ray.x >> units.CELL_SHIFT, ray.y >> units.CELL_SHIFT
+    end_col, end_row = ray.to_x >> units.CELL_SHIFT, ray.to_y >> units.CELL_SHIFT
+    line = lines.draw_line(col, row, end_col, end_row)
+    plain = line.n + (not ray.is_hit)
+    if radial is not None:
+        reach = radial.plain * max(ray.range - depth, 0.0) - ray.begun
+        reach = reach / units.UNITS_PER_CELL - lines.FARTHEST_CENTRE
+        plain = lines.count_nearer(line.n, line.m, reach)
+    return Path(line, 0, plain, line.n + 1, ray.weight)
+
+
+@step
+def list_slope(path: Path, ray: Ray, depth: float, canvas: Canvas, fill: int) -> int:
+    """List in a canvas what a radial model says of the cells of a path that are not plain.
+
+    A hit reaches `depth` about its range. The notes stand from `fill` on; there is room. Returns
+    how many there are now.
     """
-    line, r, depth, reach = path.line, slope.range, slope.depth, slope.reach
+    line, r, notes, reach = path.line, ray.range, canvas.notes, depth if ray.is_hit else -1.0
     free_range = max(r - depth, 0.0)
     free_scale = units.TABLE_STEPS / max(free_range * free_range, 1.0)
     hit_scale = units.TABLE_STEPS / max(depth, units.NO_LENGTH)
     first_hit, nothing = float(units.FIRST_HIT), float(units.NOTHING)
-    at_u, at_v = turn_axes(line, slope.at_x, slope.at_y)
+    at_u, at_v = turn_axes(line, ray.at_x, ray.at_y)
     from_u = float((line.u << units.CELL_SHIFT) + units.HALF_CELL - at_u)
     from_v = float((line.v << units.CELL_SHIFT) + units.HALF_CELL - at_v)
     step_u = float(line.u_sign * units.UNITS_PER_CELL)
     step_v = float(line.v_sign * units.UNITS_PER_CELL)
     # A cell's note is the first cell's, and for each step along u or v as much more.
-    per_u, per_v = turn_axes(line, 1, stride)
+    per_u, per_v = turn_axes(line, 1, canvas.stride)
     place = line.u * per_u + line.v * per_v
     note = float(((place << WEIGHT_BITS) + path.weight) << ENTRY_BITS)
     note_u = float(line.u_sign * per_u << NOTE_BITS)

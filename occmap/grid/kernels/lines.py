@@ -76,6 +76,8 @@ def count_steps(line: Line, i: int) -> int:
         return 0
     if i == line.n:
         return line.m
+    if i == line.n - 1:
+        return line.m - (line.n < 2 * line.m)
     return (2 * i * line.m + line.n) // (2 * line.n)
 
 
@@ -87,18 +89,6 @@ def find_step(line: Line, j: int) -> int:
     if j > line.m:
         return line.n + 1
     return int((line.n * (2 * j - 1) + 2 * line.m - 0.5) * (0.5 / line.m))
-
-
-@step
-def clip_line(line: Line, rows: int, cols: int) -> tuple[int, int]:
-    """Find which cells of a line lie in a window: the first, and the one after the last."""
-    width, height = (rows, cols) if line.steep else (cols, rows)
-    u, v = line.u, line.v
-    before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)
-    before_v, beyond_v = (-v, height - v) if line.v_sign > 0 else (v - height + 1, v + 1)
-    first = max(before_u, find_step(line, before_v))
-    end = min(beyond_u, find_step(line, max(beyond_v, 0)))
-    return first, max(first, end)
 
 
 class Changes(NamedTuple):
@@ -131,48 +121,70 @@ class Path(NamedTuple):
 
 
 @step
+def clip_path(path: Path, changes: Changes) -> Path:
+    """Leave out the cells that lie beside a window."""
+    line, (u, v), rows, cols = path.line, (path.line.u, path.line.v), changes.rows, changes.cols
+    width, height = (rows, cols) if line.steep else (cols, rows)
+    before_u, beyond_u = (-u, width - u) if line.u_sign > 0 else (u - width + 1, u + 1)
+    before_v, beyond_v = (-v, height - v) if line.v_sign > 0 else (v - height + 1, v + 1)
+    first = max(before_u, find_step(line, before_v))
+    end = max(min(beyond_u, find_step(line, max(beyond_v, 0))), first)
+    return Path(line, first, min(max(path.plain, first), end), end, path.weight)
+
+
+@step
+def find_changes(line: Line, changes: Changes) -> tuple[int, int, int]:
+    """Find where the changes of lines such as one lie: its runs, its steps, and how long a row is.
+
+    A row of a steep line is a column of the window.
+    """
+    across, up = changes.cols + PAD, changes.rows + PAD
+    if line.steep:
+        runs = (2 * changes.rows + 1) * across
+        return runs, runs + changes.cols * up, up
+    return 0, changes.rows * across, across
+
+
+@step
 def note_plain(path: Path, changes: Changes) -> None:
-    """Add the plain cells of a path as changes.
+    """Add the plain cells of a path as changes: a run begins and ends, and a step ends others."""
+    line, numbers = path.line, changes.numbers
+    runs, steps, stride = find_changes(line, changes)
+    made, last = count_steps(line, path.first), count_steps(line, path.plain - 1)
+    v, v_last = line.v + line.v_sign * made, line.v + line.v_sign * last
+    # A line to the left ends its runs and makes its steps one cell farther to the right.
+    origin, change = (line.u, path.weight) if line.u_sign > 0 else (line.u + 1, -path.weight)
+    numbers[np.uint64(runs + v * stride + origin + line.u_sign * path.first)] += change
+    numbers[np.uint64(runs + v_last * stride + origin + line.u_sign * path.plain)] -= change
+    if made < last:
+        note_steps(line, (made, last), (steps + origin, stride), change, numbers)
+
+
+@step
+def note_steps(
+    line: Line, made: tuple[int, int], place: tuple[int, int], change: int, numbers: Int32
+) -> None:
+    """Add the steps of a line, of which so many are made before and behind them, as changes.
 
     The place of a step advances by n / m along u and by one along v: both in one fixed-point
     number. Its fraction is too low by less than 2^-36 for each step, and 1 / (2 m) is the least
     that separates it from the next whole number. So steps are exact for lines of 2^22 cells in a
     window of 2^24 cells, which has at most 2^12 steps of a line.
     """
-    line, first, end, weight = path.line, path.first, path.plain, path.weight
-    numbers, n, m = changes.numbers, line.n, line.m
-    across, up = changes.cols + PAD, changes.rows + PAD
-    runs, stride = (
-        (2 * changes.rows + 1) * across if line.steep else 0,
-        up if line.steep else across,
-    )
-    steps = runs + (changes.cols * up if line.steep else changes.rows * across)
-    made = count_steps(line, first)
-    last = m - (n < 2 * m) if end == n else count_steps(line, end - 1)
-    v, v_last = line.v + line.v_sign * made, line.v + line.v_sign * last
-    # A line to the left ends its runs and makes its steps one cell farther to the right.
-    origin, change = (line.u, weight) if line.u_sign > 0 else (line.u + 1, -weight)
-    numbers[np.uint64(runs + v * stride + origin + line.u_sign * first)] += change
-    numbers[np.uint64(runs + v_last * stride + origin + line.u_sign * end)] -= change
-    if made == last:
-        return
-    slope = (n << FRACTION_BITS) // m
-    place = (slope >> 1) - 1 + (1 << FRACTION_BITS)  # rounded up
-    if made:
-        whole, rest = divmod(2 * n * made, 2 * m)
-        place += (whole << FRACTION_BITS) + (rest << FRACTION_BITS) // (2 * m)
+    n, m, (done, last), (steps, stride) = line.n, line.m, made, place
+    to_next = (n << FRACTION_BITS) // m
+    at = (to_next >> 1) - 1 + (1 << FRACTION_BITS)  # rounded up
+    if done:
+        whole, rest = divmod(2 * n * done, 2 * m)
+        at += (whole << FRACTION_BITS) + (rest << FRACTION_BITS) // (2 * m)
     if line.u_sign < 0:
-        place, slope = (1 << FRACTION_BITS) - 1 - place, -slope
-    if line.v_sign > 0:
-        place += (steps + (v + 1) * stride + origin) << FRACTION_BITS
-        slope += stride << FRACTION_BITS
-    else:
-        place += (steps + v * stride + origin) << FRACTION_BITS
-        slope -= stride << FRACTION_BITS
-        change = -change
-    for _ in range(last - made):
-        numbers[np.uint64(place) >> np.uint64(FRACTION_BITS)] += change
-        place += slope
+        at, to_next = (1 << FRACTION_BITS) - 1 - at, -to_next
+    row = line.v + done + 1 if line.v_sign > 0 else line.v - done  # the upper one of both
+    at += (steps + row * stride) << FRACTION_BITS
+    to_next += (line.v_sign * stride) << FRACTION_BITS
+    for _ in range(last - done):
+        numbers[np.uint64(at) >> np.uint64(FRACTION_BITS)] += line.v_sign * change
+        at += to_next
 
 
 FARTHEST_CENTRE = 1.25
