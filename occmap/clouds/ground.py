@@ -96,13 +96,6 @@ class Counted(NamedTuple):
         """(P, 3) where any sensor went (mm)."""
         return np.concatenate([np.zeros((0, 3), np.int64), *self.paths.values()])
 
-    def is_far(self) -> bool:
-        """Whether most points lie much higher or deeper than any sensor."""
-        if not len(self.sample):
-            return False
-        apart = np.abs(self.sample[:, 2] - np.median(self.path[:, 2]) / 1000)
-        return bool(np.median(apart) > heights.FAR_M)
-
 
 class GroundFinder:
     """Counts heights of points in columns; any number of threads may call `add`."""
@@ -178,7 +171,8 @@ class GroundFinder:
         counted = self.count()
         columns = read_columns(counted.table, counted.path, known)
         blocks = columns.blocks
-        if not columns.filled and counted.is_far():
+        apart = np.abs(counted.sample[:, 2] - counted.path[:1, 2] / 1000)
+        if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
             raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
         seats = list_seats(columns, counted.paths, options.sensor_height)
         stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
