@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import subprocess
+import sys
 import tomllib
 from importlib import import_module
 from importlib.util import find_spec
@@ -76,6 +78,16 @@ def test_python_runs(page: str) -> None:
     if page == "README.md":
         assert names["grid"].resolution == 0.1
         assert names["grid"].probability.shape == names["grid"].observed.shape
+
+
+def test_what_the_page_about_python_shows_is_typed(tmp_path: Path) -> None:
+    shown = tmp_path / "shown.py"
+    shown.write_text("\n".join(block.code for block in list_blocks("docs/python.md", "python")))
+    checked = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", shown], cwd=ROOT,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert checked.returncode == 0, checked.stdout
 
 
 @pytest.mark.parametrize("page", TEXTS)
