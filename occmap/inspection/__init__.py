@@ -381,7 +381,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
             below, ground, posed = find_ground([survey.drive], posed, None)
         except OccmapError as error:
             problem = str(error.placed(log.path))
-        level, box = replace(poser, options=posed.posing), None
+        level, box = Drive(log, replace(poser, options=posed.posing), posed).poser, None
         again = {each.stream.topic: poses.pose_again(each, level) for each in seen}
         some = {topic: clouds for topic, clouds in again.items() if clouds}
         against = list(poses.list_floor_concerns(some, level, posed, below))
