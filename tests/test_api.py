@@ -99,6 +99,7 @@ GIVEN: dict[str, dict[str, tuple[Any, Any]]] = {
         "transform": ((1, 2, math.pi / 2, 3), Pose(1.0, 2.0, 3.0, 0.0, 0.0, HALF, HALF)),
         "align": (None, None),
         "level": ([2, -1.5], (2.0, -1.5)),
+        "height_drift": ("off", {}),
         "base_frame": ("base", "base"),
         "max_pose_gap_s": (None, None),
         "max_speed": (2, 2.0),

@@ -18,7 +18,9 @@ from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
+from occmap.clouds.mounting import list_drifts
 from occmap.errors import MapError
+from occmap.posing import Drift
 from occmap.report import join_names
 from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
 
@@ -90,6 +92,8 @@ class Counted(NamedTuple):
     """(P, 3) where each sensor went (mm)"""
     sample: Float64
     """(N, 3) where some of the points lie (m)"""
+    drifts: dict[str, Drift]
+    """By what heights are corrected, by log"""
 
     @property
     def path(self) -> Int64:
@@ -107,6 +111,9 @@ class GroundFinder:
         self._idle: list[Histogram] = []
         self._paths: defaultdict[Sensor, list[Int64]] = defaultdict(list)
         self._sample: list[Float64] = []
+        self._ways: defaultdict[Sensor, list[Int64]] = defaultdict(list)
+        self.drifts: dict[str, Drift] = {}
+        """By what heights are corrected, by log"""
         self._lock = Lock()
 
     def start_over(self, log: str) -> "GroundFinder":
@@ -135,6 +142,8 @@ class GroundFinder:
             frame = posed.batch.frame if posed.origin is None else ""
             sensor = self._log, posed.batch.topic, frame
             self._paths[sensor].append(np.rint(np.array(path) * 1000).astype(np.int64))
+            way = np.insert(self._paths[sensor][-1], 0, posed.batch.stamp_ns, axis=1)
+            self._ways[sensor].append(way)
             self._sample += sample
 
     def count(self) -> Counted:
@@ -146,7 +155,8 @@ class GroundFinder:
             heights.add_histogram(other, table)
         self._idle = [table]
         paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._paths.items())}
-        return Counted(table, paths, np.concatenate([np.zeros((0, 3)), *self._sample]))
+        sample = np.concatenate([np.zeros((0, 3)), *self._sample])
+        return Counted(table, paths, sample, self.drifts)
 
     def join(self, counted: Counted) -> None:
         """Add what another finder counted, maybe in another process."""
@@ -154,6 +164,18 @@ class GroundFinder:
         for sensor, path in counted.paths.items():
             self._paths[sensor].append(path)
         self._sample.append(counted.sample)
+        self.drifts |= counted.drifts
+
+    def list_drifts(self) -> Iterator[Drift]:
+        """List by what the heights of a log may drift, as its sensor with most clouds shows."""
+        ways = [np.concatenate(parts) for _, parts in sorted(self._ways.items())]
+        yield from list_drifts(max(ways, key=len)) if ways else ()
+
+    def measure_sharpness(self) -> float:
+        """Measure how few bins of heights the points fill: a floor that lies well fills few."""
+        table = self.count().table
+        many = table.counts[table.keys != heights.EMPTY].astype(np.float64)
+        return float((many**2).sum() / max(many.sum(), 1.0))
 
     def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
         """Find the ground below the drive, and say what there is to say of it.

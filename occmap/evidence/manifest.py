@@ -16,6 +16,7 @@ from typing import Any
 from occmap.cells import About, Manifest
 from occmap.errors import refuse_unreadable
 from occmap.grid.tiles import EvidenceKind
+from occmap.posing import measure_drift
 from occmap.report import join_names
 from occmap.sensor.models import NO_CLAMP, RadialModel, SensorModel, describe_model
 from occmap.types import Update
@@ -56,6 +57,11 @@ def describe_build(
         del chosen["clouds"]
     if options.posing.level is None:
         del chosen["posing"]["level"]
+    if (drift := options.posing.height_drift) is None:
+        del chosen["posing"]["height_drift"]
+    else:  # that of a log is found again, and may have many parts: how much it is is told (m)
+        told = {Path(log).name: measure_drift(each) for log, each in drift.items()}
+        chosen["posing"]["height_drift"] = told
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
     del chosen["writing"]["georeference"]  # likewise
     for path in options.posing.files:

@@ -411,7 +411,8 @@ def inspect_ground(
     except OccmapError as error:
         problem = str(error.placed(log.path))
     # It has seen no cloud, but knows the chains, and what leaps away.
-    level = replace(poser, options=options.posing, courses={})
+    drift = options.posing.find_drift(log.path)
+    level = replace(poser, options=options.posing, courses={}, drift=drift)
     again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
     some = {topic: clouds for topic, clouds in again.items() if clouds}
     against = list(poses.list_floor_concerns(some, level, options, ground))

@@ -8,18 +8,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
-from occmap.choices import ABOVE_ZERO, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
+from occmap.choices import ABOVE_ZERO, DRIFT, MOUNT, PLACE, TILT, TRANSFORM, check_bounds, option
 from occmap.errors import require
 from occmap.types import Pose, PoseSample
 
 Time = TypeVar("Time")
+Drift: TypeAlias = tuple[tuple[int, ...], tuple[int, ...]]
+"""Moments (ns), and what is added to the heights of poses then, and in between (mm)"""
 MAX_OFFSET_S = 4e9
 """The largest offset: from a clock that begins at 0 to any date; two of them fit an int64 of ns."""
 
 MAX_PLACE_M = 1e8
 """The farthest place (m), twice around the Earth: a bound refuses nan and inf, too."""
+
+
+def measure_drift(drift: Drift) -> float:
+    """Measure how far heights drift in all (m)."""
+    return (max(drift[1]) - min(drift[1])) / 1000
 
 
 class Deskew(StrEnum):
@@ -154,6 +161,14 @@ class PosingOptions:
         metavar="ROLL,PITCH",
         form=TILT,
     )
+    # None: found in each log. Else by log: stamps (ns), and what is added to heights then (mm).
+    height_drift: Mapping[str, Drift] | None = option(
+        None,
+        "Clouds: where poses drift in z, so that the floor lies elsewhere where a drive comes by "
+        "again, correct their heights (on), or leave them (off).",
+        metavar="on|off",
+        form=DRIFT,
+    )
 
     def __post_init__(self) -> None:
         for name in ("map_frame", "base_frame", "poses"):
@@ -171,6 +186,10 @@ class PosingOptions:
         for name, pose in poses.items():
             is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
             require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")
+
+    def find_drift(self, log: Path) -> Drift | None:
+        """By what the heights of a log are corrected; None: by nothing."""
+        return (self.height_drift or {}).get(str(log))
 
     @property
     def recording(self) -> tuple[Path, str] | None:

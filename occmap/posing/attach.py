@@ -13,7 +13,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.errors import PoseError
-from occmap.posing import Concern, Deskew, PosingOptions, chain
+from occmap.posing import Concern, Deskew, Drift, PosingOptions, chain
 from occmap.posing import course as courses
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import Course, Stance
@@ -52,6 +52,16 @@ def tilt(level: tuple[float, float]) -> Transforms:
     return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
 
 
+def lift(posed: PosedScans, drift: Drift) -> PosedScans:
+    """Add to the heights of scans (S) what their drift takes away."""
+    up = np.zeros((len(posed.batch.stamp_ns), 3))
+    up[:, 2] = np.interp(posed.batch.stamp_ns, *drift) / 1000
+    position = posed.position + (up if posed.position.ndim == 2 else up[:, None])
+    return replace(
+        posed, position=position, origin=None if posed.origin is None else posed.origin + up
+    )
+
+
 @dataclass(eq=False)
 class Poser:
     """The poses of one log, and how its scans get theirs.
@@ -71,6 +81,8 @@ class Poser:
     """Where each sensor was at its scans."""
     leaps: dict[Laser, Int64] = field(default_factory=dict)
     """Stamps, by the clock of the poses, of the scans that leap away."""
+    drift: Drift | None = None
+    """By what heights are corrected at stamps of scans; None: they stay as they are"""
 
     def __post_init__(self) -> None:
         self.notes = list(self.sources.notes)
@@ -226,6 +238,7 @@ class Poser:
             posed = chain.place_beams(batch, kept, self._above.then(found))
             if seen_from is not None:
                 posed = replace(posed, origin=self._above.then(seen_from).position[kept])
+            posed = lift(posed, self.drift) if self.drift else posed
             course.see(posed, stamp_ns[kept])
             yield posed
 

@@ -16,6 +16,7 @@ from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
 from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
+from occmap.posing import measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import Log, open_log
 from occmap.report import Note, is_damage, join_names
@@ -92,6 +93,8 @@ LEAST_OVERLAP = 0.25
 """Grounds that share less of the smaller one saw that from afar, where poses put it elsewhere."""
 OTHER_SHARE = 0.75
 """Poses that are off by tenths of a degree put half of the ground elsewhere, up and down."""
+CLEARER = 1.02
+"""Heights of poses are corrected where that makes the floor so much sharper."""
 LEVEL_ROUNDS = 3
 """A floor that leans much shows its angle roughly at first."""
 
@@ -148,7 +151,7 @@ def level_ground(
     finder, level = count(options), (0.0, 0.0)
     if known is not None:
         return extend_ground(finder, options, known)
-    found = BuildGround(*finder.find(options.clouds), options)
+    found = keep_drifts(BuildGround(*finder.find(options.clouds), options), finder)
     if options.posing.level is not None:
         return found
     place = place_logs(options.posing)
@@ -166,7 +169,8 @@ def level_ground(
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
-        found = BuildGround(*count(laid).find(options.clouds), laid)
+        finder = count(laid)
+        found = keep_drifts(BuildGround(*finder.find(options.clouds), laid), finder)
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
@@ -198,7 +202,21 @@ def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) 
             with name_log(join_names(logs)):
                 refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
     found = (known, []) if is_whole else finder.find(options.clouds, known)
-    return BuildGround(*found, options)
+    return keep_drifts(BuildGround(*found, options), finder)
+
+
+def keep_drifts(found: BuildGround, finder: "GroundFinder") -> BuildGround:
+    """Keep by what heights were corrected while clouds were counted, and say so."""
+    if not finder.drifts:
+        return found
+    told = (
+        f"{log}: heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where "
+        "the drive comes by again: they are corrected; `height_drift=off` leaves them"
+        for log, drift in finder.drifts.items()
+    )
+    posing = replace(found.options.posing, height_drift=finder.drifts)
+    options = replace(found.options, posing=posing)
+    return BuildGround(found.ground, [*found.notes, *told], options)
 
 
 def measure_spread(points: Float64) -> float:
@@ -209,13 +227,24 @@ def measure_spread(points: Float64) -> float:
 
 
 def count_ground(drive: Drive, finder: "GroundFinder") -> None:
-    """Let a finder of the ground see the clouds of a drive."""
-    for _ in drive.rounds():  # the second time without clouds that leap away
-        seen = finder.start_over(str(drive.log.path))
-        with name_log(drive.log.path), Threads(seen.add, drive.options.jobs) as threads:
-            for posed in drive.read(Tally(), seen.wants):
-                threads.give(posed)
-    finder.join(seen.count())
+    """Let a finder of the ground see the clouds of a drive, and correct heights that drift."""
+    log, posing = str(drive.log.path), drive.options.posing
+
+    def count() -> "GroundFinder":
+        for _ in drive.rounds():  # the second time without clouds that leap away
+            seen = finder.start_over(log)
+            with name_log(log), Threads(seen.add, drive.options.jobs) as threads:
+                for posed in drive.read(Tally(), seen.wants):
+                    threads.give(posed)
+        return seen
+
+    best = seen = count()
+    for drift in seen.list_drifts() if posing.height_drift is None else ():
+        drive.poser.drift = drift
+        corrected = count()
+        if corrected.measure_sharpness() > CLEARER * best.measure_sharpness():
+            best, corrected.drifts = corrected, {log: drift}
+    finder.join(best.count())
 
 
 def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:

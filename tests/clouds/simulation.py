@@ -15,6 +15,7 @@ from occmap.clouds.ground import GroundFinder
 from occmap.grid import Lattice
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
+from occmap.posing import PosingOptions
 from occmap.posing.tracks import rotate_by, to_quaternions
 from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Cloud, Float32, Float64, PosedScans, ScanBatch, Update
@@ -221,3 +222,27 @@ def write_leaning(path: Path, tilt: Float64) -> Path:
     rows[:, 4:] = to_quaternions(tilt @ rotate_by(rows[:, 4:]))
     np.savetxt(path, rows, fmt="%.9f")
     return path
+
+
+def write_tour(folder: Path, drift_m: float, lift_m: float = 0.0) -> BuildOptions:
+    """Write clouds of a robot that goes to and fro through a room with a ramp, and their poses.
+
+    Parameters
+    ----------
+    drift_m
+        By how much poses are too high in the end.
+    lift_m
+        By how much the sensor is lifted with each of the four ways.
+    """
+    room = Room([(3, 3.6, 1, 1.6, 0, 0.18), (5, 6, 4.5, 5, 0, 1)], slope=0.1)
+    ways = [drive(room, clouds=15, sensor_m=SENSOR_M + lift_m * number) for number in range(4)]
+    seen = [posed for way, back in zip(ways, (1, -1, 1, -1), strict=True) for posed in way[::back]]
+    folder.mkdir()
+    places = np.concatenate([posed.position for posed in seen])
+    places[:, 2] += np.linspace(0, drift_m, len(seen))
+    for number, posed in enumerate(seen):
+        np.save(folder / f"{2 * number:03}.npy", read_points(posed))
+    lines = [f"{2 * number} {x} {y} {z} 0 0 0 1\n" for number, (x, y, z) in enumerate(places)]
+    poses = folder.with_suffix(".tum")
+    poses.write_text("".join(lines))
+    return BuildOptions(posing=PosingOptions(poses=str(poses)), jobs=1)

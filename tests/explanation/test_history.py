@@ -178,6 +178,7 @@ UNUSUAL = BuildOptions(
         transform=Pose.planar(1 / 3, -2.5, 0.1),
         align=-12.34,
         level=(1.25, -100.0),
+        height_drift={},
         deskew=Deskew.AUTO,
         stamps=Stamps.RECORD,
         static_transforms=(PoseSample(0, "robot", "laser", MOUNT, static=True),),
