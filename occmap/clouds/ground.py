@@ -15,10 +15,10 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
+from occmap.clouds.drift import list_drifts
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
-from occmap.clouds.mounting import list_drifts
 from occmap.errors import MapError
 from occmap.posing import Drift
 from occmap.report import join_names

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import OccupancyMap
-from occmap.clouds.mounting import list_drifts
+from occmap.clouds.drift import list_drifts
 from occmap.fleet import Fleet
 from occmap.pipeline import build
 from occmap.types import Float64, Int64
