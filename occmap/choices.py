@@ -190,12 +190,22 @@ MOUNT = Form(
 PLACE = Form(
     _read_place, "x,y,yaw or x,y,yaw,z in metres and radians, such as 12.5,-3,1.5708", format_place
 )
+
+
+def _read_drift(value: Any) -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
+    if value == "off":
+        return {}
+    if not isinstance(value, Mapping):
+        raise TypeError(value)
+    return {str(log): (tuple(stamps), tuple(added)) for log, (stamps, added) in value.items()}
+
+
 GLOBE = Form(
     lambda value: _read_numbers(value, 3), "latitude,longitude,yaw in degrees, such as 52.5,13.4,30"
 )
 TRANSFORM = Form(_read_transform, "parent,child,x,y,z,roll,pitch,yaw in metres and radians")
 TILT = Form(lambda value: _read_numbers(value, 2), "roll,pitch in degrees, such as 2.5,-1")
-DRIFT = Form(lambda value: {} if value == "off" else dict(value), '"off"', lambda _drift: "off")
+DRIFT = Form(_read_drift, '"off"', lambda _drift: "off")
 SECTOR = Form(
     lambda value: _read_numbers(value, 2, angles=slice(None)),
     "from,to in radians, counter-clockwise, such as 2.5,-2.5",

@@ -501,7 +501,7 @@ def list_seats(
         Nothing lies below any of them, or there is no path.
     """
     if not paths:
-        fix = "`occmap check` shows what is damaged, and the times of clouds and poses"
+        fix = "`occmap check` shows why: damage, times without poses, turns between key frames"
         raise MapError("no cloud that is asked for has points and a pose", fix=fix)
     alone = [measure_seat(columns, {each: path}, given_m) for each, path in paths.items()]
     alike, highest = list[dict[Sensor, Int64]](), 0

@@ -60,8 +60,10 @@ def describe_build(
     if (drift := options.posing.height_drift) is None:
         del chosen["posing"]["height_drift"]
     else:  # that of a log is found again, and may have many parts: how much it is is told (m)
-        told = {Path(log).name: measure_drift(each) for log, each in drift.items()}
-        chosen["posing"]["height_drift"] = told
+        told = chosen["posing"]["height_drift"] = dict[str, float]()
+        for log, each in drift.items():
+            name = Path(log).name
+            told[f"{name} ({len(told) + 1})" if name in told else name] = measure_drift(each)
     edits = chosen["writing"].pop("edits")  # of the map, and nothing of the evidence
     del chosen["writing"]["georeference"]  # likewise
     for path in options.posing.files:

@@ -28,7 +28,7 @@ DRIFT_M, DRIFT_RAD = 0.1, 0.05
 DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
 """What a correction drifts by at most, beyond that: 5 cm a second is a bad odometer."""
 
-SPARSE_S, TURNED_RAD, AT_POSE_S = 0.3, math.radians(2), 0.02
+KEY_FRAMES_S, TURNED_RAD, AT_POSE_S = 0.3, math.radians(2), 0.02
 """Where poses are farther apart, and the robot turned by more between them, they do not tell how
 it turned: at five metres a degree moves a wall by two cells. So near to a pose it hardly did."""
 
@@ -133,7 +133,7 @@ class Moving:
         if in_clouds and self.max_gap_ns < np.inf:
             between = np.minimum(since, width - since) > AT_POSE_S * 1e9
             turned = np.append(track.step_rad, 0)[earlier] > TURNED_RAD
-            found.status[between & turned & (width > SPARSE_S * 1e9)] = Status.TURN
+            found.status[between & turned & (width > KEY_FRAMES_S * 1e9)] = Status.TURN
         found.status[stamp_ns < stamps[0]] = Status.BEFORE
         found.status[stamp_ns > stamps[-1]] = Status.AFTER
         return found.invert() if self.step.inverted else found

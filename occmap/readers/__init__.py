@@ -12,7 +12,7 @@ A probe holds the first bytes of a path, by which readers know it.
 
 import shlex
 import zlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 from occmap.choices import option
 from occmap.errors import DamageError, LogError, name_log, refuse_unreadable
-from occmap.plugins import list_plugins, load_plugin, load_plugins
+from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
@@ -182,8 +182,9 @@ class Fix(NamedTuple):
 class Log:
     """An opened log. What it gives may be asked for again, and then begins at the start once more.
 
-    A format says what `stacked_poses` and `stacked_scans` give, or `clouds`; by default it is
-    nothing. `PluginLog` is the log of a plugin, which need not be one of these.
+    A format says what `stacked_poses` and `stacked_scans` give (or `poses` and `scans`), or
+    `clouds`; by default it is nothing. A plugin's log need not be one of these: it stands behind a
+    `PluginLog`.
     """
 
     path: Path
@@ -199,11 +200,11 @@ class Log:
 
         Samples of one frame in another stay in file order where their messages are of one length.
         """
-        return iter(())
+        return iter(()) if type(self).poses is Log.poses else self.poses()
 
-    def stacked_scans(self, _topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans of some topics, in file order, many at once where one by one takes long."""
-        return iter(())
+        return iter(()) if type(self).scans is Log.scans else self.scans(topics)
 
     def clouds(self, _topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds of points of some topics, in file order."""
@@ -225,7 +226,7 @@ class Log:
 
 
 class PluginLog(Log):
-    """The log of a plugin: what its `poses` and `scans` give is checked.
+    """The log of a plugin: what it gives is checked.
 
     Whatever else a `Log` has it may have, too.
     """
@@ -240,36 +241,38 @@ class PluginLog(Log):
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every pose source, many samples at once if the plugin can."""
-        with name_log(self.path):
-            yield from getattr(self._log, "stacked_poses", self._log.poses)()
+        given = getattr(self._log, "stacked_poses", self._log.poses)()
+        yield from self._check(given, PoseSample | PoseBatch, "PoseSample")
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, many at once if the plugin can.
 
         One that names no topic is of the first: a plugin for one stream need not say.
-
-        Raises
-        ------
-        DamageError
-            The plugin gives what is no scan.
         """
         name = next(iter(topics), "")
-        with name_log(self.path):
-            for each in getattr(self._log, "stacked_scans", self._log.scans)(topics):
-                if not isinstance(each, Scan | ScanRun):
-                    raise DamageError(f"its reader gives {shorten(each)} where a Scan belongs")
-                if isinstance(each, Scan) and not each.topic:
-                    yield each._replace(topic=name)
-                else:
-                    yield each
+        given = getattr(self._log, "stacked_scans", self._log.scans)(topics)
+        for each in self._check(given, Scan | ScanRun, "Scan"):
+            is_named = isinstance(each, ScanRun) or each.topic
+            yield each if is_named else each._replace(topic=name)
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds, if it has any."""
-        yield from getattr(self._log, "clouds", super().clouds)(topics)
+        given = getattr(self._log, "clouds", super().clouds)(topics)
+        yield from self._check(given, Cloud, "Cloud")
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes, if it has any."""
-        yield from getattr(self._log, "fixes", super().fixes)()
+        yield from self._check(getattr(self._log, "fixes", super().fixes)(), Fix, "Fix")
+
+    def _check(self, given: Any, kind: Any, name: str) -> Iterator[Any]:
+        """Give what a plugin does; raises DamageError where that is of another kind."""
+        with name_log(self.path):
+            if not isinstance(given, Iterable):
+                raise DamageError(f"its reader gives {shorten(given)} where some {name} belongs")
+            for each in given:
+                if not isinstance(each, kind):
+                    raise DamageError(f"its reader gives {shorten(each)} where a {name} belongs")
+                yield each
 
 
 def read_recorded(log: Log, topics: Collection[str]) -> Iterator[Recorded]:
@@ -326,7 +329,7 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
             probe, f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
         )
     log = reader.open_tuned(path, options) if hasattr(reader, "open_tuned") else reader.open(path)
-    if isinstance(log, Log):
+    if isinstance(log, Log) and type(log).__module__.startswith(OWN):
         return log
     needed = "path", "notes", "streams", "poses", "scans"
     if lacks := [name for name in needed if not hasattr(log, name)]:

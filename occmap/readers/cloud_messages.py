@@ -314,24 +314,33 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     if depth.shape != (camera.height, camera.width):
         found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
         raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(depth))
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(depth, camera.fx))
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
     return make_cloud({"x": x, "y": y, "z": z}, get_header(message), topic, record_ns)
 
 
-FLYING_M, FLYING_SHARE = 0.1, 0.03
-"""At an edge, a pixel so far (m, or this share of its depth) from both things mixes the two"""
+FLYING_M, FLYING_SHARE, BESIDE_M = 0.1, 0.03, 0.5
+"""At an edge, a pixel so far (m, or this share of its depth) from both things mixes the two, unless
+pixels of a wall so far beside the camera, along its view, are as far from each other"""
 
 
-def find_flying(depth: Float32) -> Bool:
+def find_flying(depth: Float32, focal: float) -> Bool:
     """Find pixels (H, W) that hang in the air between a nearer and a farther one in their row.
 
     A pole one pixel wide is nearer than both.
+
+    Parameters
+    ----------
+    focal
+        The focal length along a row (pixels).
     """
     left, here, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
     near, far = np.minimum(left, right), np.maximum(left, right)
-    least = np.maximum(FLYING_SHARE * here, FLYING_M)
-    with np.errstate(invalid="ignore"):
+    flying = np.zeros(depth.shape, np.bool_)
+    with np.errstate(invalid="ignore", over="ignore"):
+        along = np.maximum(here**2 / (BESIDE_M * focal), FLYING_SHARE * here)
+        least = np.maximum(along, FLYING_M)
         between = (near > 0) & (here - near > least) & (far - here > least) & (far < np.inf)
-    return np.pad(between, ((0, 0), (1, 1)))
+    flying[:, 1:-1] = between
+    return flying

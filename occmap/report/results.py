@@ -1,6 +1,7 @@
 """What a build did: numbers for programs, rows that a terminal and a page lay out, and doubts."""
 
 import math
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -364,7 +365,7 @@ def list_unwritten(
     """Say what loaders do not find again: walls, by the YAML's own thresholds, and the unknown."""
     observed, occupied, _, walls = facts.counts.tolist()
     unknown = math.prod(facts.shape) - observed
-    is_pgm = any(path.suffix.lower() == ".pgm" for path in outputs)
+    is_pgm = any(re.search(r"(?<!\.keepout)\.pgm$", path.name.lower()) for path in outputs)
     if writing.mode is MapMode.SCALE and is_pgm and unknown:
         yield (
             f"`mode=scale`: nav2 loads the {count(unknown, 'unknown cell')} of a .pgm as a "

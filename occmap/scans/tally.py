@@ -195,7 +195,8 @@ def advise_on_dropped(dropped: Mapping[str, int]) -> str:
     if most == DropReason.GAP:
         return "a larger `max_pose_gap_s` interpolates across the gaps"
     if most == DropReason.TURN:
-        return "poses of each cloud tell how it turned, and those of key frames do not"
+        fix = "`max_pose_gap_s=inf` uses them all the same"
+        return f"poses of key frames do not tell how the robot turned at clouds between them; {fix}"
     return "`occmap check` shows the times of scans and poses"
 
 

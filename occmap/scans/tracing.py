@@ -210,8 +210,10 @@ def keep_drifts(found: BuildGround, finder: "GroundFinder") -> BuildGround:
     if not finder.drifts:
         return found
     told = (
-        f"{log}: heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where "
-        "the drive comes by again: they are corrected; `height_drift=off` leaves them"
+        Note(
+            f"heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where the "
+            "drive comes by again: they are corrected; `height_drift=off` leaves them"
+        ).placed(log)
         for log, drift in finder.drifts.items()
     )
     posing = replace(found.options.posing, height_drift=finder.drifts)

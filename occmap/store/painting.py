@@ -36,6 +36,8 @@ KEPT_BLOCKS = 18
 """How many blocks are kept that were read last, up to 8 MiB each"""
 LARGE_TILES = 1 << 13
 """A map that spans more tiles, most of them maybe empty, is painted in parts"""
+FULL = 0.25
+"""Of evidence in memory that fills more of it than this, the map takes no more than that does"""
 STRIPE = 3
 """Blocks are painted in stripes so many rows high, so that few of them are read twice"""
 
@@ -370,10 +372,12 @@ def paint_saved(
 
 
 def is_large(saved: Saved) -> bool:
-    """Whether the map of all evidence would be large, be it of little."""
+    """Whether the map of all evidence would be large, and, if that is in memory, of little."""
+    in_memory = isinstance(saved, Evidence)
     keys, side = (saved.tiles, 1) if isinstance(saved, Evidence) else (saved.blocks, SIDE)
     places = np.array([*keys]).reshape(-1, 2)
-    return len(places) > 0 and float(np.prod((np.ptp(places, axis=0) + 1.0) * side)) > LARGE_TILES
+    spanned = float(np.prod((np.ptp(places, axis=0) + 1.0) * side)) if len(places) else 0.0
+    return spanned > LARGE_TILES and not (in_memory and len(places) > FULL * spanned)
 
 
 def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyMap:

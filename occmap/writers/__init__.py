@@ -8,12 +8,15 @@ names are found to be writable before the work starts, and written after it.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, cast
+
+from numpy.typing import NDArray
 
 from occmap.cells import Decision, Evidence, OccupancyMap
 from occmap.choices import GLOBE, option
@@ -345,6 +348,19 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
             yield f"`{name}` does nothing: it is for {', '.join(formats)}, and no output ends so"
 
 
+@contextmanager
+def lock_arrays(arrays: Iterable[NDArray[Any]]) -> Iterator[None]:
+    """Let nobody write to arrays within the block."""
+    locked = [each for each in arrays if each.flags.writeable]
+    for each in locked:
+        each.flags.writeable = False
+    try:
+        yield
+    finally:
+        for each in locked:
+            each.flags.writeable = True
+
+
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:
     """Write a map, or its evidence, in the formats of these suffixes; return the files written.
 
@@ -354,12 +370,13 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
         A file cannot be written, and is not left behind; or a plugin did not write it.
     """
     written: list[Path] = []
-    if isinstance(product.grid, OccupancyMap):  # a plugin must not change what comes after it
-        product.grid.log_odds.flags.writeable = product.grid.observed.flags.writeable = False
-    for path in outputs:
-        writer = find_writer(path)
-        files = writer.write_product(path, product, options) or writer.targets(path)
-        written += to_paths(files)
+    grid = product.grid  # a plugin must not change what comes after it
+    layers = (grid.log_odds, grid.observed) if isinstance(grid, OccupancyMap) else ()
+    with lock_arrays(layers):
+        for path in outputs:
+            writer = find_writer(path)
+            files = writer.write_product(path, product, options) or writer.targets(path)
+            written += to_paths(files)
     for path in (each for each in written if not each.exists()):
         raise OutputError("its writer did not write it", where=path, fix="choose another format")
     return list(map(str, written))

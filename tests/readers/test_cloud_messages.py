@@ -241,16 +241,19 @@ def test_a_depth_image_is_a_point_for_each_pixel(
         ([1.0, 1.0, 4.0, 4.0], []),
         ([1.0, 1.09, 4.0], []),  # a wall that is seen at a slant
         ([5.0, 5.14, 6.0], []),
+        ([8.0, 8.5, 9.0], []),  # a wall half a metre beside the camera grows by 0.64 a pixel there
+        ([8.0, 8.7, 10.0], [1]),
         ([0.0, 2.0, 4.0], []),
         ([1.0, 2.0, np.nan], []),
         ([1.0, 2.0, np.inf], []),
         ([1.0], []),
+        ([], []),
     ],
 )
 def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
     depths: list[float], flying: list[int]
 ) -> None:
-    found = find_flying(np.array([depths, depths], np.float32))
+    found = find_flying(np.array([depths, depths], np.float32), 200.0)
     assert [np.flatnonzero(row).tolist() for row in found] == [flying, flying]
 
 
