@@ -107,9 +107,7 @@ def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None
     )
 
 
-@pytest.mark.parametrize(
-    ("model", "shown"), [("counting:cut=0.2", "cut=0.2,"), ("simple", "simple:")]
-)
+@pytest.mark.parametrize(("model", "shown"), [("counting:cut=0.2", "=0.2,"), ("simple", "simple:")])
 def test_a_session_that_is_added_is_read_by_the_model_that_is_named(
     tmp_path: Path, model: str, shown: str
 ) -> None:

@@ -105,9 +105,7 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth() -> None:
     assert [each.seen.observations for each in found] == [1, 1, 1, 1, 0]
     assert [each.verdict for each in found] == ["free"] * 3 + ["occupied", "unknown"]
     assert [each.probability for each in found] == pytest.approx([0.4] * 3 + [0.7, 0.5])
-    assert [[scan.seen for scan in each.scans] for each in found[:4]] == [
-        [each.seen] for each in found[:4]
-    ]
+    assert all([scan.seen for scan in each.scans] == [each.seen] for each in found[:4])
     hit = found[3]
     assert (hit.cell.lattice_row, hit.cell.lattice_column) == (0, 3)
     assert hit.seen.kind is EvidenceKind.COUNTS

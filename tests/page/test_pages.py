@@ -46,10 +46,8 @@ def to_rgb(colour: str) -> list[int]:
 
 def find_middle(grid: Map, row: int, col: int) -> tuple[float, float]:
     """The middle of a cell (m)."""
-    return (
-        grid.origin[0] + (col + 0.5) * grid.resolution,
-        grid.origin[1] + (row + 0.5) * grid.resolution,
-    )
+    (x, y), size = grid.origin, grid.resolution
+    return x + (col + 0.5) * size, y + (row + 0.5) * size
 
 
 def test_the_pointer_says_what_the_map_holds(drive: Drive) -> None:

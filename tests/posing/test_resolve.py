@@ -145,9 +145,7 @@ REFUSALS = {
         ["no frame 'moon' in the log (known: base_link, laser, map, odom)", "`map_frame`"],
         map_frame="moon",
     ),
-    "no mount": case(
-        DRIVE, ["no transform to the laser's frame 'laser' (known: base_link, odom)", GIVE_MOUNT]
-    ),
+    "no mount": case(DRIVE, ["the laser's frame 'laser' (known: base_link, odom)", GIVE_MOUNT]),
     "of nameless odometry": case(NAMELESS, [GIVE_MOUNT]),
     "many frames": case(
         [*DRIVE, *(bolted("base_link", f"w{i:02}", AHEAD) for i in range(20))], ["w03 and 16 more)"]
@@ -176,10 +174,7 @@ REFUSALS = {
     "nothing moves": case([MOUNT], ["tf only says where 'laser' sits on", "`poses=FILE`"]),
     "what moves is elsewhere": case(
         [*drive("odom", "base_footprint"), MOUNT],
-        [
-            "not connected to what moves: base_footprint",
-            "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`",
-        ],
+        ["moves: base_footprint", "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`"],
     ),
     "a chosen body that is not connected": case(
         UNCONNECTED, ["no transform from 'base_footprint' to 'laser'"], poses="/odom"
@@ -230,28 +225,19 @@ def drive_robot(space: str, y: float, lag: float = 0.0) -> list[PoseSample]:
 
 
 ROBOTS = [*drive_robot("/robot1", 1, lag=0.25), *drive_robot("/robot2", 2)]
+SCAN, ONE, TWO = "/robot2/scan", "/robot1/tf, /robot1/tf_static", "/robot2/tf, /robot2/tf_static"
 SPACES = {
-    "its own": (ROBOTS, "/robot2/scan", [4, 2.2, 0], ["/robot1/tf, /robot1/tf_static"]),
-    "one below it": (ROBOTS, "/robot2/front/scan", [4, 2.2, 0], ["/robot1/tf, /robot1/tf_static"]),
+    "its own": (ROBOTS, SCAN, [4, 2.2, 0], [ONE]),
+    "one below it": (ROBOTS, "/robot2/front/scan", [4, 2.2, 0], [ONE]),
     "the only one": (drive_robot("/robot2", 2), "/scan", [4, 2.2, 0], []),
-    "another one": (drive_robot("", 2), "/robot2/scan", [4, 2.2, 0], []),
-    "the root": (
-        [*ROBOTS[10:], *drive_robot("", 3)],
-        "/scan",
-        [4, 3.3, 0],
-        ["/robot2/tf, /robot2/tf_static"],
-    ),
-    "before the root": (
-        [*drive("odom", "base_link"), *ROBOTS[10:]],
-        "/robot2/scan",
-        [4, 2.2, 0],
-        ["/tf"],
-    ),
+    "another one": (drive_robot("", 2), SCAN, [4, 2.2, 0], []),
+    "the root": ([*ROBOTS[10:], *drive_robot("", 3)], "/scan", [4, 3.3, 0], [TWO]),
+    "before the root": ([*drive("odom", "base_link"), *ROBOTS[10:]], SCAN, [4, 2.2, 0], ["/tf"]),
     "filled by the root": (
         [bolted("map", "odom", turned(0, x=100)), *ROBOTS],
-        "/robot2/scan",
+        SCAN,
         [104, 2.2, 0],
-        ["/robot1/tf, /robot1/tf_static"],
+        [ONE],
     ),
     "sent again at the root": (
         [*ROBOTS[10:], *(each._replace(topic="/tf") for each in ROBOTS[11:18])],
@@ -266,13 +252,13 @@ SPACES = {
             *(at(t + 0.5, "base_link", "hull", AHEAD, "/arm/tf") for t in range(9)),
             bolted("hull", "gripper", AHEAD)._replace(topic="/arm/tf_static"),
         ],
-        "/robot2/scan",
+        SCAN,
         [4, 2.2, 0],
         [],
     ),
     "beside one of other frames": (
         [*ROBOTS[10:], *drive("odom", "hull", "/robot1/tf")],
-        "/robot2/scan",
+        SCAN,
         [4, 2.2, 0],
         [],
     ),
@@ -368,11 +354,8 @@ def test_transforms_are_no_trajectory() -> None:
 
 
 def test_a_trajectory_that_does_not_exist_lists_those_that_do() -> None:
-    with pytest.raises(PoseError) as caught:
+    with pytest.raises(PoseError, match=r"^/slam: no such file.*topics of poses: /pose, /wheels$"):
         build(*drive("odom", "base_link", "/wheels"), *drive("map", "", "/pose"), poses="/slam")
-    assert str(caught.value) == (
-        "/slam: no such file, and no such topic of poses; topics of poses: /pose, /wheels"
-    )
 
 
 def test_a_trajectory_file_without_a_usable_pose_is_refused(tmp_path: Path) -> None:

@@ -125,9 +125,7 @@ def test_logs_of_a_build_are_taken_out_with_their_scans(tmp_path: Path) -> None:
     rest = subtract(both, one)
     told, alone = (publish(each, RenderOptions(), []) for each in (rest, other))
     assert replace(told, notes=()) == replace(alone, notes=())
-    assert told.notes == (
-        "some logs of a build were subtracted, so numbers of visits are upper bounds",
-    )
+    assert [note.endswith("numbers of visits are upper bounds") for note in told.notes] == [True]
     nothing = subtract(rest, other)
     assert (nothing.manifest.builds, nothing.manifest.subtracted, nothing.slices) == ((), (), ())
     # A build of that log alone goes before a larger one.
@@ -227,9 +225,7 @@ def test_radial_evidence_of_two_depths_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 def test_more_than_is_there_cannot_be_taken_away(tmp_path: Path, model: str) -> None:
     first, second = (save(tmp_path / "m.npz", each) for each in halve(choose(model=model)))
-    with pytest.raises(
-        MapError, match=r"holds observations of [\d,]+ cells that .* lacks; subtract"
-    ):
+    with pytest.raises(MapError, match=r"holds observations of [\d,]+ cells that .* lacks; "):
         subtract(first, second)
 
 

@@ -99,10 +99,8 @@ def test_numpy_alone_reads_it(tmp_path: Path) -> None:
         bits[np.unpackbits(parts).astype(bool)] = file["slice_changes"]
         bits = np.bitwise_xor.accumulate(bits.reshape(-1, 2, 64, 8), axis=2)
         hit, seen_then = np.unpackbits(bits, axis=3).swapaxes(0, 1)
-        assert file["layers"].tolist() == [
-            [3, *map(len, (SMALL.slices[0].parts, SMALL.slices[0].changes))],
-            [0, 0, 0],
-        ]
+        small = SMALL.slices[0]
+        assert file["layers"].tolist() == [[3, len(small.parts), len(small.changes)], [0, 0, 0]]
     assert np.argwhere(seen).tolist() == [[0, 0, 0], [0, 0, 1], [0, 7, 9], [1, 63, 63]]
     assert np.argwhere(seen_then[[0, 2]]).tolist() == np.argwhere(seen).tolist()
     assert np.argwhere(hit[[0, 2]]).tolist() == [[0, 0, 0], [0, 7, 9], [1, 63, 63]]
