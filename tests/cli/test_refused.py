@@ -97,7 +97,7 @@ REFUSED = [
     ("compare none.csv -o m.pgm", 2, "m.pgm: is not a picture; give it a name that ends in"),
     ("compare none.csv -o a.png -o a.html", 2, "--output takes one file, and is given 2: a.png,"),
     ("compare log.csv -o no/m.png", 1, "mkdir -p no"),
-    ("compare log.csv --update polygn", 2, "--update"),
+    ("compare log.csv --update polygn", 2, '; give "beam" or "polygon" or "surface"'),
     ("compare log.csv --update cloud", 2, "choose of beam, polygon, surface"),
     ("compare log.csv --model simpel", 2, "did you mean 'simple'?"),
     ("compare log.csv --model counting:p_hit=0.7", 2, "has no parameter 'p_hit'"),
