@@ -195,11 +195,7 @@ GLOBE = Form(
 )
 TRANSFORM = Form(_read_transform, "parent,child,x,y,z,roll,pitch,yaw in metres and radians")
 TILT = Form(lambda value: _read_numbers(value, 2), "roll,pitch in degrees, such as 2.5,-1")
-DRIFT = Form(
-    lambda value: value if isinstance(value, Mapping) else {"on": None, "off": {}}[value],
-    '"on" or "off"',
-    lambda _drift: "off",
-)
+DRIFT = Form(lambda value: {} if value == "off" else dict(value), '"off"', lambda _drift: "off")
 SECTOR = Form(
     lambda value: _read_numbers(value, 2, angles=slice(None)),
     "from,to in radians, counter-clockwise, such as 2.5,-2.5",
@@ -292,7 +288,7 @@ class Option:
             fix = error.fix or self._tell(value)
             where = error.where or f"`{self.name}={value}`"
             raise UsageError(error.found, where=where, fix=fix) from None
-        except (TypeError, ValueError, LookupError, OverflowError):
+        except (TypeError, ValueError, OverflowError):
             if self.none[0] and str(value) == self.none[0]:
                 return None
             raise UsageError(f"`{self.name}` is {value!r}", fix=self._tell(value)) from None

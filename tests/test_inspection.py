@@ -21,6 +21,7 @@ from occmap.inspection.survey import RangeCensus, StampLog, find_crossing, list_
 from occmap.options import BuildOptions, Selection, compose_build
 from occmap.pipeline import build
 from occmap.posing import PosingOptions, Stamps
+from occmap.readers import PluginLog
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, find_mount, prepare, turn_mount
 from occmap.sensor import ReturnOptions
@@ -496,8 +497,8 @@ def test_a_frame_that_is_found_once_another_is_known_has_no_fault() -> None:
         for frame in ("a", "b")
     ]
     samples = [*drive("world", "base"), *fixed]
-    log: Any = SimpleNamespace(path=Path("log"), notes=[], streams=[], poses=lambda: iter(samples))
-    posing = prepare(log, scans, BuildOptions())
+    log = SimpleNamespace(path=Path("log"), notes=[], streams=[], poses=lambda: iter(samples))
+    posing = prepare(PluginLog(log), scans, BuildOptions())
     assert {frame: chain and chain.frames for frame, chain in posing.poser.chains.items()} == {
         "a": ("world", "base", "zenith", "a"),
         "b": ("world", "base", "b"),

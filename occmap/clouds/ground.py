@@ -15,10 +15,10 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
+from occmap.clouds.drift import list_drifts
 from occmap.clouds.kernels import growth, heights
 from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
-from occmap.clouds.mounting import list_drifts
 from occmap.errors import MapError
 from occmap.posing import Drift
 from occmap.report import join_names
@@ -110,8 +110,8 @@ class GroundFinder:
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._paths: defaultdict[Sensor, list[Int64]] = defaultdict(list)
+        """(N, 4) where each sensor was (mm) and when (ns); (N, 3) where others counted it"""
         self._sample: list[Float64] = []
-        self._ways: defaultdict[Sensor, list[Int64]] = defaultdict(list)
         self.drifts: dict[str, Drift] = {}
         """By what heights are corrected, by log"""
         self._lock = Lock()
@@ -141,9 +141,8 @@ class GroundFinder:
             self._idle.append(table)
             frame = posed.batch.frame if posed.origin is None else ""
             sensor = self._log, posed.batch.topic, frame
-            self._paths[sensor].append(np.rint(np.array(path) * 1000).astype(np.int64))
-            way = np.insert(self._paths[sensor][-1], 0, posed.batch.stamp_ns, axis=1)
-            self._ways[sensor].append(way)
+            places = np.rint(np.array(path) * 1000).astype(np.int64)
+            self._paths[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
             self._sample += sample
 
     def count(self) -> Counted:
@@ -168,7 +167,7 @@ class GroundFinder:
 
     def list_drifts(self) -> Iterator[Drift]:
         """List by what the heights of a log may drift, as its sensor with most clouds shows."""
-        ways = [np.concatenate(parts) for _, parts in sorted(self._ways.items())]
+        ways = [np.concatenate(parts) for _, parts in sorted(self._paths.items())]
         yield from list_drifts(max(ways, key=len)) if ways else ()
 
     def measure_sharpness(self) -> float:
@@ -258,7 +257,7 @@ def grow_table(table: Histogram, size: int) -> Histogram:
 def thin_path(*parts: Int64) -> Int64:
     """Take one place of a sensor (N, 3) of each column and height, in ascending order (mm)."""
     # Of several the least counts, not the first: threads hand them over in any order.
-    every = np.unique(np.concatenate(parts), axis=0)
+    every = np.unique(np.concatenate(parts)[:, :3], axis=0)
     _, first = np.unique(every // SHORT_MM, axis=0, return_index=True)
     return every[first]
 

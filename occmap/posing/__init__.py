@@ -167,6 +167,7 @@ class PosingOptions:
         "Clouds: where poses drift in z, so that the floor lies elsewhere where a drive comes by "
         "again, correct their heights (on), or leave them (off).",
         metavar="on|off",
+        none=("on", "to correct them"),
         form=DRIFT,
     )
 

@@ -52,16 +52,6 @@ def tilt(level: tuple[float, float]) -> Transforms:
     return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
 
 
-def lift(posed: PosedScans, drift: Drift) -> PosedScans:
-    """Add to the heights of scans (S) what their drift takes away."""
-    up = np.zeros((len(posed.batch.stamp_ns), 3))
-    up[:, 2] = np.interp(posed.batch.stamp_ns, *drift) / 1000
-    position = posed.position + (up if posed.position.ndim == 2 else up[:, None])
-    return replace(
-        posed, position=position, origin=None if posed.origin is None else posed.origin + up
-    )
-
-
 @dataclass(eq=False)
 class Poser:
     """The poses of one log, and how its scans get theirs.
@@ -238,7 +228,11 @@ class Poser:
             posed = chain.place_beams(batch, kept, self._above.then(found))
             if seen_from is not None:
                 posed = replace(posed, origin=self._above.then(seen_from).position[kept])
-            posed = lift(posed, self.drift) if self.drift else posed
+            if self.drift:  # these arrays are nobody else's yet
+                added = np.interp(posed.batch.stamp_ns, *self.drift) / 1000
+                posed.position.T[2] += added
+                if posed.origin is not None:
+                    posed.origin[:, 2] += added
             course.see(posed, stamp_ns[kept])
             yield posed
 
