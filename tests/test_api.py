@@ -438,12 +438,6 @@ def test_check_and_tune_give_what_the_commands_print() -> None:
     assert tuned.scans.used == 104
 
 
-def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:
-    found = occmap.check(tmp_path / "none.bag")
-    assert not found.buildable
-    assert "none.bag" in found.problems[0]
-
-
 @pytest.mark.parametrize(
     ("call", "needed"),
     [

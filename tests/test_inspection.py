@@ -400,26 +400,18 @@ def test_logs_that_cannot_be_read_are_problems_and_left_out_of_the_line(tmp_path
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (
-            {"resolution": 0.1, "max_range": 6.5, "no_return": "clear", "map_frame": "odom"},
-            "--resolution 0.1 --max-range 6.5 --no-return clear --map-frame odom",
-        ),
-        (
-            {"resolution": 0.0123456789, "ignore_sectors": [(0.123456, 1.5), (0.25, 3.14159)]},
-            "--resolution 0.0123456789 --ignore-sector 0.12346,1.5 --ignore-sector 0.25,3.14159",
-        ),
-        (
-            {"time_offset_s": 850000000.125, "max_cells": 2 * 10**9},
-            "--time-offset 850000000.125 --max-cells 2000000000",
-        ),
+        ({"resolution": 0.1, "max_range": 6.5, "no_return": "clear", "map_frame": "odom"},
+         "--resolution 0.1 --max-range 6.5 --no-return clear --map-frame odom"),
+        ({"resolution": 0.0123456789, "ignore_sectors": [(0.123456, 1.5), (0.25, 3.14159)]},
+         "--resolution 0.0123456789 --ignore-sector 0.12346,1.5 --ignore-sector 0.25,3.14159"),
+        ({"time_offset_s": 850000000.125, "max_cells": 2 * 10**9},
+         "--time-offset 850000000.125 --max-cells 2000000000"),
         ({"start_s": 5, "end_s": 20.5, "stride": 3}, "--start 5 --end 20.5 --stride 3"),
-        (
-            {"echo": "last", "footprint": (-0.4, -0.3, 0.2, 0.3), "min_height": 0.2},
-            "--echo last --footprint -0.4,-0.3,0.2,0.3 --min-height 0.2",
-        ),
+        ({"echo": "last", "footprint": (-0.4, -0.3, 0.2, 0.3), "min_height": 0.2},
+         "--echo last --footprint -0.4,-0.3,0.2,0.3 --min-height 0.2"),
         ({"max_pose_gap_s": None}, "--max-pose-gap inf"),
     ],
-)
+)  # fmt: skip
 def test_options_come_back_as_flags_and_lose_no_digit(options: dict[str, Any], words: str) -> None:
     typed = read_options(BuildOptions, options, "build_map")
     assert " ".join(compose_build(["a.bag"], typed, {})[3:-2]) == words

@@ -92,9 +92,7 @@ def test_a_map_that_is_too_large_names_the_log(address: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("phase", ["slices/*/c/*", "classes/1/c/*"])
-def test_a_worker_is_killed_while_it_writes_a_store(
-    address: str, tmp_path: Path, phase: str
-) -> None:
+def test_a_worker_that_writes_a_store_is_killed(address: str, tmp_path: Path, phase: str) -> None:
     logs, options = DRIVES[:1], replace(OPTIONS, resolution=0.02)
     build(logs, options, [tmp_path / "alone.zarr"])
     fleet = Fleet(address, tmp_path / "scratch")

@@ -112,9 +112,7 @@ def test_agreement_is_not_known_without_hits() -> None:
 
 
 @pytest.mark.parametrize("update", BEAM_UPDATES)
-def test_where_two_scans_tell_of_walls_that_cross_each_other_agreement_is_low(
-    update: Update,
-) -> None:
+def test_where_two_scans_tell_of_walls_that_cross_agreement_is_low(update: Update) -> None:
     """Three scans agree on a wall at 3 m; a fourth, turned by a wrong pose, is alone."""
     model = CountingModel(spread=0.0)
     engine = GridEngine(GridSpec(update, Lattice(1.0)))

@@ -59,9 +59,7 @@ def test_odometry_that_stops_between_two_corrections_is_a_gap() -> None:
 
 
 @pytest.mark.parametrize("gap", [2.0, None])
-def test_clouds_in_a_turn_between_key_frames_are_left_out_and_scans_are_not(
-    gap: float | None,
-) -> None:
+def test_clouds_in_a_turn_between_key_frames_are_left_out_but_no_scans(gap: float | None) -> None:
     poses = [at(t, "map", "laser", turned(20 * t)) for t in (0, 1, 2)]
     scans = batch_at([0, 0.5, 1, 1.5, 2])
     clouds = tuple(Cloud(0, "laser", np.zeros((1, 3), np.float32)) for _ in scans.stamp_ns)

@@ -120,9 +120,7 @@ def test_a_log_takes_the_transforms_of_a_recording_without_poses(
     assert f"log.bag: transforms are taken from {topics}, too" in made.report.notes
 
 
-def test_transforms_of_a_recording_stand_in_place_of_those_of_the_log(
-    log: Path, whole: str
-) -> None:
+def test_transforms_of_a_recording_replace_those_of_the_log(log: Path, whole: str) -> None:
     messages = [each for each in drive(ROS1) if each.topic == "/tf"]
     wrong = [Written("/tf", at, ros.transforms(ROS1, at, [("odom", "base", 9.0)])) for at in STAMPS]
     others = [each for each in drive(ROS1) if each.topic != "/tf"]

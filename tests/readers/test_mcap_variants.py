@@ -235,9 +235,7 @@ def test_a_message_of_an_unknown_channel_is_told_of(tmp_path: Path, has: set[str
     assert len(notes) == (1 if has == BARE else 2)  # its statistics count it elsewhere
 
 
-def test_messages_whose_channels_were_in_a_lost_chunk_are_counted_as_they_are(
-    tmp_path: Path,
-) -> None:
+def test_messages_whose_channels_were_in_a_lost_chunk_are_counted(tmp_path: Path) -> None:
     data = write(BARE | {"statistics"}, "zstd")
     data[data.index(zstandard.FRAME_HEADER)] ^= 1  # of the first chunk, which alone has channels
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.explanation import Question, Visits, explain
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, unite
@@ -30,13 +30,8 @@ from tests.evidence.saving import (
     save,
     write_bytes,
 )
-from tests.grid.scans import are_equal
+from tests.grid.scans import are_equal, assert_same_slices
 from tests.samples import write_csv
-
-
-def assert_equal(one: Slices, other: Slices) -> None:
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(one, name), getattr(other, name)), name
 
 
 @each_combination
@@ -50,7 +45,7 @@ def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -
     for halves in ([first, second], [second, first]):
         assert are_equal(merge(halves).tiles, whole.tiles)
         assert merge(halves).slices == halves[0].slices + halves[1].slices
-        assert_equal(unite(merge(halves).slices), whole.slices[0])
+        assert_same_slices(unite(merge(halves).slices), whole.slices[0])
     hits = [count_visits(tile)[0].any() for _, tile in split_tiles(whole.slices[0])]
     assert any(hits) == (model != "quadratic")
     for taken, left in ((second, first), (first, second)):
@@ -136,7 +131,7 @@ def test_a_build_that_is_there_only_in_part_takes_no_slices_away(tmp_path: Path)
     assert rest.manifest.builds == whole.manifest.builds + half.manifest.builds
     assert rest.manifest.subtracted == half.manifest.builds
     for found, each in zip(rest.slices, (whole, half), strict=True):
-        assert_equal(found, each.slices[0])
+        assert_same_slices(found, each.slices[0])
 
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
@@ -226,9 +221,7 @@ def test_what_was_moved_is_not_said_to_be_absent(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("layer", [0, 1])
-def test_neither_hits_nor_misses_are_taken_away_that_are_not_there(
-    tmp_path: Path, layer: int
-) -> None:
+def test_neither_hits_nor_misses_that_are_not_there_are_taken(tmp_path: Path, layer: int) -> None:
     whole = save(tmp_path / "m.npz", choose())
     key, tile = next((key, tile) for key, tile in whole.tiles.items() if tile[0].any())
     part, place = np.zeros_like(tile), tuple(np.argwhere(tile[0])[0])
