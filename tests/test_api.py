@@ -287,10 +287,8 @@ def test_the_docstring_lists_every_option_with_its_default_and_unit() -> None:
         for name, default, takes in re.findall(r"^    (\w+) = (.+?) \((.+)", text, re.MULTILINE)
     }
     assert shown.keys() == list_options(BuildOptions).keys()
-    assert shown["max_range"] == (
-        "inf",
-        "m): Use beams only up to here; a longer one clears the space up to here.",
-    )
+    assert shown["max_range"][0] == "inf"
+    assert shown["max_range"][1].startswith("m): Use beams only up to here; ")
     assert shown["stamps"][0] == '"header"'
     assert shown["stamps"][1].startswith('"header" or "record"): ')
     assert shown["footprint"][1].startswith("x_min,y_min,x_max,y_max in metres, such as")
@@ -438,12 +436,6 @@ def test_check_and_tune_give_what_the_commands_print() -> None:
     tuned = occmap.tune(DRIVE, stride=4)
     hold_against_command(tuned, "tune", DRIVE, "--stride", "4")
     assert tuned.scans.used == 104
-
-
-def test_check_finds_what_a_build_would_raise(tmp_path: Path) -> None:
-    found = occmap.check(tmp_path / "none.bag")
-    assert not found.buildable
-    assert "none.bag" in found.problems[0]
 
 
 @pytest.mark.parametrize(

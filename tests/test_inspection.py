@@ -273,10 +273,8 @@ def test_a_clock_that_jumps_midway_is_told_with_what_fits_better(tmp_path: Path)
 def test_clouds_beside_scans_are_said_to_be_left_out(tmp_path: Path) -> None:
     points = Written("/points", 100 * SECOND, cloud(ROS1, [(1.0, 2.0, 3.0)]))
     path = write_bag(tmp_path / "both.bag", Drive(), **MOUNTED, more=[points])
-    for options, told in (
-        (BuildOptions(), True),
-        (BuildOptions(selection=Selection(("/scan",))), False),
-    ):
+    for topics, told in (((), True), (("/scan",), False)):
+        options = BuildOptions(selection=Selection(topics))
         for notes in (look(path, options).logs[0].notes, build([path], options).report.notes):
             told_of = [each for each in notes if "clouds are left out" in each]
             assert ["`topics=/points`" in each for each in told_of] == [True] * told
@@ -402,26 +400,18 @@ def test_logs_that_cannot_be_read_are_problems_and_left_out_of_the_line(tmp_path
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (
-            {"resolution": 0.1, "max_range": 6.5, "no_return": "clear", "map_frame": "odom"},
-            "--resolution 0.1 --max-range 6.5 --no-return clear --map-frame odom",
-        ),
-        (
-            {"resolution": 0.0123456789, "ignore_sectors": [(0.123456, 1.5), (0.25, 3.14159)]},
-            "--resolution 0.0123456789 --ignore-sector 0.12346,1.5 --ignore-sector 0.25,3.14159",
-        ),
-        (
-            {"time_offset_s": 850000000.125, "max_cells": 2 * 10**9},
-            "--time-offset 850000000.125 --max-cells 2000000000",
-        ),
+        ({"resolution": 0.1, "max_range": 6.5, "no_return": "clear", "map_frame": "odom"},
+         "--resolution 0.1 --max-range 6.5 --no-return clear --map-frame odom"),
+        ({"resolution": 0.0123456789, "ignore_sectors": [(0.123456, 1.5), (0.25, 3.14159)]},
+         "--resolution 0.0123456789 --ignore-sector 0.12346,1.5 --ignore-sector 0.25,3.14159"),
+        ({"time_offset_s": 850000000.125, "max_cells": 2 * 10**9},
+         "--time-offset 850000000.125 --max-cells 2000000000"),
         ({"start_s": 5, "end_s": 20.5, "stride": 3}, "--start 5 --end 20.5 --stride 3"),
-        (
-            {"echo": "last", "footprint": (-0.4, -0.3, 0.2, 0.3), "min_height": 0.2},
-            "--echo last --footprint -0.4,-0.3,0.2,0.3 --min-height 0.2",
-        ),
+        ({"echo": "last", "footprint": (-0.4, -0.3, 0.2, 0.3), "min_height": 0.2},
+         "--echo last --footprint -0.4,-0.3,0.2,0.3 --min-height 0.2"),
         ({"max_pose_gap_s": None}, "--max-pose-gap inf"),
     ],
-)
+)  # fmt: skip
 def test_options_come_back_as_flags_and_lose_no_digit(options: dict[str, Any], words: str) -> None:
     typed = read_options(BuildOptions, options, "build_map")
     assert " ".join(compose_build(["a.bag"], typed, {})[3:-2]) == words

@@ -152,15 +152,6 @@ def test_a_scan_whose_pose_is_unknown_is_dropped(tmp_path: Path, unknown: int, x
     assert (report.scans.used, report.scans.dropped) == (2, {UNUSABLE: 1})
 
 
-def test_a_carmen_scan_whose_pose_nobody_knew_is_dropped_alone(tmp_path: Path) -> None:
-    path = tmp_path / "drive.log"
-    poses = ["1 2 0", "1 2 0.5", "nan 2 0", "1 2 1"]
-    lines = [f"FLASER 2 1.5 2 {pose} 1 2 0 {stamp} host 0" for stamp, pose in enumerate(poses)]
-    path.write_text("".join(f"{line}\n" for line in lines))
-    report = build([path], BuildOptions()).report
-    assert (report.scans.used, report.scans.dropped) == (3, {UNUSABLE: 1})
-
-
 def test_every_log_is_checked_before_the_first_is_mapped(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     good = write_csv(tmp_path / "good.csv", STILL, [0.3])

@@ -12,17 +12,12 @@ from occmap.inspection import Inspection, inspect
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from tests.inspection_logs import read_line
-from tests.samples import REAL_LOGS
-
-pytestmark = pytest.mark.skipif(
-    not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
-)
-MAC = REAL_LOGS / "ros2" / "macfirst_floor_take_2"
+from tests.samples import find_real
 
 
 @cache
 def check(name: str) -> Inspection:
-    return inspect([REAL_LOGS / name], BuildOptions())
+    return inspect([find_real(name)], BuildOptions())
 
 
 @pytest.mark.parametrize(
@@ -44,7 +39,7 @@ def test_a_log_builds_with_the_line_of_check_which_is_bare_where_it_can_be(
     found = check(name)
     assert (" ".join(found.command[3:-2]), found.warnings) == (words, ())
     assert found.buildable == (words == "")
-    report = build([REAL_LOGS / name], read_line(found.command)).report
+    report = build([find_real(name)], read_line(found.command)).report
     assert (report.scans.used, report.scans.dropped) == (used, dropped)
     occupied, free, unknown = report.map.occupied, report.map.free, report.map.unknown
     assert 0.001 < occupied < 0.1
@@ -66,17 +61,17 @@ def test_oddities_are_found() -> None:
 def test_a_log_without_poses_says_where_it_looked() -> None:
     name = "ros1/laser_scan_matcher_demo.bag"
     with pytest.raises(PoseError, match="looked for tf, odometry and topics of poses"):
-        build([REAL_LOGS / name], BuildOptions())
+        build([find_real(name)], BuildOptions())
     assert check(name).command == ()
     assert "`poses=FILE`" in check(name).problems[0]
 
 
 def test_conversion_to_mcap_gives_the_same_bytes(tmp_path: Path) -> None:
-    target = tmp_path / "mac"
+    mac, target = find_real("ros2/macfirst_floor_take_2"), tmp_path / "mac"
     command = [sys.executable, "-m", "rosbags.convert", "--dst-storage", "mcap"]
-    command += ["--src-typestore", "ros2_humble", "--src", str(MAC), "--dst", str(target)]
+    command += ["--src-typestore", "ros2_humble", "--src", str(mac), "--dst", str(target)]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     first, second = tmp_path / "first.pgm", tmp_path / "second.pgm"
-    build([MAC], BuildOptions(), [first])
+    build([mac], BuildOptions(), [first])
     build([target / "mac.mcap"], BuildOptions(), [second])
     assert first.read_bytes() == second.read_bytes()

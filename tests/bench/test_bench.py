@@ -1,18 +1,25 @@
-"""The benchmark measures what it says: right ranges, equal counts, one drive in every log."""
+"""The benchmark measures what it says: right ranges, equal counts, rules of peers by hand."""
 
 import json
 import math
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from occmap.cells import CellBox
+from occmap.cells import CellBox, OccupancyMap
+from occmap.grid import Lattice
+from occmap.grid.engine import GridEngine
+from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
 from occmap.pipeline import build
+from occmap.sensor.models import CountingModel
+from occmap.types import Kind, Rays, Update
+from tests.bench import drives, peers, people, quality
 from tests.bench.__main__ import Bench
 from tests.bench.engine import DisagreementError, check_equal
 from tests.bench.limits import Row
@@ -20,9 +27,12 @@ from tests.bench.logs import FORMATS
 from tests.bench.measuring import Times, take_in_turn
 from tests.bench.plans import cast_scans
 from tests.bench.processes import ProcessError, run
+from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
 from tests.bench.tables import draw
 from tests.bench.workloads import Sensor, Workload, make_corridor, make_office, make_yard
 from tests.bench.yardstick import PLAIN, Counts, Trace, compile_cpp, find_box
+from tests.grid.scans import make_rays, make_scan
+from tests.samples import SAMPLE_LOGS, write_csv
 
 WIDE = Sensor.spanning(91, 270, 30.0)
 ROUND = Sensor.spanning(72, 360, 30.0)
@@ -135,3 +145,164 @@ def test_the_command_explains_itself() -> None:
     command = [sys.executable, "-m", "tests.bench", "--help"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "--quick" in done.stdout
+
+
+SCAN_PEERS = sorted(peers.SCAN_RULES)
+
+
+def look(verdict: peers.Verdict) -> str:
+    """A letter for each cell."""
+    odds = math.log(verdict.cut / (1 - verdict.cut))
+    with np.errstate(invalid="ignore"):
+        occupied = verdict.known & (verdict.log_odds > np.float32(odds))
+    return "".join(
+        "#" if is_occupied else "." if known else " "
+        for is_occupied, known in zip(occupied, verdict.known, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("rule", "counts", "shown"),
+    [
+        # gmapping calls a cell occupied above one hit in four visits.
+        (peers.share_hits, [(0, 0), (0, 5), (1, 0), (1, 2), (1, 3), (3, 8)], " .##.#"),
+        # Karto wants three passes and more than one hit in ten, and a hit is two passes:
+        # 1 of 2, 1 of 3, 1 of 9, 1 of 10; 0 of 2, 0 of 3.
+        (peers.pass_through, [(1, 0), (1, 1), (1, 7), (1, 8), (0, 2), (0, 3)], " ##. ."),
+        # Bayes takes two misses for a hit and not three.
+        (peers.add_log_odds, [(0, 0), (1, 2), (1, 3), (2, 4)], " #.#"),
+    ],
+)
+def test_a_rule_of_counts_by_hand(
+    rule: Callable[..., peers.Verdict], counts: list[tuple[int, int]], shown: str
+) -> None:
+    """Of cells with these hits and misses."""
+    hits, misses = np.array(counts, np.float32).T
+    assert look(rule(hits, misses)) == shown
+
+
+def test_bayes_adds_log_odds() -> None:
+    """ln(7/3) = 0.847 for a hit, ln(2/3) = -0.405 for a miss."""
+    two, four = np.array([2], np.float32), np.array([4], np.float32)
+    found = peers.add_log_odds(two, four).log_odds
+    assert found == pytest.approx(2 * 0.8473 - 4 * 0.4055, abs=1e-3)
+
+
+def map_scans(*scans: Rays) -> dict[str, OccupancyMap]:
+    engine = GridEngine(GridSpec(Update.BEAM, Lattice(1.0)))
+    for rays in scans:
+        engine.add(rays)
+    return peers.map_peers(scans, engine.finish())
+
+
+def read_row(grid: OccupancyMap) -> list[float | None]:
+    """Log-odds of the cells from x = 0 on; None where unknown."""
+    row, col = round(-grid.origin[1]), round(-grid.origin[0])
+    cells = zip(grid.log_odds[row, col:].tolist(), grid.observed[row, col:].tolist(), strict=True)
+    return [value if known else None for value, known in cells]
+
+
+HIT_MISS = {"OctoMap": (0.7, 0.4), "hector": (0.9, 0.4), "Cartographer": (0.55, 0.49)}
+
+
+@pytest.mark.parametrize("name", SCAN_PEERS)
+def test_a_scan_counts_once_in_a_cell_and_its_hits_come_first(name: str) -> None:
+    """Two beams cross the first cells; the third cell is hit by one and crossed by the other."""
+    rays = make_scan((2, Kind.HIT), (4, Kind.HIT), (5, Kind.SKIP))
+    hit, miss = (math.log(p / (1 - p)) for p in HIT_MISS[name])
+    expected = [miss, miss, hit, miss, hit]  # and the last beam shows nothing
+    assert read_row(map_scans(rays)[name]) == pytest.approx(expected, abs=1e-6)
+    nothing_came_back = map_scans(make_scan((2, Kind.FREE)))[name]
+    assert read_row(nothing_came_back) == pytest.approx([miss] * 3, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "at_last", "most", "least"),
+    [
+        # Five hits end at 3.5, ten misses later at -0.5: bounds at the end alone would say 0.2.
+        ("OctoMap", math.log(0.971 / 0.029) + 10 * math.log(0.4 / 0.6), 3.5111, -2.0001),
+        ("hector", 5 * math.log(9) + 10 * math.log(0.4 / 0.6), 50, 40 * math.log(0.4 / 0.6)),
+        ("Cartographer", 5 * math.log(0.55 / 0.45) + 10 * math.log(0.49 / 0.51), 2.1972,
+         40 * math.log(0.49 / 0.51)),
+    ],
+)  # fmt: skip
+def test_bounds_hold_after_each_scan(name: str, at_last: float, most: float, least: float) -> None:
+    """Where later scans say something else, and where forty say the same."""
+    scans = [make_scan((2, Kind.HIT))] * 5 + [make_scan((4, Kind.HIT))] * 10
+    assert read_row(map_scans(*scans)[name])[2] == pytest.approx(at_last, abs=1e-5)
+    sure = read_row(map_scans(*[make_scan((2, Kind.HIT))] * 40)[name])
+    assert [sure[2], sure[0]] == pytest.approx([most, least], abs=1e-3)
+
+
+def draw_map(cells: str) -> OccupancyMap:
+    """One row of cells of 0.5 m from x = -0.5."""
+    occupied = np.array([[cell == "#" for cell in cells]])
+    log_odds = np.where(occupied, 3, -3).astype(np.float32)
+    return OccupancyMap(log_odds, np.ones_like(occupied), 0.5, (-0.5, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("reach", "foretold"), [(2.4, 0), (2.6, 1), (3.5, 1), (4.5, 1), (4.6, 0), (30.0, None)]
+)
+def test_the_walk_finds_the_first_occupied_cell_to_two_cells(
+    reach: float, foretold: int | None
+) -> None:
+    """From x = 0.25 steps fall on the middles of cells; the seventh is in the wall at 3.5 m."""
+    kinds = [Kind.HIT, Kind.SKIP, Kind.FREE]
+    rays = make_rays((0.25, 0.25), (1, 0), [reach, 3.5, 3.5], kinds)
+    found = quality.walk(draw_map("........###"), [rays])
+    assert found.tolist() == [[0, 0] if foretold is None else [1, foretold]]
+    out_of_the_map = make_scan((20, Kind.HIT), (20, Kind.HIT))
+    assert quality.walk(draw_map("...."), [out_of_the_map]).tolist() == [[2, 0]]
+
+
+def test_a_lead_is_measured_scan_by_scan() -> None:
+    """Of 10 beams each: ahead by 2, 1 and 0 of them."""
+    ours, theirs = (np.array([(10, n) for n in near], float) for near in ((9, 8, 5), (7, 7, 5)))
+    lead, error = quality.measure_lead(ours, theirs)
+    assert lead == pytest.approx(3 / 30)
+    assert error == pytest.approx(0.1 / math.sqrt(3))
+
+
+def test_every_fifth_scan_is_kept_from_all_maps(tmp_path: Path) -> None:
+    log = write_csv(tmp_path / "wall.csv", [(0.025, 0.025, 0.0)] * 10, [1.0, 2.0])
+    scans = quality.read_scans(Recording(log), DEFAULT)
+    assert [sum(len(rays.kind) for rays in part) for part in (scans.seen, scans.held_out)] == [8, 2]
+
+
+def test_the_last_step_is_a_bare_build() -> None:
+    assert list_steps()[OURS] == BuildOptions()
+    assert isinstance(list_steps()["polygon"].model, CountingModel)
+
+
+def test_the_tables_of_a_drive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(quality, "ROUNDS", 1)
+    lines = (SAMPLE_LOGS / "drive.csv").read_text().splitlines(keepends=True)
+    log = tmp_path / "drive.csv"
+    log.write_text("".join(lines[:40]))
+    quality.main([str(log), "--resolution", "0.2"])
+    text = capsys.readouterr().out
+    shares, walked, leads = (table.splitlines() for table in text.split("\n\n"))
+    rules = [*peers.COUNT_RULES, *peers.SCAN_RULES, *list_steps()]
+    for table in (shares, walked):
+        assert [line[2:].split("  ")[0].strip(" |") for line in table[2:]] == rules
+    assert leads[2].startswith("| drive.csv")
+    assert leads[2].count("+-") == 2
+
+
+def test_the_default_keeps_what_stands_and_loses_what_stood_there_once(tmp_path: Path) -> None:
+    rules = {"default": DEFAULT, "two visits": replace(DEFAULT, min_passes=2)}
+    fates = people.judge(people.Scene(2, boxes=True), tmp_path, rules)
+    assert fates["default"].kept >= 0.99
+    assert fates["default"].removed >= 0.8
+    assert fates["two visits"].kept < fates["default"].kept
+    assert fates["two visits"].removed > fates["default"].removed
+
+
+def test_drives_are_marked_beyond_their_limits_and_stand_beside_the_rules_of_others() -> None:
+    found = {"edge": 97.99, "danger": 4.0, "phantom": 0.41, "free": 97.5, "unknown": 1.0}
+    assert drives.mark(found) == ["97.99 !", "4.00", "0.41 !", "97.50"]
+    text = "Measured:\n\n| rule | a |\n|---|---|\n| voxels | 96 / 10 / 8 |\n\n| what if | b |\n"
+    assert drives.list_others(text) == ["| rule | a |", "|---|---|", "| voxels | 96 / 10 / 8 |"]

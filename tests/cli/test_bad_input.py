@@ -49,11 +49,7 @@ def test_a_link_to_nothing_is_named_as_one() -> None:
         ("blank.txt", "\n\n", "a text file of no known log format"),
         ("bytes.bin", b"\xff\xfe\x00\x01 and more", "it starts with the bytes ff fe 00 01"),
         ("cut.gz", b"\x1f\x8b\x08\x00", "a gzip file with nothing in it that can be read"),
-        (
-            "a b.mcap.gz",
-            gzip.compress(McapSource.magic, mtime=0),
-            "decompress it first: gunzip 'a b.mcap.",
-        ),
+        ("a b.mcap.gz", gzip.compress(McapSource.magic, mtime=0), "first: gunzip 'a b.mcap."),
         ("drive.mcap.zst", b"\x28\xb5\x2f\xfd\x04", "decompress it first: unzstd drive.mcap.zst"),
         ("zeros.mcap", bytes(5000), "a file that begins with zeros, as a power cut leaves one"),
         ("map.pgm", "P5\n2 1\n255\nab", "a map, not a log: `occmap diff` compares maps"),

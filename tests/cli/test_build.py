@@ -53,10 +53,8 @@ EDGE = PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, 0, 1), static=True)
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (
-            "--scan-topic /a --scan-topic /b --start 1 --end 2.5 --stride 3",
-            {"selection": Selection(("/a", "/b"), 1.0, 2.5, 3)},
-        ),
+        ("--scan-topic /a --scan-topic /b --start 1 --end 2.5 --stride 3",
+         {"selection": Selection(("/a", "/b"), 1.0, 2.5, 3)}),
         ("--light-occupied", {"writing": WriteOptions(shade=Shade.LIGHT_OCCUPIED)}),
         ("--model simple:p_hit=0.8", {"model": SimpleModel(p_hit=0.8)}),
         ("--model simple --p-hit 0.9 --p-miss 0.2", {"model": SimpleModel(0.9, 0.2)}),
@@ -64,16 +62,11 @@ EDGE = PoseSample(0, "a", "b", Pose(1, 2, 3, 0, 0, 0, 1), static=True)
         ("polygon --prior 0.4", {"model": CountingModel(0.4, cut=0.4, spread=0.0)}),
         ("polygon --model counting", {"model": CountingModel()}),
         # Neither would do with the other's default.
-        (
-            "--model simple:p_miss=0.75,prior=0.8 --p-hit 0.9",
-            {"model": SimpleModel(0.9, 0.75, 0.8)},
-        ),
-        (
-            "--sensor-pose -0.1,0,0 --static-tf a,b,1,2,3,0,0,0",
-            {"posing": PosingOptions(sensor_pose=MOUNT, static_transforms=(EDGE,))},
-        ),
+        ("--model simple:p_miss=.75,prior=0.8 --p-hit 0.9", {"model": SimpleModel(0.9, 0.75, 0.8)}),
+        ("--sensor-pose -0.1,0,0 --static-tf a,b,1,2,3,0,0,0",
+         {"posing": PosingOptions(sensor_pose=MOUNT, static_transforms=(EDGE,))}),
     ],
-)
+)  # fmt: skip
 def test_flags_set_the_options(words: str, expected: dict[str, object]) -> None:
     options = parse(*words.split())
     assert {name: getattr(options, name) for name in expected} == expected
@@ -128,17 +121,10 @@ def test_tune_is_named_where_walls_may_be_doubled(late_s: float, hint: str, note
 
 @pytest.mark.parametrize(
     "words",
-    [
-        ("polygon",),
-        ("-r", 0.04),
-        ("--hit-offset", 0.4),
-        ("--spread", 0),
-        ("--no-return", "clear"),
-        ("--model", "simple"),
-    ],
+    ["polygon", "-r 0.04", "--hit-offset 0.4", "--spread 0", "--no-return clear", "--model simple"],
 )
-def test_tune_is_not_named_where_walls_may_be_thin_by_choice(words: tuple[object, ...]) -> None:
-    built = occmap("build", *words, LOG, "--time-offset", 0.1, "-o", "m.pgm")
+def test_tune_is_not_named_where_walls_may_be_thin_by_choice(words: str) -> None:
+    built = occmap("build", *words.split(), LOG, "--time-offset", 0.1, "-o", "m.pgm")
     assert (built.code, "occmap tune" in built.out) == (0, False)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.cli.runner import ask, occmap, read_error
+from tests.cli.runner import ask, occmap
 from tests.samples import write_csv
 
 
@@ -35,12 +35,6 @@ def test_the_table_names_the_best_and_how_to_build_it(log: Path) -> None:
     assert lines[15:17] == ["best: surface counting", build]
     likely = build.replace("surface", "beam")
     assert lines[17:] == ["where probabilities matter: beam counting", likely]
-
-
-def test_only_updates_that_have_beams_are_offered() -> None:
-    told = read_error(occmap("compare --update foo a.csv"), 2)
-    assert told.endswith('give "beam" or "polygon" or "surface"')
-    assert "no beams" in read_error(occmap("compare --update cloud a.csv"), 2)
 
 
 def test_the_reliability_is_told_of_the_recommended_map_and_in_json_of_all(tmp_path: Path) -> None:

@@ -97,11 +97,8 @@ def test_no_poses_are_not_those_of_the_folder() -> None:
 def test_options_of_other_commands_are_passed_over() -> None:
     write("pass-gap = 20\n")
     told = occmap(f"check {LOG}")
-    assert told == (
-        0,
-        told.out,
-        f"note: {FILE_BESIDE}: no option of this command, but of others: pass-gap\n",
-    )
+    note = f"note: {FILE_BESIDE}: no option of this command, but of others: pass-gap\n"
+    assert told == (0, told.out, note)
 
 
 @pytest.mark.parametrize(

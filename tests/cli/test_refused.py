@@ -12,6 +12,8 @@ from tests.samples import PLAIN_WORDS, SAMPLE_LOGS, write_csv
 
 SUFFIXES = "occmap writes .csv, .ground.tif, .html, .keepout.pgm"
 
+KNOWS_NO_HITS = "quadratic sums up log-odds and knows no hits; leave it out, or build with --model "
+
 REFUSED = [
     ("build none.csv -o m.pgm", 1, "none.csv: no such file or directory; check the path"),
     ("build lgo.csv -o m.pgm", 1, "lgo.csv: no such file or directory; did you mean log.csv?"),
@@ -92,12 +94,14 @@ REFUSED = [
     ("explain a.npz 0 0 --model quadratic", 1, "which quadratic cannot read"),
     ("explain a.npz 0 0 --min-passes 0", 2, "--min-passes 0 is not possible"),
     ("explain a.npz 0 0 --free-thresh 0.9", 2, "0 < free < occupied < 1"),
-    ("explain q.npz 0 0 --min-passes 2", 2, "quadratic sums up log-odds"),
+    ("explain q.npz 0 0 --min-passes 2", 2, KNOWS_NO_HITS),
+    ("render q.npz -o m.pgm --min-passes 2", 2, KNOWS_NO_HITS),
+    ("build log.csv -o m.npz --model quadratic --min-passes 2", 2, KNOWS_NO_HITS),
     ("compare", 2, "Missing argument 'LOG...'; write, for example, occmap compare drive.mcap"),
     ("compare none.csv -o m.pgm", 2, "m.pgm: is not a picture; give it a name that ends in"),
     ("compare none.csv -o a.png -o a.html", 2, "--output takes one file, and is given 2: a.png,"),
     ("compare log.csv -o no/m.png", 1, "mkdir -p no"),
-    ("compare log.csv --update polygn", 2, "--update"),
+    ("compare log.csv --update polygn", 2, '; give "beam" or "polygon" or "surface"'),
     ("compare log.csv --update cloud", 2, "choose of beam, polygon, surface"),
     ("compare log.csv --model simpel", 2, "did you mean 'simple'?"),
     ("compare log.csv --model counting:p_hit=0.7", 2, "has no parameter 'p_hit'"),

@@ -54,16 +54,6 @@ def test_render_shows_a_part_of_a_map_and_keeps_evidence_whole() -> None:
     assert read_bytes("c.npz") == read_bytes("a.npz")
 
 
-def test_merge_and_resume_are_a_build_of_both_and_back() -> None:
-    assert occmap(f"{BUILD} a.csv b.csv -o both.pgm").code == 0
-    assert occmap("merge a.npz b.npz -o ab.npz -o ab.pgm").code == 0
-    assert read_bytes("ab.pgm") == read_bytes("both.pgm")
-    assert occmap("merge ab.npz --subtract a.npz -o rest.npz").code == 0
-    assert read_bytes("rest.npz") == read_bytes("b.npz")
-    assert occmap(f"{BUILD} b.csv --resume a.npz -o a.npz").code == 0
-    assert read_bytes("a.npz") == read_bytes("ab.npz")
-
-
 def test_scan_counts_say_what_they_count() -> None:
     lines = occmap(f"{BUILD} b.csv --resume a.npz -o ab.npz").out.splitlines()
     assert "scans    1 of 1 used, added to 1 of 1 in a.npz" in lines
@@ -143,12 +133,6 @@ def test_what_evidence_does_not_hold_is_refused_before_it_is_read() -> None:
     error = read_error(told, 2)
     assert error.startswith("way.tum: evidence does not say where the robot went")
     assert "build it from the logs: `occmap build`" in error
-
-
-def test_evidence_is_a_map_to_diff() -> None:
-    assert occmap(f"{BUILD} a.csv -o a.pgm").code == 0
-    assert occmap("diff a.npz a.pgm --fail-above 0").code == 0
-    assert occmap("diff a.npz b.npz --fail-above 0").code == 3
 
 
 def test_an_undecided_cell_is_not_called_unknown() -> None:

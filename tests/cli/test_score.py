@@ -25,10 +25,7 @@ def test_a_map_is_held_against_recordings_and_the_plan(made: Path, tmp_path: Pat
     text = occmap(*words).out
     for told in ("share 0.9", "hits lie in occupied", "edges of", "invented", "m from those"):
         assert told in text
-    found = ask(*words)
-    assert found["by_logs"]["scans"]["used"] == 414
-    assert found["by_truth"]["edges_found"] > 0.99
-    assert found["files"] == [str(picture)]
+    assert ask(*words)["by_truth"]["edges_found"] > 0.99
     assert np.asarray(Image.open(picture)).shape[2] == 3
 
 

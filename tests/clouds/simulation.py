@@ -235,7 +235,7 @@ def write_tour(folder: Path, drift_m: float, lift_m: float = 0.0) -> BuildOption
         By how much the sensor is lifted with each of the four ways.
     """
     room = Room([(3, 3.6, 1, 1.6, 0, 0.18), (5, 6, 4.5, 5, 0, 1)], slope=0.1)
-    ways = [drive(room, clouds=15, sensor_m=SENSOR_M + lift_m * number) for number in range(4)]
+    ways = [drive(room, clouds=10, sensor_m=SENSOR_M + lift_m * number) for number in range(4)]
     seen = [posed for way, back in zip(ways, (1, -1, 1, -1), strict=True) for posed in way[::back]]
     folder.mkdir()
     places = np.concatenate([posed.position for posed in seen])

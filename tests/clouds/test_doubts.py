@@ -91,10 +91,8 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
 def test_unsteady_clouds_without_times_that_turn_quickly_are_told(
     degrees: float, steady: float, is_told: bool
 ) -> None:
-    clouds, poser = (
-        drive_turning(degrees=degrees),
-        Poser(gather([], PosingOptions()), PosingOptions()),
-    )
+    clouds, options = drive_turning(degrees=degrees), PosingOptions()
+    poser = Poser(gather([], options), options)
     batch = clouds[0].batch
     course = poser.courses[batch.topic, batch.frame] = Course()
     for posed in clouds:
@@ -134,7 +132,5 @@ def test_a_robot_that_stands_in_its_own_clouds_is_left_out_by_the_command(tmp_pa
     found = ask("check", *words)
     assert any("the robot is in its own scans" in text for text in found["warnings"])
     box = found["command"][found["command"].index("--footprint") + 1]
-    assert [float(edge) for edge in box.split(",")] == pytest.approx(
-        [0.25, -0.15, 0.35, 0.15], abs=0.03
-    )
+    assert list(map(float, box.split(","))) == pytest.approx([0.25, -0.15, 0.35, 0.15], abs=0.03)
     assert "robot" not in str(ask("check", *words, "--footprint", box)["warnings"])

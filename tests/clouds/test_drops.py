@@ -15,6 +15,7 @@ from tests.clouds.simulation import observe, place, turn
 Stretch = tuple[float, float, int | None]
 """Floor from one x to another (m), and its height (mm) where it was measured"""
 BOX = CellBox(-200, -200, 200, 200)
+NARROW: list[Stretch] = [(0, 3, 0), (3, 3.45, None), (3.45, 6, 0)]
 NO_GROUND = -(1 << 30)
 
 
@@ -47,12 +48,8 @@ def lay_floor(stretches: list[Stretch], quarters: int) -> Ground:
         pytest.param([(0, 2.4, 0), (2.4, 3, 80), (3, 4.5, None)], 3.2, 7.6, 2.875, id="8 cm up"),
         pytest.param([(0, 2.4, 0), (2.4, 3, -81), (3, 4.5, None)], 3.2, 7.6, None, id="8.1 down"),
         # The wall on the other side is met 0.32 or 0.62 m behind P: from 1 or 5 steps beyond P on.
-        pytest.param(
-            [(0, 3, 0), (3, 3.45, None), (3.45, 6, 0)], 3.2, 3.52, 2.875, id="a narrow pit"
-        ),
-        pytest.param(
-            [(0, 3, 0), (3, 3.45, None), (3.45, 6, 0)], 3.2, 3.82, None, id="floor behind a pit"
-        ),
+        pytest.param(NARROW, 3.2, 3.52, 2.875, id="a narrow pit"),
+        pytest.param(NARROW, 3.2, 3.82, None, id="floor behind a pit"),
         # 20 steps before P lies 1.7: 1.775 counts, and 1.625 is too far back.
         pytest.param([(0, 1.8, 0), (1.8, 4.5, None)], 3.2, 7.6, 1.675, id="an edge far before P"),
         pytest.param([(0, 1.65, 0), (1.65, 4.5, None)], 3.2, 7.6, None, id="an edge too far"),

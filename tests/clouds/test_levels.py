@@ -1,4 +1,4 @@
-"""A map whose floor leans, and its walls with it, is laid flat; a street that climbs is not."""
+"""A map whose floor leans or drifts, and its walls with it, is laid flat; a street stays."""
 
 import json
 import math
@@ -10,16 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from occmap.cells import OccupancyMap
+from occmap.clouds.drift import list_drifts
 from occmap.clouds.ground import GroundFinder
 from occmap.errors import MapError
+from occmap.fleet import Fleet
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.readers.ros_log import RosLog
 from occmap.scans.tracing import level_ground
-from occmap.types import Float64, Pose, PoseBatch, PosedScans, PoseSample
+from occmap.types import Float64, Int64, Pose, PoseBatch, PosedScans, PoseSample
 from occmap.writers.npz import read_evidence
-from tests.cli.runner import occmap
+from tests.cli.runner import ask, occmap
 from tests.clouds.simulation import (
     HALL,
     Room,
@@ -29,7 +32,9 @@ from tests.clouds.simulation import (
     read_points,
     turn,
     write_leaning,
+    write_tour,
 )
+from tests.grid.scans import are_equal
 
 PLACE, YAW = (300.0, -2000.0), 0.5
 """Where the logs' map is said to lie in that which is made"""
@@ -161,3 +166,125 @@ def test_a_build_reads_the_poses_of_a_log_once(
     reads.clear()
     build([HALL], BuildOptions(posing=PosingOptions(poses=str(leaning))), [tmp_path / "map.pgm"])
     assert len(reads) == 1
+
+
+SECONDS = np.arange(0, 120, 0.5)
+"""Three times round a square of 10 m, in 40 s each"""
+
+
+SIDES = [0, 10, 20, 30, 40], [0, 10, 10, 0, 0]
+
+
+def go_round(height: Callable[[Float64], Float64], slope: float = 0.02) -> Int64:
+    """A way (N, 4) round a square on a hill, as high above it as a function of time says."""
+    x, y = (np.interp((SECONDS + ahead) % 40, *SIDES) for ahead in (0, 30))
+    way = np.stack([x, y, slope * (x + y) + height(SECONDS), SECONDS], axis=1)
+    return np.asarray(np.rint(way * [1e3, 1e3, 1e3, 1e9]).astype(np.int64))
+
+
+@pytest.mark.parametrize(
+    ("drift", "within_mm"),
+    [
+        (lambda t: t * 0.005, 8),
+        (lambda t: t * -0.01, 8),
+        (lambda t: np.where(t < 70, t * 0.004, 0), 25),
+    ],
+    ids=["up", "down", "mended at once"],
+)
+def test_a_drift_is_found_as_it_is(drift: Callable[[Float64], Float64], within_mm: float) -> None:
+    way = go_round(drift)
+    (stamps, added), _ = list_drifts(np.random.default_rng(0).permutation(way))
+    assert stamps == tuple(way[:, 3])
+    off = np.abs(np.array(added) + 1000 * drift(SECONDS))
+    assert np.quantile(off, 0.9) < within_mm  # of up to 1200
+
+
+@pytest.mark.parametrize(
+    "height",
+    [
+        lambda t: 0 * t,
+        lambda t: 2.8 * t / 40,
+        lambda t: np.random.default_rng(0).normal(0, 0.02, len(t)),
+    ],
+    ids=["as high", "a spiral", "noise"],
+)
+def test_what_is_no_drift_is_left(height: Callable[[Float64], Float64]) -> None:
+    assert not list(list_drifts(go_round(height)))
+
+
+def test_a_way_that_comes_by_nowhere_shows_none() -> None:
+    straight: Int64 = np.arange(100)[:, None] * np.array([1000, 0, 10, 10**9])
+    for way in (straight, straight[:1], straight * np.array([1, 1, 1, 0])):
+        assert not list(list_drifts(way))
+
+
+@pytest.fixture(scope="module")
+def steady(tmp_path_factory: pytest.TempPathFactory) -> OccupancyMap:
+    """The map of a tour whose poses are right."""
+    log = tmp_path_factory.mktemp("steady") / "tour"
+    return build([log], write_tour(log, drift_m=0)).map
+
+
+@pytest.mark.parametrize(("drift_m", "told"), [(0.3, "0.30 m"), (-0.3, "0.30 m"), (1.0, "0.99 m")])
+def test_a_tour_that_drifts_makes_the_map_of_one_that_does_not(
+    tmp_path: Path, steady: OccupancyMap, drift_m: float, told: str
+) -> None:
+    options, made = write_tour(tmp_path / "tour", drift_m), tmp_path / "made.tum"
+    built = build([tmp_path / "tour"], options, [made, tmp_path / "made.npz"])
+    np.testing.assert_array_equal(built.map.occupied, steady.occupied)
+    assert (built.map.free != steady.free).sum() < 10
+    (note,) = (note for note in built.report.notes if "`height_drift=off`" in note)
+    assert f"drift by {told}" in note
+    assert built.evidence
+    posing = built.evidence.manifest.builds[0]["options"]["posing"]
+    assert posing["height_drift"]["tour"] == pytest.approx(abs(drift_m), abs=0.02)
+    heights = [np.loadtxt(path)[[0, -1], 3] for path in (made, tmp_path / "tour.tum")]
+    assert heights[0] - heights[1] == pytest.approx([0, -drift_m], abs=0.02)
+
+
+def test_a_sensor_that_is_lifted_and_heights_that_are_to_stay_are_left(
+    tmp_path: Path, steady: OccupancyMap
+) -> None:
+    options = write_tour(tmp_path / "lifted", drift_m=0, lift_m=0.2)
+    notes = build([tmp_path / "lifted"], options).report.notes
+    options = write_tour(tmp_path / "tour", drift_m=0.3)
+    stays = replace(options, posing=replace(options.posing, height_drift={}))
+    built = build([tmp_path / "tour"], stays, [tmp_path / "made.npz"])
+    assert not any("height_drift" in note for note in [*notes, *built.report.notes])
+    assert built.map.occupied.sum() > 5 * steady.occupied.sum()
+    assert built.evidence
+    assert built.evidence.manifest.builds[0]["options"]["posing"]["height_drift"] == {}
+
+
+def test_sessions_and_workers_correct_what_one_process_does(tmp_path: Path) -> None:
+    tour = tmp_path / "tour"
+    options = write_tour(tour, drift_m=0.3)
+    made = [tmp_path / f"{name}.npz" for name in ("alone", "threads", "fleet")]
+    build([tour], options, [made[0]])
+    build([tour], replace(options, jobs=2), [made[1]])
+    build([tour], options, [made[2]], observe=Fleet("local", tmp_path / "scratch").observe)
+    assert len({path.read_bytes() for path in made}) == 1
+
+
+def test_a_later_part_goes_on_over_the_ground_of_an_earlier_one(tmp_path: Path) -> None:
+    """Each part begins where it is: the second one has drifted by half of it all by then."""
+    tour, made = tmp_path / "tour", [tmp_path / name for name in ("1.npz", "both.npz", "2.npz")]
+    write_tour(tour, drift_m=0.3)
+    line = "build", tour, "--poses", tour.with_suffix(".tum")
+    second = *line, "--start", "30", "--transform", "0,0,0,-0.15"
+    ask(*line, "--end", "30", "-o", made[0])
+    ask(*second, "--resume", made[0], "-o", made[1])
+    ask(*second, "--ground", made[0], "-o", made[2])
+    ask("merge", made[0], made[2], "-o", tmp_path / "merged.npz")
+    both, merged = read_evidence(made[1]), read_evidence(tmp_path / "merged.npz")
+    assert are_equal(both.tiles, merged.tiles)
+    drifts = [each["options"]["posing"]["height_drift"]["tour"] for each in both.manifest.builds]
+    assert drifts == pytest.approx([0.15, 0.15], abs=0.01)
+
+
+def test_check_tells_of_drift_and_of_no_mount(tmp_path: Path) -> None:
+    tour = tmp_path / "tour"
+    write_tour(tour, drift_m=1.0)
+    found = ask("check", tour, "--poses", tour.with_suffix(".tum"))
+    assert any("drift by 0.99 m" in note for log in found["logs"] for note in log["notes"])
+    assert found["warnings"] == []

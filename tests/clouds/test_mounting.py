@@ -64,25 +64,21 @@ def test_another_plane_along_a_straight_way_is_no_floor(is_ceiling: bool, given:
     assert seat is None or Transforms.fixed(seat.mount).rotation[0, 2, 2] > 0.999
 
 
-@pytest.mark.parametrize("angles", [(0, 1, 0), (-0.8, 0.5, 0)])
-def test_a_wrong_mount_is_measured_in_the_frame_of_the_sensor(
-    angles: tuple[float, float, float],
+@pytest.mark.parametrize(
+    ("turned", "angles", "within"),
+    [("posed_by", (0, 1, 0), 0.2), ("posed_by", (-0.8, 0.5, 0), 0.2), ("up", (0, 1, 0), 0.1)],
+)
+def test_a_wrong_mount_is_measured_in_the_frame_of_the_sensor_and_a_wrong_up_in_the_map(
+    turned: str, angles: tuple[float, float, float], within: float
 ) -> None:
-    clouds = drive_turning(posed_by=turn(*angles))
+    """Though the ground is made of the same clouds."""
+    clouds = drive_turning(**{turned: turn(*angles)})  # type: ignore[arg-type]
     tilts = measure_tilts(clouds, find_ground(clouds))
 
     assert tilts
-    assert tilts.is_mount
-    assert np.degrees(tilts.sensor) == pytest.approx(-np.array(angles), abs=0.2)
-
-
-def test_a_wrong_up_is_measured_in_the_map_though_the_ground_is_made_of_the_same() -> None:
-    clouds = drive_turning(up=turn(0, 1, 0))
-    tilts = measure_tilts(clouds, find_ground(clouds))
-
-    assert tilts
-    assert not tilts.is_mount
-    assert np.degrees(tilts.upright) == pytest.approx((0, -1, 0), abs=0.1)
+    assert tilts.is_mount == (turned == "posed_by")
+    measured = tilts.sensor if tilts.is_mount else tilts.upright
+    assert np.degrees(measured) == pytest.approx(-np.array(angles), abs=within)
 
 
 def test_right_poses_are_not_blamed() -> None:

@@ -101,15 +101,11 @@ def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None
         assert done.code == 1
         assert "0.40 m lower" in done.err
         assert "--transform 0.5,0,0,0" in done.err
-    (tmp_path / "other.npz").unlink()
-    assert (
-        occmap(*lower[:-4], "--transform", "0,0,0,0.02", "--resume", first, *lower[-2:]).code == 0
-    )
+    nearly = (*lower[:4], "--transform", "0,0,0,0.02", "--resume", first)
+    assert occmap(*nearly, "-o", tmp_path / "nearly.npz").code == 0
 
 
-@pytest.mark.parametrize(
-    ("model", "shown"), [("counting:cut=0.2", "cut=0.2,"), ("simple", "simple:")]
-)
+@pytest.mark.parametrize(("model", "shown"), [("counting:cut=0.2", "=0.2,"), ("simple", "simple:")])
 def test_a_session_that_is_added_is_read_by_the_model_that_is_named(
     tmp_path: Path, model: str, shown: str
 ) -> None:
@@ -124,11 +120,8 @@ def test_a_session_that_is_added_is_read_by_the_model_that_is_named(
 def test_a_session_counts_the_columns_that_its_own_clouds_show(tmp_path: Path) -> None:
     first = tmp_path / "first.npz"
     assert occmap("build", HALL, "-o", first).code == 0
-    notes = ask("build", HALL, "--end", "1", "--resume", first, "-o", tmp_path / "more.npz")[
-        "notes"
-    ]
-    (shown,) = filter(
-        None, (re.search(r"for ([\d,]+) of ([\d,]+) columns", each) for each in notes)
-    )
+    line = ("build", HALL, "--end", "1", "--resume", first, "-o", tmp_path / "more.npz")
+    shown = re.search(r"for ([\d,]+) of ([\d,]+) columns", " ".join(ask(*line)["notes"]))
+    assert shown
     found, filled = (int(number.replace(",", "")) for number in shown.groups())
     assert found <= filled

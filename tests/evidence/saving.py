@@ -45,10 +45,8 @@ def save(path: Path, options: BuildOptions, log: Path = DRIVE) -> Evidence:
 
 def halve(options: BuildOptions, middle: float = MIDDLE_S) -> tuple[BuildOptions, BuildOptions]:
     """Two builds of one log: what comes before a time, and what after."""
-    return (
-        replace(options, selection=Selection(end_s=middle)),
-        replace(options, selection=Selection(start_s=middle)),
-    )
+    early, late = Selection(end_s=middle), Selection(start_s=middle)
+    return replace(options, selection=early), replace(options, selection=late)
 
 
 def write_bytes(folder: Path, evidence: Evidence) -> bytes:

@@ -23,7 +23,7 @@ from occmap.types import BEAM_UPDATES, Update
 from occmap.writers import MapMode, WriteOptions
 from tests.csv_logs import write_poses, write_scans
 from tests.evidence.saving import DRIVE, choose, each_combination, save
-from tests.samples import PLAIN, REAL_LOGS, Planar, write_csv
+from tests.samples import PLAIN, Planar, find_real, write_csv
 
 pytestmark = pytest.mark.usefixtures("here")
 LOG = Path("log.csv")
@@ -89,9 +89,8 @@ def test_a_cell_is_judged_as_the_map_is() -> None:
                 assert found.map_extent == pytest.approx(grid.extent)
 
 
-@pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
 def test_scans_of_a_real_log_sum_sightings() -> None:
-    log = REAL_LOGS / "carmen" / "freiburg-079-corrected.log.gz"
+    log = find_real("carmen/freiburg-079-corrected.log.gz")
     evidence = save(Path("m.npz"), BuildOptions(jobs=2), log)
     found = ask(evidence, choose_points(evidence, 0)[0], log)
     assert sum_sightings(found.scans) == found.seen.numbers
@@ -105,9 +104,7 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth() -> None:
     assert [each.seen.observations for each in found] == [1, 1, 1, 1, 0]
     assert [each.verdict for each in found] == ["free"] * 3 + ["occupied", "unknown"]
     assert [each.probability for each in found] == pytest.approx([0.4] * 3 + [0.7, 0.5])
-    assert [[scan.seen for scan in each.scans] for each in found[:4]] == [
-        [each.seen] for each in found[:4]
-    ]
+    assert all([scan.seen for scan in each.scans] == [each.seen] for each in found[:4])
     hit = found[3]
     assert (hit.cell.lattice_row, hit.cell.lattice_column) == (0, 3)
     assert hit.seen.kind is EvidenceKind.COUNTS

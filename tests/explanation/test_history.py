@@ -134,9 +134,7 @@ def test_each_build_gets_its_own_trajectory() -> None:
         ("a.csv", ["path.txt"], "path.txt: is not a trajectory"),
     ],
 )
-def test_a_trajectory_too_few_or_too_many_is_refused(
-    log: str, poses: list[str], found: str
-) -> None:
+def test_one_trajectory_too_few_or_many_is_refused(log: str, poses: list[str], found: str) -> None:
     evidence = merge([build_followed(), save("a.csv", into="n.npz")])
     with pytest.raises(PoseError) as caught:
         find(evidence, log, poses=poses)

@@ -1,4 +1,4 @@
-"""Many workers make what one process makes, byte for byte."""
+"""Many workers make what one process makes, byte for byte: maps, stores and what tasks leave."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,13 +7,22 @@ from pathlib import Path
 
 import pytest
 
+from occmap.clouds import CloudOptions
 from occmap.fleet import Fleet
+from occmap.fleet.tasks import Job, Setting, add_up_pieces, trace_log
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.readers import text_log
 from occmap.report.results import Report
+from occmap.scans.tracing import Keep, ignore_progress
+from occmap.sensor.models import QuadraticModel
+from occmap.store import open_store
+from occmap.types import Update
 from tests.clouds.simulation import HALL, turn, write_leaning
-from tests.samples import DRIVES
+from tests.grid.scans import are_equal
+from tests.samples import DRIVES, SAMPLE_LOGS, write_late
+from tests.store.test_store import list_files
 
 LOGS = [*DRIVES, DRIVES[0]]
 """One of them twice"""
@@ -93,3 +102,66 @@ def test_clouds_of_several_logs_are_traced_over_one_ground(
     assert files[0].read_bytes() == files[1].read_bytes()
     assert sorted(report.notes) == sorted(alone.notes)
     assert any("level=" in note for note in alone.notes) == leans
+
+
+TWICE = [DRIVES[0], DRIVES[4], DRIVES[0]]
+"""One log is given twice"""
+
+
+EVERY_SCAN = Selection(end_s=1e6)
+"""It leaves nothing out, which is a note"""
+RADIAL = BuildOptions(update=Update.BEAM, model=QuadraticModel(), selection=EVERY_SCAN, jobs=1)
+
+
+@pytest.mark.parametrize(
+    ("logs", "options"),
+    [
+        (TWICE, BuildOptions(jobs=1, resolution=0.02)),  # more than a block, with hits at its edges
+        (TWICE, RADIAL),
+        ([SAMPLE_LOGS / "hall.mcap"], BuildOptions(jobs=1)),  # clouds, over a ground
+    ],
+)
+def test_it_holds_what_one_process_writes(
+    address: str, tmp_path: Path, logs: list[Path], options: BuildOptions
+) -> None:
+    alone = build(logs, options, [tmp_path / "alone.zarr"]).report
+    fleet = Fleet(address, tmp_path / "scratch")
+    together = fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
+    assert replace(together, seconds={}, files=()) == replace(alone, seconds={}, files=())
+    written = [list_files(tmp_path / f"{name}.zarr") for name in ("alone", "fleet")]
+    assert written[0] == written[1]
+    assert open_store(tmp_path / "fleet.zarr").blocks
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alone.zarr", "fleet.zarr"]
+
+
+def test_it_lies_over_the_ground_that_is_given(address: str, tmp_path: Path) -> None:
+    logs, first = [SAMPLE_LOGS / "hall.mcap"], tmp_path / "first.npz"
+    build(logs, BuildOptions(jobs=1, selection=Selection(end_s=2.0)), [first])
+    options = BuildOptions(jobs=1, clouds=CloudOptions(ground=str(first)))
+    build(logs, options, [tmp_path / "alone.zarr"])
+    fleet = Fleet(address, tmp_path / "scratch")
+    fleet.build(logs, options, [tmp_path / "fleet.zarr"], ignore_progress)
+    assert list_files(tmp_path / "alone.zarr") == list_files(tmp_path / "fleet.zarr")
+
+
+def test_a_log_that_is_read_twice_counts_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Memory holds next to nothing, so run files are written in both readings."""
+    monkeypatch.setattr(text_log, "BLOCK_BYTES", 3000)  # ten scans or so
+    log = write_late(tmp_path / "late.csv", scans=60, marked_from=30)
+    options = BuildOptions(jobs=1, pass_gap_s=2.0)
+    alone = build([log], options)
+    folder = tmp_path / "scratch"
+    folder.mkdir()
+    setting = Setting(options, Keep(slices=True), folder, 1, window_cells=1 << 20, most_bytes=1)
+    traced = trace_log(Job(setting, "log", str(log)))
+    pieces = [piece for block in sorted(traced.pieces) for piece in traced.pieces[block]]
+    grid, _ = add_up_pieces(setting, pieces)
+    files = {piece.file for piece in pieces}
+    assert len(files) > 1
+    assert len(list(folder.glob("*.run"))) > len(files)
+    assert traced.tally.scans_used == 60
+    assert traced.tally.beams == alone.report.beams
+    assert are_equal(grid.tiles, alone.observed.tiles)
+    assert any("30 m" in note for note in traced.notes)

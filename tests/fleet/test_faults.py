@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -92,9 +92,7 @@ def test_a_map_that_is_too_large_names_the_log(address: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("phase", ["slices/*/c/*", "classes/1/c/*"])
-def test_a_worker_is_killed_while_it_writes_a_store(
-    address: str, tmp_path: Path, phase: str
-) -> None:
+def test_a_worker_that_writes_a_store_is_killed(address: str, tmp_path: Path, phase: str) -> None:
     logs, options = DRIVES[:1], replace(OPTIONS, resolution=0.02)
     build(logs, options, [tmp_path / "alone.zarr"])
     fleet = Fleet(address, tmp_path / "scratch")
@@ -220,16 +218,42 @@ def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path
             found.run("trace", die, [JOB])
 
 
-def test_a_scheduler_that_goes_while_workers_are_asked_is_one_line(
+def run_job(found: cluster.Cluster) -> None:
+    found.run("trace", die, [JOB])
+
+
+def ask_workers(found: cluster.Cluster) -> None:
+    cluster.refuse_unseen_files(found, [])
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("called", "error", "act", "expected", "told"),
+    [
+        ("run", OSError("Timed out"), ask_workers, FleetError, "gone; start it again, and type"),
+        ("map", CommClosedError(), run_job, FleetError, "scheduler is gone; 0 of 1 tasks"),
+        ("map", CancelledError(), run_job, FleetError, "scheduler is gone; 0 of 1 tasks"),
+        ("map", OSError(), run_job, FleetError, "scheduler is gone; 0 of 1 tasks"),
+        ("map", FULL, run_job, OSError, "No space left"),
+    ],
+)
+def test_a_connection_that_closes_is_a_scheduler_that_is_gone_and_a_full_disk_is_not(
     monkeypatch: pytest.MonkeyPatch,
+    called: str,
+    error: Exception,
+    act: Callable[[cluster.Cluster], None],
+    expected: type[Exception],
+    told: str,
 ) -> None:
-    def close(*_: object, **__: object) -> None:
-        raise OSError("Timed out trying to connect")
+    def fail(*_: object, **__: object) -> None:
+        raise error
 
     with open_cluster("local", 1, print) as found:
-        monkeypatch.setattr(found._client, "run", close)
-        with pytest.raises(FleetError, match="the scheduler is gone; start it again, and type"):
-            cluster.refuse_unseen_files(found, [])
+        monkeypatch.setattr(found._client, called, fail)
+        with pytest.raises(expected, match=told):
+            act(found)
 
 
 def test_that_no_worker_is_left_is_said_once(
@@ -250,31 +274,6 @@ def test_that_no_worker_is_left_is_said_once(
         ):
             found.run("trace", die, [JOB])
     assert told == [f"{address}: no worker is left; waiting for another one"]
-
-
-@pytest.mark.parametrize("error", [CommClosedError, CancelledError, OSError])
-def test_a_connection_that_closes_while_jobs_run_is_a_scheduler_that_is_gone(
-    monkeypatch: pytest.MonkeyPatch, error: type[Exception]
-) -> None:
-    def close(*_: object, **__: object) -> None:
-        raise error
-
-    with open_cluster("local", 1, print) as found:
-        monkeypatch.setattr(found._client, "map", close)
-        with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
-            found.run("trace", die, [JOB])
-
-
-def test_what_the_system_refuses_a_task_is_not_blamed_on_the_scheduler(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def fill(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with open_cluster("local", 1, print) as found:
-        monkeypatch.setattr(found._client, "map", fill)
-        with pytest.raises(OSError, match="No space left"):
-            found.run("trace", die, [JOB])
 
 
 def test_jobs_do_nothing_with_workers_that_are_there(

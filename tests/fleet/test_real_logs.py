@@ -5,11 +5,8 @@ from pathlib import Path
 import pytest
 
 from tests.cli.runner import occmap
-from tests.samples import REAL_LOGS
+from tests.samples import find_real
 
-pytestmark = pytest.mark.skipif(
-    not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
-)
 WITH_POSES = [
     "carmen/intel-corrected.log.gz",
     "carmen/csail-corrected.log.gz",
@@ -35,11 +32,11 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     folder = tmp_path_factory.mktemp("damaged")
     damaged = []
     for name in CUT_SHORT:
-        whole = (REAL_LOGS / name).read_bytes()
+        whole = find_real(name).read_bytes()
         path = folder / Path(name).name
         path.write_bytes(whole[: len(whole) * 2 // 3])
         damaged.append(path)
-    return [*(REAL_LOGS / name for name in WITH_POSES), *damaged]
+    return [*(find_real(name) for name in WITH_POSES), *damaged]
 
 
 def test_files_and_text_are_those_of_one_process(

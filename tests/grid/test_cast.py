@@ -99,9 +99,7 @@ def test_the_first_occupied_cell_is_found_to_two_cells(
 
 
 @pytest.mark.parametrize(("cut", "found"), [(0.5, 0), (0.32, 1)])
-def test_what_the_map_calls_occupied_is_found_however_probable_it_is(
-    cut: float, found: int
-) -> None:
+def test_what_the_map_calls_occupied_is_found_however_probable(cut: float, found: int) -> None:
     """A wall at 0.4, from 7 to 8."""
     probability = np.array([[0.0, 0, 0, 0, 0, 0, 0, 0.4, 0, 0]], np.float32)
     beam = cast(probability, 0.0, 0.5, 0.0, 7.5, cut)

@@ -137,9 +137,7 @@ TABLES = st.dictionaries(KEYS, st.builds(draw, CELLS, st.booleans()), max_size=5
 
 def pack_tables(tables: Tables) -> Slices:
     keys = np.array(list(tables), np.int64).reshape(-1, 3)
-    bits = np.packbits(
-        np.array(list(tables.values()), np.bool_).reshape(-1, 2, TILE, TILE), axis=-1
-    )
+    bits = np.packbits(np.array([*tables.values()], np.bool_).reshape(-1, 2, TILE, TILE), axis=-1)
     return tiles.pack_bits(keys[:, :2], keys[:, 2], bits)
 
 

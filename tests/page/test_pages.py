@@ -46,10 +46,8 @@ def to_rgb(colour: str) -> list[int]:
 
 def find_middle(grid: Map, row: int, col: int) -> tuple[float, float]:
     """The middle of a cell (m)."""
-    return (
-        grid.origin[0] + (col + 0.5) * grid.resolution,
-        grid.origin[1] + (row + 0.5) * grid.resolution,
-    )
+    (x, y), size = grid.origin, grid.resolution
+    return x + (col + 0.5) * size, y + (row + 0.5) * size
 
 
 def test_the_pointer_says_what_the_map_holds(drive: Drive) -> None:
@@ -122,9 +120,7 @@ def test_the_slider_lays_a_scan_over_the_map(drive: Drive) -> None:
     np.testing.assert_allclose(painted, to_rgb(SCAN_COLOUR), atol=8)  # its edge is smoothed
 
 
-def test_shapes_that_are_drawn_over_the_map_are_saved_for_edits(
-    drive: Drive, tmp_path: Path
-) -> None:
+def test_shapes_drawn_over_the_map_are_saved_for_edits(drive: Drive, tmp_path: Path) -> None:
     page = drive.page
     folder = {"behavior": "allow", "downloadPath": str(tmp_path)}
     page.browser.execute_cdp_cmd("Browser.setDownloadBehavior", folder)

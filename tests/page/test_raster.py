@@ -151,9 +151,7 @@ def test_a_number_too_large_is_the_largest() -> None:
     assert unpack(pack_layer(np.array([[2**40]]))).tolist() == [[2**32 - 1]]
 
 
-def test_the_ground_of_clouds_is_a_layer_as_high_as_the_hall_s_floor_and_ramp(
-    tmp_path: Path,
-) -> None:
+def test_the_ground_of_clouds_is_a_layer_as_high_as_the_floor_and_ramp(tmp_path: Path) -> None:
     made = api.build_map("sample_logs/hall.mcap", resolution=0.1, outputs=tmp_path / "m.npz")
     assert made.evidence
     seen = Seen.of(made.evidence)

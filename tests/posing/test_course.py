@@ -28,10 +28,7 @@ def tell(poser: Poser, max_range: float = math.inf) -> list[str]:
     [
         # 0.3 m / sin 5 deg = 3.44 m
         (mount(pitch=5), ["by 5.0 deg (5.0 deg down ahead)", "0.3 m over", "`max_range=3.4`"]),
-        (
-            mount(roll=4, height=0.5),
-            ["by 4.0 deg: ", "0.5 m over", "7.1 m away", "`max_range=7.1`"],
-        ),
+        (mount(roll=4, height=0.5), ["by 4.0 deg", "0.5 m over", "7.1 m away", "`max_range=7.1`"]),
         (mount(pitch=5, height=0.0), ["by 5.0 deg (5.0 deg down ahead): it meets the floor"]),
         (mount(pitch=45), ["by 45.0 deg (45.0 deg down ahead)", "the floor or the ceiling, not"]),
         (mount(pitch=-60), ["(60.0 deg up ahead): the laser looks at the floor or the ceiling"]),

@@ -45,27 +45,18 @@ def watch(poser: Poser, first_s: float = 0.0, last_s: float = 100.0) -> list[Con
 AWAY = math.hypot(11 + 12 * math.cos(math.radians(100)) - 12, 12 * math.sin(math.radians(100)))
 """How far a robot at (12, 0) gets that is turned about the origin by 100 degrees, and then moved"""
 JUMPS: dict[str, tuple[Callable[[int], Pose], str, dict[str, str]]] = {
-    "one": (
-        lambda second: turned(100, 11.0) if second >= 12 else NOWHERE,
-        f"by {AWAY:.3g} m and 100 deg 12.000 s after the first scan: ",
-        {"start_s": "12"},
-    ),
+    "one": (lambda second: turned(100, 11.0) if second >= 12 else NOWHERE,
+        f"by {AWAY:.3g} m and 100 deg 12.000 s after the first scan: ", {"start_s": "12"}),
     "two, and the longest part between them": (
         lambda second: turned(0, 0.0 if second < 20 else 5.0 if second < 90 else 50.0),
         "by 45 m and 0 deg 90.000 s after the first scan, the largest of 2 jumps: ",
         {"start_s": "20", "end_s": "90"},
     ),
-    "a plateau": (
-        lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE,
-        " 65.000 s after the first scan, the largest of 2 jumps: ",
-        {"end_s": "60"},
-    ),
-    "a single wrong one": (
-        lambda second: turned(10) if second == 30 else NOWHERE,
-        " 31.000 s after the first scan, the largest of 2 jumps: ",
-        {"start_s": "31"},
-    ),
-}
+    "a plateau": (lambda second: turned(5, 7.0, -3.0) if 60 <= second < 65 else NOWHERE,
+        " 65.000 s after the first scan, the largest of 2 jumps: ", {"end_s": "60"}),
+    "a single wrong one": (lambda second: turned(10) if second == 30 else NOWHERE,
+        " 31.000 s after the first scan, the largest of 2 jumps: ", {"start_s": "31"}),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", JUMPS)

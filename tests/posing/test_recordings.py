@@ -49,10 +49,8 @@ STAMPS = [(k + 1) * SECOND + 5 for k in range(6)]
 
 
 def write_poses(kind: str, topic: str) -> Path:
-    return write_mcap(
-        Path("slam.mcap"),
-        [Written(topic, at, make(kind, at, 0.5 * k)) for k, at in enumerate(STAMPS)],
-    )
+    messages = [Written(topic, at, make(kind, at, 0.5 * k)) for k, at in enumerate(STAMPS)]
+    return write_mcap(Path("slam.mcap"), messages)
 
 
 @pytest.mark.parametrize(
@@ -108,10 +106,9 @@ def test_a_log_takes_the_transforms_of_a_recording_without_poses(
 ) -> None:
     """What both hold is no conflict, and a goal is no topic of poses."""
     messages = drive(ROS1)
-    goal = Written(
-        "/goal", SECOND, ros.posed(ROS1, KINDS["PoseStamped"], SECOND, ("odom", "", 9.0))
-    )
-    write_bag1(Path("other.bag"), [*(it for it in messages if "tf" in it.topic), goal])
+    goal = ros.posed(ROS1, KINDS["PoseStamped"], SECOND, ("odom", "", 9.0))
+    sent = [*(it for it in messages if "tf" in it.topic), Written("/goal", SECOND, goal)]
+    write_bag1(Path("other.bag"), sent)
     log.unlink()
     write_bag1(log, [each for each in messages if each.topic != lacking])
     if lacking == "/tf" and "static" in poses:
@@ -123,9 +120,7 @@ def test_a_log_takes_the_transforms_of_a_recording_without_poses(
     assert f"log.bag: transforms are taken from {topics}, too" in made.report.notes
 
 
-def test_transforms_of_a_recording_stand_in_place_of_those_of_the_log(
-    log: Path, whole: str
-) -> None:
+def test_transforms_of_a_recording_replace_those_of_the_log(log: Path, whole: str) -> None:
     messages = [each for each in drive(ROS1) if each.topic == "/tf"]
     wrong = [Written("/tf", at, ros.transforms(ROS1, at, [("odom", "base", 9.0)])) for at in STAMPS]
     others = [each for each in drive(ROS1) if each.topic != "/tf"]

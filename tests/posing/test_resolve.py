@@ -57,17 +57,15 @@ PLACES = {
     "on a named base": case(HULLS, [4.5, 0, 0], sensor_pose=AHEAD, base_frame="mast"),
     "a given transform": case(DRIVE, [4, 3, 0], static_transforms=(MOVED,)),
     "before one of the log": case(TF, [4, 3, 0], static_transforms=(MOVED,)),
-    "the last static one": case(
-        [*TF, MOUNT._replace(record_ns=1, pose=turned(0, y=2)), MOUNT], [4, 2, 0]
-    ),
+    "the last static one": case([*TF, MOUNT._replace(record_ns=1, pose=turned(0, y=2)), MOUNT],
+        [4, 2, 0]),
     "odometry": case([*drive("odom", "base_link", "/wheels"), MOUNT], [4.5, 0, 0]),
     "odometry of what tf only mounts": case(
         [*drive("odom", "base_link", "/wheels"), bolted("footprint", "base_link", AHEAD), MOUNT],
         [4.5, 0, 0],
     ),
-    "odometry of a mounted laser": case(
-        [*drive("camera_init", "laser", "/lio"), MOUNT], [4, 0, 0], "camera_init"
-    ),
+    "odometry of a mounted laser": case([*drive("camera_init", "laser", "/lio"), MOUNT], [4, 0, 0],
+        "camera_init"),
     "tf before odometry": case([*LAGGING, *TF], [4.5, 0, 0]),
     "poses of a still tree": case([*POSES, MOUNT], [4.5, 0, 0], "mocap"),
     "poses without a tree": case(POSES, [4, 0, 0], "mocap"),
@@ -77,21 +75,19 @@ PLACES = {
     "bolted to the map": case([bolted("map", "laser", turned(0, x=3))], [3, 0, 0], "map"),
     "a chosen topic": case([*TF, *MOCAP], [0.5, 4, 0], "mocap", poses="/mocap/pose"),
     "chosen odometry": case([*TF, *drive("map", "odom"), *FUSED], [0.5, 4, 0], poses="fused"),
-    "in a chosen map": case(
-        [*TF, *drive("map", "odom"), *FUSED], [4.5, 4, 0], "map", poses="/fused", map_frame="map"
-    ),
+    "in a chosen map": case([*TF, *drive("map", "odom"), *FUSED], [4.5, 4, 0], "map",
+        poses="/fused", map_frame="map"),
     "of an unconnected body": case(UNCONNECTED, [4.5, 0, 0], poses="/odom", base_frame="base_link"),
     "a frame above": case(TF, [4.5, 0, 0], "map", static_transforms=(ABOVE,)),
     "two parents": case([*TF, bolted("tower", "laser", turned(0)), ABOVE], [4.5, 0, 0], "map"),
     "a loop": case(LOOP, [0, 0, 0]),
     "a mount sent again": case([*TF, MOUNT._replace(record_ns=5)], [4.5, 0, 0]),
-    "a mount on /tf, too": case(
-        [*TF, *(at(t, "base_link", "laser", AHEAD) for t in range(3))], [4.5, 0, 0]
-    ),
+    "a mount on /tf, too": case([*TF, *(at(t, "base_link", "laser", AHEAD) for t in range(3))],
+        [4.5, 0, 0]),
     "and moves there": case(
         [*TF, *(at(t, "base_link", "laser", turned(0, y=t)) for t in range(11))], [4, 4, 0]
     ),
-}
+}  # fmt: skip
 TAKEN = "poses from {}, taken as those of '{}'"
 SHORTEST = "the shortest way counts"
 NOTES = {
@@ -140,26 +136,18 @@ def test_where_a_laser_ends_up_in_which_map_and_what_is_said_of_it(name: str) ->
 
 
 REFUSALS = {
-    "an unknown map": case(
-        IN_MAP,
+    "an unknown map": case(IN_MAP,
         ["no frame 'moon' in the log (known: base_link, laser, map, odom)", "`map_frame`"],
-        map_frame="moon",
-    ),
-    "no mount": case(
-        DRIVE, ["no transform to the laser's frame 'laser' (known: base_link, odom)", GIVE_MOUNT]
-    ),
+        map_frame="moon"),
+    "no mount": case(DRIVE, ["the laser's frame 'laser' (known: base_link, odom)", GIVE_MOUNT]),
     "of nameless odometry": case(NAMELESS, [GIVE_MOUNT]),
-    "many frames": case(
-        [*DRIVE, *(bolted("base_link", f"w{i:02}", AHEAD) for i in range(20))], ["w03 and 16 more)"]
-    ),
-    "an unclear base": case(
-        HULLS,
+    "many frames": case([*DRIVE, *(bolted("base_link", f"w{i:02}", AHEAD) for i in range(20))],
+        ["w03 and 16 more)"]),
+    "an unclear base": case(HULLS,
         ["is not clear (known: hull, mast, odom)", "name it: `base_frame=hull`"],
-        sensor_pose=AHEAD,
-    ),
-    "an unknown base": case(
-        HULLS, ["`base_frame` takes hull, mast, odom"], sensor_pose=AHEAD, base_frame="moon"
-    ),
+        sensor_pose=AHEAD),
+    "an unknown base": case(HULLS, ["`base_frame` takes hull, mast, odom"], sensor_pose=AHEAD,
+        base_frame="moon"),
     "no poses": case([], ["the scans have no poses", "give a trajectory: `poses=FILE`"]),
     "goals and plans": case(
         [
@@ -169,22 +157,15 @@ REFUSALS = {
         ],
         ["the scans have no poses"],
     ),
-    "poses without times": case(
-        [MOUNT, *drive("map", "", "/path", [0])], ["/path", "are zero", "`stamps=record`"]
-    ),
+    "poses without times": case([MOUNT, *drive("map", "", "/path", [0])],
+        ["/path", "are zero", "`stamps=record`"]),
     "such poses without a tree": case(drive("map", "", "/path", [0]), ["/path", "`stamps=record`"]),
     "nothing moves": case([MOUNT], ["tf only says where 'laser' sits on", "`poses=FILE`"]),
-    "what moves is elsewhere": case(
-        [*drive("odom", "base_footprint"), MOUNT],
-        [
-            "not connected to what moves: base_footprint",
-            "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`",
-        ],
-    ),
-    "a chosen body that is not connected": case(
-        UNCONNECTED, ["no transform from 'base_footprint' to 'laser'"], poses="/odom"
-    ),
-}
+    "what moves is elsewhere": case([*drive("odom", "base_footprint"), MOUNT],
+        ["moves: base_footprint", "`static_transforms=base_footprint,base_link,0,0,0,0,0,0`"]),
+    "a chosen body that is not connected": case(UNCONNECTED,
+        ["no transform from 'base_footprint' to 'laser'"], poses="/odom"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("frame", ["map", "robot1/odom", "world", "camera_init"])
@@ -230,29 +211,16 @@ def drive_robot(space: str, y: float, lag: float = 0.0) -> list[PoseSample]:
 
 
 ROBOTS = [*drive_robot("/robot1", 1, lag=0.25), *drive_robot("/robot2", 2)]
+SCAN, ONE, TWO = "/robot2/scan", "/robot1/tf, /robot1/tf_static", "/robot2/tf, /robot2/tf_static"
 SPACES = {
-    "its own": (ROBOTS, "/robot2/scan", [4, 2.2, 0], ["/robot1/tf, /robot1/tf_static"]),
-    "one below it": (ROBOTS, "/robot2/front/scan", [4, 2.2, 0], ["/robot1/tf, /robot1/tf_static"]),
+    "its own": (ROBOTS, SCAN, [4, 2.2, 0], [ONE]),
+    "one below it": (ROBOTS, "/robot2/front/scan", [4, 2.2, 0], [ONE]),
     "the only one": (drive_robot("/robot2", 2), "/scan", [4, 2.2, 0], []),
-    "another one": (drive_robot("", 2), "/robot2/scan", [4, 2.2, 0], []),
-    "the root": (
-        [*ROBOTS[10:], *drive_robot("", 3)],
-        "/scan",
-        [4, 3.3, 0],
-        ["/robot2/tf, /robot2/tf_static"],
-    ),
-    "before the root": (
-        [*drive("odom", "base_link"), *ROBOTS[10:]],
-        "/robot2/scan",
-        [4, 2.2, 0],
-        ["/tf"],
-    ),
-    "filled by the root": (
-        [bolted("map", "odom", turned(0, x=100)), *ROBOTS],
-        "/robot2/scan",
-        [104, 2.2, 0],
-        ["/robot1/tf, /robot1/tf_static"],
-    ),
+    "another one": (drive_robot("", 2), SCAN, [4, 2.2, 0], []),
+    "the root": ([*ROBOTS[10:], *drive_robot("", 3)], "/scan", [4, 3.3, 0], [TWO]),
+    "before the root": ([*drive("odom", "base_link"), *ROBOTS[10:]], SCAN, [4, 2.2, 0], ["/tf"]),
+    "filled by the root": ([bolted("map", "odom", turned(0, x=100)), *ROBOTS], SCAN, [104, 2.2, 0],
+        [ONE]),
     "sent again at the root": (
         [*ROBOTS[10:], *(each._replace(topic="/tf") for each in ROBOTS[11:18])],
         "/scan",
@@ -266,17 +234,13 @@ SPACES = {
             *(at(t + 0.5, "base_link", "hull", AHEAD, "/arm/tf") for t in range(9)),
             bolted("hull", "gripper", AHEAD)._replace(topic="/arm/tf_static"),
         ],
-        "/robot2/scan",
+        SCAN,
         [4, 2.2, 0],
         [],
     ),
-    "beside one of other frames": (
-        [*ROBOTS[10:], *drive("odom", "hull", "/robot1/tf")],
-        "/robot2/scan",
-        [4, 2.2, 0],
-        [],
-    ),
-}
+    "beside one of other frames": ([*ROBOTS[10:], *drive("odom", "hull", "/robot1/tf")], SCAN,
+        [4, 2.2, 0], []),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SPACES)
@@ -368,11 +332,8 @@ def test_transforms_are_no_trajectory() -> None:
 
 
 def test_a_trajectory_that_does_not_exist_lists_those_that_do() -> None:
-    with pytest.raises(PoseError) as caught:
+    with pytest.raises(PoseError, match=r"^/slam: no such file.*topics of poses: /pose, /wheels$"):
         build(*drive("odom", "base_link", "/wheels"), *drive("map", "", "/pose"), poses="/slam")
-    assert str(caught.value) == (
-        "/slam: no such file, and no such topic of poses; topics of poses: /pose, /wheels"
-    )
 
 
 def test_a_trajectory_file_without_a_usable_pose_is_refused(tmp_path: Path) -> None:

@@ -181,10 +181,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     [
         (b"#ROSBAG V2.0\nE\0\0\0\x10\0\0\0", "not text, so not a trajectory"),
         (b"\x1b\x8c$FQ\x0fJ{h", "not text, so not a trajectory"),
-        (
-            b"\xdb\x01\xf5[{\x1f\x1d{\x8a",
-            "pbstream.*trajectories_to_rosbag -input .*drive.bin -out",
-        ),
+        (b"\xdb\x01\xf5[{\x1f\x1d{\x8a", "pbstream.*trajectories_to_rosbag -input .*drive.bin"),
         ("stamp,x,y,yaw\n1,2,3,0\n".encode("utf-16"), "UTF-16.*iconv"),
         (b"VERTEX_SE2 0 11.8 4.2 1.57\n", "pose graph, whose poses have no times"),
     ],

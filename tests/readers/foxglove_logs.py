@@ -102,26 +102,15 @@ SCHEMA = {
     "Vector3": {"x": "double", "y": "double", "z": "double"},
     "Quaternion": {"x": "double", "y": "double", "z": "double", "w": "double"},
     "Pose": {"position": "Vector3", "orientation": "Quaternion"},
-    "LaserScan": {
-        "timestamp": "Timestamp",
-        "frame_id": "string",
-        "pose": "Pose",
-        "start_angle": "double",
-        "end_angle": "double",
-        "ranges": "double*",
-        "intensities": "double*",
-    },
-    "FrameTransform": {
-        "timestamp": "Timestamp",
-        "parent_frame_id": "string",
-        "child_frame_id": "string",
-        "translation": "Vector3",
-        "rotation": "Quaternion",
-    },
+    "LaserScan": {"timestamp": "Timestamp", "frame_id": "string", "pose": "Pose",
+        "start_angle": "double", "end_angle": "double", "ranges": "double*",
+        "intensities": "double*"},
+    "FrameTransform": {"timestamp": "Timestamp", "parent_frame_id": "string",
+        "child_frame_id": "string", "translation": "Vector3", "rotation": "Quaternion"},
     "FrameTransforms": {"transforms": "FrameTransform*"},
     "PoseInFrame": {"timestamp": "Timestamp", "frame_id": "string", "pose": "Pose"},
     "PosesInFrame": {"timestamp": "Timestamp", "frame_id": "string", "poses": "Pose*"},
-}
+}  # fmt: skip
 
 
 def make_descriptors() -> pb2.FileDescriptorSet:

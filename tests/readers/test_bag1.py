@@ -180,9 +180,7 @@ def test_a_record_that_is_damaged_takes_no_other_chunk(path: Path, packed: str) 
         assert set(read(path, damaged)[1]) >= beside, at - head
 
 
-def test_an_index_that_counts_messages_of_a_connection_that_it_lacks_is_not_used(
-    path: Path,
-) -> None:
+def test_an_index_that_counts_messages_of_a_connection_it_lacks_is_not_used(path: Path) -> None:
     data = write(path)
     at = [at for at, start, _ in list_records(data, CONNECTION) if b"topic=/scan" in data[at:start]]
     data[data.index(b"conn=", at[-1]) + 5] ^= 64

@@ -62,9 +62,7 @@ def test_points_that_are_none_stay_as_their_driver_wrote_them() -> None:
     assert decode(cloud(ROS2, [(1e300, 0.0, 0.0)], "<f8")) == [[math.inf, 0.0, 0.0]]
 
 
-def test_rows_of_an_organised_cloud_may_be_padded_and_a_single_one_need_not_say_its_length() -> (
-    None
-):
+def test_rows_of_a_cloud_may_be_padded_and_a_single_one_need_not_say_its_length() -> None:
     message = cloud(ROS2, [(2.0, 0.5, 0.0), (9.0, 9.0, 9.0), (-3.0, 0.5, 0.0), (9.0, 9.0, 9.0)])
     message.height, message.width, message.row_step = 2, 1, 2 * message.point_step
     assert decode(message) == [[2.0, 0.5, 0.0], [-3.0, 0.5, 0.0]]
@@ -289,9 +287,7 @@ def test_images_of_colours_are_no_clouds(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["velodyne_msgs/msg/VelodyneScan", "ouster_ros/msg/PacketMsg"])
-def test_packets_are_named_with_the_node_that_makes_clouds_of_them(
-    kind: str, tmp_path: Path
-) -> None:
+def test_packets_are_named_with_the_node_that_makes_them_clouds(kind: str, tmp_path: Path) -> None:
     ROS2.register(get_types_from_msg("uint8[] buf", kind))
     packet = ROS2.types[kind](np.zeros(9, np.uint8))
     clouds, (note,) = record(tmp_path, ("/packets", packet))

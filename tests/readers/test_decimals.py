@@ -78,9 +78,7 @@ FORMS = st.sampled_from(["{:.2f}", "{:.2f}", "{:.3f}", "{:.0f}", "{:.6f}", "{:g}
 )
 @pytest.mark.parametrize("at", range(3))
 @pytest.mark.parametrize("kind", [NUMBER, RANGE])
-def test_a_line_with_a_word_that_few_programs_write_is_left_out(
-    word: str, at: int, kind: int
-) -> None:
+def test_a_line_with_a_word_few_programs_write_is_left_out(word: str, at: int, kind: int) -> None:
     words = ["1.5", "2", "2.25"]
     words[at] = word
     lines = [b"3.5,2,1.25", ",".join(words).encode(), b"3.5,2,1.25"]

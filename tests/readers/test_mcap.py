@@ -106,9 +106,7 @@ IDL = (
     ],
     ids=["sound", "shift", "brackets", "modules"],
 )
-def test_messages_defined_in_idl_are_read_as_ros_defines_them(
-    definition: str, tmp_path: Path
-) -> None:
+def test_messages_in_idl_are_read_as_ros_defines_them(definition: str, tmp_path: Path) -> None:
     message = ros.posed(ROS2, ros.POSED[0], 3_000_000_004, ("/map", "", 1.0))
     schema = ros.POSED[0], "ros2idl", definition.encode()
     encoded = ros.encode(Written("/pose", 1, message))._replace(schema=schema)

@@ -201,15 +201,26 @@ def test_a_summary_that_is_damaged_is_told_of(tmp_path: Path, has: set[str]) -> 
     assert read_damaged(tmp_path, data)[1] == STAMPS
 
 
-def test_statistics_that_count_otherwise_are_told_of(tmp_path: Path) -> None:
-    data = write({"chunks", *COUNTED})
-    (at, _) = list_records(data, Opcode.STATISTICS)[0]
-    struct.pack_into("<Q", data, at + 9, len(LOG) + 5)
+@pytest.mark.parametrize(
+    ("has", "record", "changed", "told"),
+    [
+        ({"chunks", *COUNTED}, (Opcode.STATISTICS, 0), (9, "<Q", len(LOG) + 5), "statistics"),
+        (set(), (Opcode.CHANNEL, 1), (11, "<H", 0), "type of the messages on /tf is not stated"),
+        (set(), (Opcode.SCHEMA, 1), (0, "B", Opcode.FOOTER), ""),
+        (BARE, (Opcode.CHANNEL, 1), (9, "<H", 1), "channel 1 is described in two ways: it is tak"),
+    ],
+)
+def test_a_record_that_says_something_else_is_told_of_and_takes_no_scan(
+    tmp_path: Path, has: set[str], record: tuple[int, int], changed: tuple[int, str, int], told: str
+) -> None:
+    """Not even one that became a footer, which ends nothing."""
+    data, (opcode, which), (place, layout, value) = write(has), record, changed
+    struct.pack_into(layout, data, list_records(data, opcode)[which][0] + place, value)
 
     notes, stamps = read_damaged(tmp_path, data)
 
+    assert told in notes[0]
     assert stamps == STAMPS
-    assert "statistics" in notes[0]
 
 
 @pytest.mark.parametrize("has", [BARE, BARE | {"statistics"}], ids=len)
@@ -224,9 +235,7 @@ def test_a_message_of_an_unknown_channel_is_told_of(tmp_path: Path, has: set[str
     assert len(notes) == (1 if has == BARE else 2)  # its statistics count it elsewhere
 
 
-def test_messages_whose_channels_were_in_a_lost_chunk_are_counted_as_they_are(
-    tmp_path: Path,
-) -> None:
+def test_messages_whose_channels_were_in_a_lost_chunk_are_counted(tmp_path: Path) -> None:
     data = write(BARE | {"statistics"}, "zstd")
     data[data.index(zstandard.FRAME_HEADER)] ^= 1  # of the first chunk, which alone has channels
 
@@ -243,26 +252,6 @@ def test_a_chunk_that_states_to_be_empty_is_told_of(tmp_path: Path) -> None:
 
     assert len(stamps) < SCANS
     assert "bytes that it does not state" in notes[0]
-
-
-def test_a_channel_that_lost_its_schema_is_told_of(tmp_path: Path) -> None:
-    data = write(())
-    at, _ = list_records(data, Opcode.CHANNEL)[1]
-    struct.pack_into("<H", data, at + 9 + 2, 0)
-
-    notes, _ = read_damaged(tmp_path, data)
-
-    assert notes[0] == "the type of the messages on /tf is not stated"
-
-
-def test_a_channel_that_is_described_in_two_ways_is_told_of(tmp_path: Path) -> None:
-    data = write(BARE)
-    (_, _), (at, _), _ = list_records(data, Opcode.CHANNEL)
-    struct.pack_into("<H", data, at + 9, 1)
-
-    notes, _ = read_damaged(tmp_path, data)
-
-    assert "channel 1 is described in two ways: it is taken for /tf_static" in notes
 
 
 def test_an_index_without_checksum_is_not_relied_on(tmp_path: Path) -> None:
@@ -288,16 +277,6 @@ def test_bytes_that_are_lost_or_added_take_what_lies_there(
 
     # A chunk ends where it says, so bytes that were added push its last ones out of it.
     assert set(STAMPS) - set(stamps) <= {STAMPS[8], STAMPS[9]}
-
-
-def test_a_record_that_became_a_footer_ends_nothing(tmp_path: Path) -> None:
-    data = write(())
-    at, _ = list_records(data, Opcode.SCHEMA)[1]
-    data[at] = Opcode.FOOTER
-
-    _, stamps = read_damaged(tmp_path, data)
-
-    assert stamps == STAMPS
 
 
 def test_a_chunk_is_read_behind_a_first_record_of_another_kind(tmp_path: Path) -> None:

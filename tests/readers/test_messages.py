@@ -71,9 +71,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("hostile", HOSTILE.values(), ids=list(HOSTILE))
-def test_a_definition_that_asks_for_too_much_is_noted_and_the_standard_one_used(
-    hostile: str,
-) -> None:
+def test_a_definition_that_asks_too_much_is_noted_and_the_standard_one_used(hostile: str) -> None:
     log = read(hostile)
     with bounded():
         (found,) = log.scans({"/scan"})

@@ -105,9 +105,7 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, folder: Path
         assert count_scans(open_log(folder)) == 6
 
 
-def test_files_that_the_metadata_names_and_are_missing_are_named(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_missing_files_that_the_metadata_names_are_named(folder: Path, tmp_path: Path) -> None:
     renamed = shutil.copytree(folder, tmp_path / "renamed")
     (renamed / "drive.db3").rename(renamed / "other.db3")
     (folder / "drive.db3").unlink()
@@ -145,9 +143,7 @@ def test_a_folder_of_several_recordings_is_refused(other: str, folder: Path) -> 
     assert count_scans(open_log(folder)) == 6  # the metadata says which file it is
     (folder / "metadata.yaml").unlink()
 
-    with pytest.raises(
-        LogError, match=r"more than one recording and no metadata\.yaml: "
-    ) as caught:
+    with pytest.raises(LogError, match=r"more than one recording and no metadata\.yaml") as caught:
         open_log(folder)
     assert other in caught.value.found
     assert caught.value.fix.startswith(f"give one of them, such as {folder}/")

@@ -26,7 +26,7 @@ from occmap.sensor.models import CountingModel, SensorModel, SimpleModel, parse_
 from occmap.types import Rays, Update
 from tests.csv_logs import write_scans
 from tests.grid.scans import make_rays
-from tests.samples import PLAIN, REAL_LOGS, SAMPLE_LOGS, write_csv
+from tests.samples import PLAIN, SAMPLE_LOGS, find_real, write_csv
 from tests.writers.maps import map_of
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
@@ -295,9 +295,6 @@ def test_the_command_repeats_what_was_chosen() -> None:
         assert comparison.command == tuple(expected.split())
 
 
-@pytest.mark.skipif(
-    not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}: set OCCMAP_REAL_LOGS"
-)
 @pytest.mark.parametrize(
     ("name", "share", "log_likelihood"),
     [("carmen/intel-corrected.log.gz", 0.87, -0.5), ("carmen/csail-corrected.log.gz", 0.795, -0.9)],
@@ -305,7 +302,7 @@ def test_the_command_repeats_what_was_chosen() -> None:
 def test_the_default_build_foretells_real_logs_best_and_likeliest(
     name: str, share: float, log_likelihood: float
 ) -> None:
-    comparison = compare([REAL_LOGS / name], combine([], []), BuildOptions())
+    comparison = compare([find_real(name)], combine([], []), BuildOptions())
     best, likeliest = comparison.recommended, comparison.likeliest
     assert best.variant == Variant(DEFAULT_UPDATE, BuildOptions().model)
     assert likeliest.variant == best.variant

@@ -28,7 +28,7 @@ from occmap.store.merging import merge
 from occmap.types import Pose
 from tests.evidence.saving import DRIVE, halve, save
 from tests.grid.scans import are_equal, assert_same_slices, make_grid, read_cells
-from tests.samples import REAL_LOGS
+from tests.samples import find_real
 
 MOVED = (1.2, -0.7, 0.2)
 FIRST, SECOND = halve(BuildOptions(), 41.3)
@@ -150,13 +150,12 @@ def test_what_lies_elsewhere_is_not_merged_by_guess(tmp_path: Path) -> None:
         lay_on(replace(second, manifest=replace(second.manifest, update="beam")), past)
 
 
-@pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
 @pytest.mark.parametrize("name", ["freiburg-079-corrected", "fr079-robotlaser"])
 @pytest.mark.parametrize("back", [(1.1, 1.6, 0.3), (-1.5, 0.2, -0.25)])
 def test_halves_of_real_logs_merge_nearly_to_the_whole(
     name: str, back: tuple[float, float, float], tmp_path: Path
 ) -> None:
-    log, true = REAL_LOGS / "carmen" / f"{name}.log.gz", Transform(*back)
+    log, true = find_real(f"carmen/{name}.log.gz"), Transform(*back)
     x, y = true.move_back(np.zeros((1, 2)))[0].tolist()
     moved = PosingOptions(transform=Pose.planar(x, y, -true.yaw))
     before, after = halve(BuildOptions(), 550.0)

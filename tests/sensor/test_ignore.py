@@ -10,7 +10,7 @@ import pytest
 from occmap import sensor
 from occmap.cells import Box
 from occmap.errors import UsageError
-from occmap.sensor import ReturnOptions, classify
+from occmap.sensor import NoReturn, ReturnOptions, classify
 from occmap.types import Cloud, Kind
 from tests.clouds.simulation import place
 from tests.samples import make_batch
@@ -50,9 +50,7 @@ def test_sectors_run_counter_clockwise_whatever_way_the_beams_do() -> None:
 
 def test_what_a_sector_holds_is_skipped_and_counted() -> None:
     batch = four_beams([[1.0, 2.0, np.inf, np.nan], [0.0, 9.0, 3.0, 4.0]])
-    options = ReturnOptions(
-        no_return=sensor.NoReturn.CLEAR, ignore_sectors=((3.0, -3.0), (-1.6, -1.5))
-    )
+    options = ReturnOptions(no_return=NoReturn.CLEAR, ignore_sectors=((3.0, -3.0), (-1.6, -1.5)))
 
     kind, reach, counts = classify(batch, options)
 
@@ -82,9 +80,7 @@ def test_hits_in_the_footprint_are_skipped(box: Box, expected: list[list[Kind]])
 
 def test_a_footprint_says_nothing_of_beams_that_leave_it() -> None:
     batch = four_beams([[5.0, np.inf, 9.0, 7.9]])
-    with_box = classify(
-        batch, ReturnOptions(footprint=(-1, -1, 1, 1), no_return=sensor.NoReturn.CLEAR)
-    )
+    with_box = classify(batch, ReturnOptions(footprint=(-1, -1, 1, 1), no_return=NoReturn.CLEAR))
 
     assert with_box[0].tolist() == [[HIT, FREE, FREE, HIT]]
 

@@ -197,9 +197,7 @@ def test_what_is_wrong_is_said_in_one_line(text: str, words: list[str]) -> None:
         assert word in message
 
 
-def test_a_model_that_is_installed_and_does_not_load_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_installed_model_that_does_not_load_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("occmap.sensor.models.load_plugin", lambda *_: None)
     with pytest.raises(UsageError, match="the model simple does not load; `occmap models` says"):
         models.make_model("simple", {})

@@ -253,7 +253,7 @@ def tell(*scans: Scan) -> list[str]:
 CODE = MEASURED + [51.15] * 500
 CODES = MEASURED + [51.14] * 300 + [51.15] * 200
 SWAPPED = scan([0.5, 2.0, 29.0], range_max=0.1)._replace(range_min=30.0)
-FIRST, SECOND = ([*range(start, start + 8), *[50.0] * 6] for start in (1, 9))
+FIRST, SECOND = (scan([*range(at, at + 8), *[50.0] * 6], range_max=60.0) for at in (1, 9))
 """Of which none shows a band by itself: it has too few readings and too few ranges"""
 
 
@@ -271,17 +271,9 @@ def test_a_few_ranges_just_above_the_limit_are_noise_of_which_nobody_is_told() -
         ([scan([0.3, 0.8], range_max=0.5)], "0.5 m", "1 of 2 ranges (50.0%) are above it, up to"),
         ([scan(MEASURED)], "no usable", "every range is used as measured"),
         ([SWAPPED], "no usable", "every range is used as measured"),
+        ([FIRST, SECOND], "60 m", "12 of 28 ranges (42.9%) read 50 m"),
         (
-            [scan(FIRST, range_max=60.0), scan(SECOND, range_max=60.0)],
-            "60 m",
-            "12 of 28 ranges (42.9%) read 50 m",
-        ),
-        (
-            [
-                scan([1.0, 51.15], range_max=40.0),
-                scan([3.0, 52.0, 53.0], range_max=50.0),
-                scan([1.0]),
-            ],
+            [scan([1, 51.15], range_max=40), scan([3, 52, 53], range_max=50), scan([1])],
             "no usable",
             "3 of 6 ranges (50.0%) are above it, up to 53 m",
         ),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from occmap.cells import Evidence, Manifest, Slices
+from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.explanation import Question, Visits, explain
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, unite
@@ -30,45 +30,29 @@ from tests.evidence.saving import (
     save,
     write_bytes,
 )
-from tests.grid.scans import are_equal
+from tests.grid.scans import are_equal, assert_same_slices
 from tests.samples import write_csv
 
 
 @each_combination
 def test_two_halves_make_the_whole(tmp_path: Path, update: Update, model: str) -> None:
+    """A slice of time goes on over the middle, 20 s after the start."""
     options = choose(update, model)
     first, second = (save(tmp_path / "half.npz", each) for each in halve(options))
     assert min(half.manifest.builds[0]["scans"]["used"] for half in (first, second)) > 20
     whole = save(tmp_path / "whole.npz", options)
-    for both in (merge([first, second]), merge([second, first])):
-        assert are_equal(both.tiles, whole.tiles)
-    rest = subtract(merge([first, second]), second)
-    assert are_equal(rest.tiles, first.tiles)
-    assert rest.manifest == first.manifest
-    assert merge([first, second]).slices == first.slices + second.slices
-    assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, first)
-    rest = subtract(merge([first, second]), first)
-    assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, second)
-
-
-def assert_equal(one: Slices, other: Slices) -> None:
-    for name in Slices.__dataclass_fields__:
-        assert np.array_equal(getattr(one, name), getattr(other, name)), name
-
-
-@each_combination
-def test_two_halves_make_the_visits_of_the_whole(
-    tmp_path: Path, update: Update, model: str
-) -> None:
-    """A slice of time goes on over the middle, 20 s after the start."""
-    options = choose(update, model)
-    first, second = (save(tmp_path / "half.npz", each).slices[0] for each in halve(options))
-    (whole,) = save(tmp_path / "whole.npz", options).slices
-    assert set(first.numbers) & set(second.numbers)
-    assert_equal(unite([first, second]), whole)
-    assert_equal(unite([second, first]), whole)
-    hits = [count_visits(tile)[0].any() for _, tile in split_tiles(whole)]
+    assert set(first.slices[0].numbers) & set(second.slices[0].numbers)
+    for halves in ([first, second], [second, first]):
+        assert are_equal(merge(halves).tiles, whole.tiles)
+        assert merge(halves).slices == halves[0].slices + halves[1].slices
+        assert_same_slices(unite(merge(halves).slices), whole.slices[0])
+    hits = [count_visits(tile)[0].any() for _, tile in split_tiles(whole.slices[0])]
     assert any(hits) == (model != "quadratic")
+    for taken, left in ((second, first), (first, second)):
+        rest = subtract(merge([first, second]), taken)
+        assert are_equal(rest.tiles, left.tiles)
+        assert rest.manifest == left.manifest
+        assert write_bytes(tmp_path, rest) == write_bytes(tmp_path, left)
 
 
 def test_a_seam_between_halves_is_no_visit_more(tmp_path: Path) -> None:
@@ -125,9 +109,7 @@ def test_logs_of_a_build_are_taken_out_with_their_scans(tmp_path: Path) -> None:
     rest = subtract(both, one)
     told, alone = (publish(each, RenderOptions(), []) for each in (rest, other))
     assert replace(told, notes=()) == replace(alone, notes=())
-    assert told.notes == (
-        "some logs of a build were subtracted, so numbers of visits are upper bounds",
-    )
+    assert [note.endswith("numbers of visits are upper bounds") for note in told.notes] == [True]
     nothing = subtract(rest, other)
     assert (nothing.manifest.builds, nothing.manifest.subtracted, nothing.slices) == ((), (), ())
     # A build of that log alone goes before a larger one.
@@ -149,7 +131,7 @@ def test_a_build_that_is_there_only_in_part_takes_no_slices_away(tmp_path: Path)
     assert rest.manifest.builds == whole.manifest.builds + half.manifest.builds
     assert rest.manifest.subtracted == half.manifest.builds
     for found, each in zip(rest.slices, (whole, half), strict=True):
-        assert_equal(found, each.slices[0])
+        assert_same_slices(found, each.slices[0])
 
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
@@ -227,9 +209,7 @@ def test_radial_evidence_of_two_depths_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 def test_more_than_is_there_cannot_be_taken_away(tmp_path: Path, model: str) -> None:
     first, second = (save(tmp_path / "m.npz", each) for each in halve(choose(model=model)))
-    with pytest.raises(
-        MapError, match=r"holds observations of [\d,]+ cells that .* lacks; subtract"
-    ):
+    with pytest.raises(MapError, match=r"holds observations of [\d,]+ cells that .* lacks; "):
         subtract(first, second)
 
 
@@ -241,9 +221,7 @@ def test_what_was_moved_is_not_said_to_be_absent(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("layer", [0, 1])
-def test_neither_hits_nor_misses_are_taken_away_that_are_not_there(
-    tmp_path: Path, layer: int
-) -> None:
+def test_neither_hits_nor_misses_that_are_not_there_are_taken(tmp_path: Path, layer: int) -> None:
     whole = save(tmp_path / "m.npz", choose())
     key, tile = next((key, tile) for key, tile in whole.tiles.items() if tile[0].any())
     part, place = np.zeros_like(tile), tuple(np.argwhere(tile[0])[0])

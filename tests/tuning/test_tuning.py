@@ -26,7 +26,7 @@ from tests.bench.plans import cast_scans
 from tests.csv_logs import write_poses, write_scans
 from tests.inspection_logs import Drive, write_bag
 from tests.readers.ros import SECOND
-from tests.samples import REAL_LOGS, SAMPLE_LOGS, Planar, write_csv
+from tests.samples import SAMPLE_LOGS, Planar, find_real, write_csv
 from tests.tuning.simulated import ROOM, read_drive, write_drive, write_parts, write_two_lasers
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -139,9 +139,7 @@ def test_scans_that_take_long_need_a_pose_for_each_beam() -> None:
     assert "20% of the hits of a sample of scans lie in occupied cells, and 99% with `d" in warning
 
 
-def test_no_command_is_given_where_the_other_times_fit_better(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_no_command_is_given_where_other_times_fit_better(monkeypatch: pytest.MonkeyPatch) -> None:
     """The clock of a laser jumps by three seconds, in which its robot turns by 0.33 rad."""
 
     def jump(stamp: int) -> int:
@@ -431,26 +429,22 @@ def test_a_gain_is_measured_scan_by_scan() -> None:
 
 EVERY_THIRD = BuildOptions(selection=Selection(stride=3))
 """Shows as much as all scans, in a third of the time"""
-real = pytest.mark.skipif(not REAL_LOGS.is_dir(), reason=f"no real logs in {REAL_LOGS}")
 
 
-@real
 def test_a_real_robot_whose_stamps_are_late() -> None:
-    tuning = tune([REAL_LOGS / "ros2" / "macfirst_floor_take_2"], EVERY_THIRD)
+    tuning = tune([find_real("ros2/macfirst_floor_take_2")], EVERY_THIRD)
     assert tuning.time.verdict is Verdict.FOUND
     assert tuning.correction.time_s == pytest.approx(-0.1, abs=0.03)
     assert tuning.time.gain > 0.05
 
 
-@real
 def test_a_mount_that_halves_disagree_about_is_not_made_up_from_a_wrong_time() -> None:
     """Mount first, it gains as much again, but fewer hits agree: 70% and not 73%."""
-    tuning = tune([REAL_LOGS / "ros1" / "test_turtlebot.bag"], EVERY_THIRD)
+    tuning = tune([find_real("ros1/test_turtlebot.bag")], EVERY_THIRD)
     assert tuning.mount.verdict is Verdict.DISAGREE
     assert tuning.correction == Correction(time_s=tuning.correction.time_s)
 
 
-@real
 @pytest.mark.parametrize("is_sure", [True, False])
 def test_a_time_that_only_the_right_mount_shows_is_told_as_such_and_must_be_sure(
     is_sure: bool, monkeypatch: pytest.MonkeyPatch
@@ -458,15 +452,14 @@ def test_a_time_that_only_the_right_mount_shows_is_told_as_such_and_must_be_sure
     if not is_sure:
         monkeypatch.setattr("occmap.tuning.search.is_better", lambda *_: False)
     posing = PosingOptions(sensor_pose=Pose.planar(0, 0, math.pi))
-    tuning = tune([REAL_LOGS / "ros1" / "mylaserdata2.bag"], BuildOptions(posing=posing))
+    tuning = tune([find_real("ros1/mylaserdata2.bag")], BuildOptions(posing=posing))
     assert tuning.time.verdict is Verdict.NOTHING
     assert bool(tuning.correction.time_s) == ("--time-offset" in tuning.command) == is_sure
     assert any("time     by itself" in line for line in format_tuning(tuning)) == is_sure
 
 
-@real
 def test_a_corrected_log_has_nothing_to_gain() -> None:
-    tuning = tune([REAL_LOGS / "carmen" / "intel-corrected.log.gz"], BuildOptions())
+    tuning = tune([find_real("carmen/intel-corrected.log.gz")], BuildOptions())
     assert tuning.mount.verdict is Verdict.NOTHING
     askew = [
         each.share

@@ -42,9 +42,7 @@ def test_a_box_covers_the_cells_whose_middle_is_in_it(tmp_path: Path) -> None:
     assert draw(tmp_path, "free,box,-0.5,3.0,0.6,4.0") == untouched + drawn + untouched
 
 
-def test_a_later_shape_goes_over_an_earlier_one_and_comments_count_for_nothing(
-    tmp_path: Path,
-) -> None:
+def test_a_later_shape_goes_over_an_earlier_one_and_comments_are_nothing(tmp_path: Path) -> None:
     lines = "# rubbed out", "occupied,box,-1,2,3,5", "", "unknown,polygon,-1,2,1,2,1,3,-1,3 # here"
     assert draw(tmp_path, *lines) == ["########"] * 4 + ["    ####"] * 2
 
