@@ -26,7 +26,7 @@ txt = made_up_plugin:Writer
 CODE = """
 import numpy as np
 from dataclasses import dataclass
-from occmap.readers import Role, Stream
+from occmap.readers import Log as Base, Role, Stream
 from occmap.types import Pose, Scan
 
 class Reader:
@@ -34,10 +34,10 @@ class Reader:
     def recognises(self, probe): return probe.content.startswith(b"#lines")
     def open(self, path): return $log
 
-class Log:
+class Log($base):
     def __init__(self, path):
         self.path, self.notes, self.streams = path, $notes, [Stream("scan", "", 1, Role.SCAN)]
-    def poses(self): return iter(())
+    def poses(self): return $poses
     def scans(self, topics):
         ranges, pose = np.ones(5, np.float32), Pose.planar(0, 0, 0)
         yield $scan
@@ -62,6 +62,8 @@ class Writer:
 """
 GOOD = {
     "log": "Log(path)",
+    "base": "object",
+    "poses": "iter(())",
     "notes": "[]",
     "prior": "0.5",
     "targets": "(path,)",
@@ -69,6 +71,7 @@ GOOD = {
     "odds": "hits - misses",
     "write": "path.touch()",
 }
+POSELESS = {"scan": 'Scan(0, "laser", -1, 0.5, ranges, 0, np.inf)'}
 Install = Callable[..., None]
 
 
@@ -111,8 +114,9 @@ def test_a_plugin_that_cannot_be_used_is_named(
     assert {"odd", "lines"} & {each["name"] for each in listed[command]}
 
 
-def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install) -> None:
-    install()
+@pytest.mark.parametrize("base", ["object", "Base"])
+def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install, base: str) -> None:
+    install(base=base)
     assert ask("build a.log --model odd -o m.txt")["files"] == ["m.txt"]
 
 
@@ -125,7 +129,9 @@ def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install) -> No
         ({"log": "None"}, "a.log: the reader lines gives None, which has no path"),
         ({"log": "type('Log', (), {'path': path})()"}, "a.log: the reader lines gives Log, which"),
         ({"prior": "2"}, "the model odd has the prior 2; give one"),
-        ({"scan": "{}"}, "a.log: its reader gives "),
+        ({"scan": "{}"}, "a.log: its reader gives dict where a Scan belongs"),
+        (POSELESS | {"poses": '["word"]'}, "reader gives 'word' where a PoseSample belongs"),
+        (POSELESS | {"poses": "None"}, "reader gives None where some PoseSample belongs"),
         ({"scan": 'Scan(0.5, "laser", 0, 1, ranges, 0, 9)'}, "a.log: holds 0.5 where a time"),
         ({"odds": "np.zeros(9)"}, "the model odd gives no log-odds"),
         ({"odds": "hits * np.nan"}, "the model odd gives no log-odds"),

@@ -240,7 +240,7 @@ def test_a_depth_image_is_a_point_for_each_pixel(
         ([1.0, 1.09, 4.0], []),  # a wall that is seen at a slant
         ([5.0, 5.14, 6.0], []),
         ([8.0, 8.5, 9.0], []),  # a wall half a metre beside the camera grows by 0.64 a pixel there
-        ([8.0, 8.7, 10.0], [1]),
+        ([8.0, 8.9, 10.5], [1]),
         ([0.0, 2.0, 4.0], []),
         ([1.0, 2.0, np.nan], []),
         ([1.0, 2.0, np.inf], []),

@@ -314,6 +314,7 @@ def test_large_maps_in_memory_are_painted_in_parts(
 
     whole = run_all("whole"), build_map(DRIVE)
     monkeypatch.setattr(painting, "LARGE_TILES", 0)
+    monkeypatch.setattr(painting, "FULL", 1.0)
     monkeypatch.setattr(evidence, "render_lasting", None)  # would make the whole map
     assert run_all("parts") == whole[0]
     shown = build_map(DRIVE)
