@@ -38,7 +38,7 @@ MESSAGE_BYTES = 100
 """What a message that is held takes in memory beside its own bytes."""
 SHORTEST_RUN = 64
 """Fewer scans are given one by one, to be stacked with others of their kind."""
-_Held: TypeAlias = tuple[int, int, bytes]
+_Held: TypeAlias = tuple[int, int, Buffer]
 """The number of a message in its log, when it was recorded (ns), and its bytes"""
 
 
@@ -164,12 +164,16 @@ class RosLog(Log):
         self._note_damage(readers)
 
     def _gather(self, readers: "_Readers") -> Iterator[Mapping[tuple[Channel, int], list[_Held]]]:
-        """Gather messages by channel and length; copied, so that no chunk of the file is kept."""
+        """Gather messages by channel and length; copied, so that no chunk of the file is kept.
+
+        Where none is read together with others, as clouds are not, each comes alone, as it is.
+        """
         groups, size = defaultdict[tuple[Channel, int], list[_Held]](list), 0
+        most = STACK_BYTES if any(each.stacks for each in readers.values()) else 0
         for number, (channel, record_ns, data) in enumerate(self._messages(readers)):
-            groups[channel, len(data)].append((number, record_ns, bytes(data)))
+            groups[channel, len(data)].append((number, record_ns, bytes(data) if most else data))
             size += len(data) + MESSAGE_BYTES
-            if size >= STACK_BYTES:
+            if size >= most:
                 yield groups
                 groups, size = defaultdict(list), 0
         yield groups
@@ -223,6 +227,11 @@ class _ChannelReader:
             self._parser = self._make_parser(replace(self._channel, definition=""))
             self.uses_standard = True
         return self.uses_standard
+
+    @property
+    def stacks(self) -> bool:
+        """Whether messages of one length are read together."""
+        return bool(self._parser.locate and self._many)
 
     def decode(self, data: Buffer, record_ns: int) -> list[Any]:
         """Decode and convert a message; raises DamageError."""
