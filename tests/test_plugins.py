@@ -71,6 +71,7 @@ GOOD = {
     "odds": "hits - misses",
     "write": "path.touch()",
 }
+BAD_SCAN = 'Scan(0.5, "laser", 0, 1, np.ones(5, np.float32), 0, 9)'
 POSELESS = {"scan": 'Scan(0, "laser", -1, 0.5, ranges, 0, np.inf)'}
 Install = Callable[..., None]
 
@@ -131,8 +132,9 @@ def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install, base:
         ({"prior": "2"}, "the model odd has the prior 2; give one"),
         ({"scan": "{}"}, "a.log: its reader gives dict where a Scan belongs"),
         (POSELESS | {"poses": '["word"]'}, "reader gives 'word' where a PoseSample belongs"),
+        (POSELESS | {"poses": BAD_SCAN}, "a.log: holds 0.5 where a time"),
         (POSELESS | {"poses": "None"}, "reader gives None where some PoseSample belongs"),
-        ({"scan": 'Scan(0.5, "laser", 0, 1, ranges, 0, 9)'}, "a.log: holds 0.5 where a time"),
+        ({"scan": BAD_SCAN}, "a.log: holds 0.5 where a time"),
         ({"odds": "np.zeros(9)"}, "the model odd gives no log-odds"),
         ({"odds": "hits * np.nan"}, "the model odd gives no log-odds"),
         ({"write": "return [path]"}, "m.txt: its writer did not write it"),

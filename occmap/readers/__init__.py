@@ -12,11 +12,12 @@ A probe holds the first bytes of a path, by which readers know it.
 
 import shlex
 import zlib
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
+from functools import partial
 from glob import has_magic
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
@@ -241,8 +242,8 @@ class PluginLog(Log):
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every pose source, many samples at once if the plugin can."""
-        given = getattr(self._log, "stacked_poses", self._log.poses)()
-        yield from self._check(given, PoseSample | PoseBatch, "PoseSample")
+        ask = getattr(self._log, "stacked_poses", self._log.poses)
+        yield from self._check(ask, PoseSample | PoseBatch, "PoseSample")
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, many at once if the plugin can.
@@ -250,23 +251,24 @@ class PluginLog(Log):
         One that names no topic is of the first: a plugin for one stream need not say.
         """
         name = next(iter(topics), "")
-        given = getattr(self._log, "stacked_scans", self._log.scans)(topics)
-        for each in self._check(given, Scan | ScanRun, "Scan"):
+        ask = partial(getattr(self._log, "stacked_scans", self._log.scans), topics)
+        for each in self._check(ask, Scan | ScanRun, "Scan"):
             is_named = isinstance(each, ScanRun) or each.topic
             yield each if is_named else each._replace(topic=name)
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds, if it has any."""
-        given = getattr(self._log, "clouds", super().clouds)(topics)
-        yield from self._check(given, Cloud, "Cloud")
+        ask = partial(getattr(self._log, "clouds", super().clouds), topics)
+        yield from self._check(ask, Cloud, "Cloud")
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes, if it has any."""
-        yield from self._check(getattr(self._log, "fixes", super().fixes)(), Fix, "Fix")
+        yield from self._check(getattr(self._log, "fixes", super().fixes), Fix, "Fix")
 
-    def _check(self, given: Any, kind: Any, name: str) -> Iterator[Any]:
+    def _check(self, ask: Callable[[], Any], kind: Any, name: str) -> Iterator[Any]:
         """Give what a plugin does; raises DamageError where that is of another kind."""
         with name_log(self.path):
+            given = ask()
             if not isinstance(given, Iterable):
                 raise DamageError(f"its reader gives {shorten(given)} where some {name} belongs")
             for each in given:
