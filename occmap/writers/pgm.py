@@ -26,7 +26,7 @@ GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
 SCALE_UNKNOWN = 127
 """nav2's grey for unknown in scale mode. PGM has no transparency to tell it from a measured 0.5."""
 RAW_UNKNOWN = 255
-PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*|[A-Za-z][A-Za-z0-9_.-]*\.pgm")
+PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*|[A-Za-z0-9_][A-Za-z0-9_.-]*\.pgm")
 """Text that YAML takes for text without quotes; words such as `no` do not occur among modes."""
 THRESHOLD_MARGIN = 1e-3
 """In grey levels; loaders compare in single precision."""
