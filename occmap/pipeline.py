@@ -1,6 +1,6 @@
 """The whole tool on one page: logs in, an occupancy map and a report out."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -57,7 +57,9 @@ def build(
     """
     check_outputs(outputs, list_input_files(paths, options), options.writing)
     with hold_alone(options.resume or options.resume_if_there, outputs):
-        past, options, fitted = open_past(paths, options)
+        past, options, fitted = open_past(
+            paths, options, lambda options: observe(paths, options, Keep(), progress)
+        )
         options, unaligned = settle_align(paths, options)
         options, keep = choose_keep(options, outputs, past)
         seen, misfit = add_past(observe(paths, options, keep, progress), past)
@@ -103,7 +105,7 @@ def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]
 
 
 def open_past(
-    paths: Sequence[Path], options: BuildOptions
+    paths: Sequence[Path], options: BuildOptions, observe: Callable[[BuildOptions], Observed]
 ) -> tuple[Evidence | None, BuildOptions, list[str]]:
     """Read the evidence that a build is to be added to, if there is any.
 
@@ -128,10 +130,10 @@ def open_past(
     refuse_different(plan_manifest(options), past)
     if not options.fit:
         return past, options, []
-    from occmap.scoring.matching import find_transform  # noqa: PLC0415  late: few builds want it
+    from occmap.scoring.matching import fit_logs  # noqa: PLC0415  late: few builds want it
 
-    transform, note = find_transform(paths, options, past)
-    return past, replace(options, posing=replace(options.posing, transform=transform)), [note]
+    options, note = fit_logs(paths, options, past, observe)
+    return past, options, [note]
 
 
 def choose_keep(
@@ -155,7 +157,7 @@ def choose_keep(
         raise MapError("has no ground: its evidence is not of clouds", where=path)
     if below and ground is not None and options.posing.level is None:
         builds = below.manifest.builds
-        level = builds[-1]["options"]["posing"].get("level") if builds else None
+        level = builds[0]["options"]["posing"].get("level") if builds else None
         options = replace(options, posing=replace(options.posing, level=level and tuple(level)))
     return options, Keep(slices, want_journey(outputs), ground)
 

@@ -186,6 +186,8 @@ COLUMN_MM = 150
 """Side of a column of the ground below clouds"""
 BLOCK_BITS = 6
 """A block of the ground has 64 x 64 columns."""
+NO_GROUND = -(1 << 30)
+"""The height of a column without ground"""
 
 
 class Cloud(NamedTuple):

@@ -17,12 +17,12 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.drift import list_drifts
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, Found, Peaks
+from occmap.clouds.kernels.growth import BLOCK, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
 from occmap.errors import MapError
 from occmap.posing import Drift
 from occmap.report import join_names
-from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int32, Int64, PosedScans
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32, Int64, PosedScans
 
 POINTS_A_CLOUD = 25_000
 """About so many points of each cloud are counted, or a quarter: whichever is more."""

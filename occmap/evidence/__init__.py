@@ -410,6 +410,6 @@ def refuse_other(rise: Int32, share: float, placed: Pose | None, otherwise: str)
     moved = format_place(first._replace(z=first.z - middle / 1000))
     raise MapError(
         f"{found} than the known one (the median): {told}",
-        fix=f"if it is the same floor, build it with `transform=({moved})`, which moves its z; "
-        "another storey is a map of its own",
+        fix=f"if it is the same floor, build it with `transform=({moved})`, which moves its z, or "
+        "let `fit` find where it lies; another storey is a map of its own",
     )

@@ -235,15 +235,17 @@ def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
     names = {
-        Update.SURFACE: ("jump",),
-        Update.POLYGON: ("jump", "border_gap"),
+        Update.BEAM: ("level",),
+        Update.SURFACE: ("jump", "level"),
+        Update.POLYGON: ("jump", "border_gap", "level"),
+        # Of clouds no level is told: it lays their grounds on each other, which are compared.
         Update.CLOUD: ("min_height", "max_height", "range_margin"),
     }
     of_builds = [
         {"level": [0.0, 0.0]} | options["posing"] | options.get("clouds", {}) | options
         for options in (build["options"] for build in manifest.builds)
     ]
-    for name in (*names.get(Update(manifest.update), ()), "level"):
+    for name in names[Update(manifest.update)]:
         values = {str(options[name]) for options in of_builds if name in options}
         if len(values) > 1:
             yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"

@@ -5,7 +5,7 @@ say `fit` for it.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from occmap.cells import CellBox, Evidence, Key, Slices, Tile, stack_tiles, view_tiles
-from occmap.choices import format_mount, to_rpy
+from occmap.cells import CellBox, Evidence, Ground, Key, Slices, Tile, stack_tiles, view_tiles
+from occmap.choices import format_place, to_rpy
 from occmap.difference.maps import Place
 from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
@@ -23,9 +23,22 @@ from occmap.grid import tiles
 from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind
 from occmap.options import BuildOptions
 from occmap.scans.align import sample_rays
+from occmap.scans.tracing import Observed
 from occmap.sensor.models import SensorModel
 from occmap.store.merging import refuse_different
-from occmap.types import IDENTITY, Bool, Float32, Float64, Int64, Kind, Pose, Rays, Update
+from occmap.types import (
+    COLUMN_MM,
+    IDENTITY,
+    NO_GROUND,
+    Bool,
+    Float32,
+    Float64,
+    Int64,
+    Kind,
+    Pose,
+    Rays,
+    Update,
+)
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for, and what is farther from a wall counts as this far"""
@@ -84,13 +97,15 @@ class Transform(NamedTuple):
 STAY = Transform(0.0, 0.0, 0.0)
 
 
-def add_move(first: Pose | None, then: Transform, align: float | None) -> Pose:
+def add_move(first: Pose | None, then: Transform, align: float | None, lift: float = 0.0) -> Pose:
     """Make the `transform` that a user may type for one and, in a turned map, another after it."""
     turned = Transform(0.0, 0.0, -math.radians(align or 0.0))
     x, y = turned.move(np.array(then[:2])).tolist()
     moved = then._replace(x=x, y=y)  # what does the same before the map is turned
-    given = format_mount(Pose.planar(*moved.after(first or IDENTITY)))
-    return Pose.planar(*map(float, given.split(",")))
+    first = first or IDENTITY
+    given = Pose.planar(*moved.after(first))._replace(z=round(first.z + lift, 3))
+    x, y, yaw, *z = map(float, format_place(given).split(","))
+    return Pose.planar(x, y, yaw)._replace(z=sum(z))
 
 
 class Walls(NamedTuple):
@@ -157,6 +172,8 @@ class Match(NamedTuple):
     """The share at the best other place, which is APART_M or APART_RAD away at least"""
     is_far: bool = False
     """Whether it lies at the end of what is searched"""
+    lift: float = 0.0
+    """How far ground is to be lifted onto ground (m)"""
 
     @property
     def told(self) -> str:
@@ -269,35 +286,76 @@ def _are_apart(place: Transform, other: Transform) -> bool:
     return math.hypot(x, y) > APART_M or yaw > APART_RAD
 
 
-def find_transform(
-    paths: Sequence[Path], options: BuildOptions, past: Evidence
-) -> tuple[Pose, str]:
-    """Find the `transform` by which the walls of logs lie on those of evidence, and say so.
+def fit_logs(
+    paths: Sequence[Path],
+    options: BuildOptions,
+    past: Evidence,
+    observe: Callable[[BuildOptions], Observed],
+) -> tuple[BuildOptions, str]:
+    """Give the options by which the walls of logs lie on those of evidence, and say so.
+
+    Parameters
+    ----------
+    observe
+        Traces the logs as options say. Of clouds, the map that they make alone is fitted.
 
     Raises
     ------
     OccmapError
         A log cannot be read, or it is not sure where they lie.
     """
-    walls = find_walls(past, options.model, options.max_cells)
-    deeper = np.float32(options.hit_offset * options.resolution)  # where a map has its hits
-    sample = sample_rays(paths, options)
-    hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
-    logs = ", ".join(map(str, paths))
-    found = find_match(hits, walls)
-    refuse_doubt(found, logs, past.where)
-    pose = add_move(options.posing.transform, found.transform, options.posing.align)
-    typed = f"`transform=({format_mount(pose)})`"
-    return pose, f"{past.where}: {logs} fit it with {typed}: {found.told}"
+    logs, level = ", ".join(map(str, paths)), options.posing.level
+    if options.update is Update.CLOUD:
+        seen = observe(replace(options, fit=False))
+        level = seen.options.posing.level or (0.0, 0.0)  # not that of the evidence
+        alone = Evidence(past.manifest, seen.tiles.tiles, where=logs, ground=seen.ground)
+        found = match(alone, past, options.model, options.max_cells)
+    else:
+        walls = find_walls(past, options.model, options.max_cells)
+        deeper = np.float32(options.hit_offset * options.resolution)  # where a map has its hits
+        sample = sample_rays(paths, options)
+        hits = list_hits(rays._replace(distance=rays.distance + deeper) for rays in sample)
+        found = find_match(hits, walls)
+        refuse_doubt(found, logs, past.where)
+    placed, align = options.posing.transform, options.posing.align
+    pose = add_move(placed, found.transform, align, found.lift)
+    typed = f"`transform=({format_place(pose)})`"
+    if level and any(level):
+        typed += " `level=({:g},{:g})`".format(*level)
+    posing = replace(options.posing, transform=pose, level=level)
+    note = f"{past.where}: {logs} fit it with {typed}: {found.told}"
+    return replace(options, posing=posing), note
 
 
 def find_walls(past: Evidence, model: SensorModel, max_cells: int) -> Walls:
-    """Measure how far it is to the walls of evidence; raises PoseError where it is of clouds."""
-    if past.manifest.update == Update.CLOUD:
-        found = "`fit` takes scans of planar lasers, not clouds"
-        raise PoseError(found, where=past.where, fix="leave `fit` out")
+    """Measure how far it is to the walls of evidence."""
     grid = render(to_grid(past), model, max_cells)
     return Walls.of(grid.occupied, Place(grid.resolution, *grid.origin))
+
+
+def match(evidence: Evidence, past: Evidence, model: SensorModel, max_cells: int) -> Match:
+    """Find how the walls of evidence lie on those of other evidence, and how much its ground rises.
+
+    The hits in its occupied cells say where it lies. Of all hits, some are noise; and of cells,
+    each once, many are at the back of a wall that the other session saw from the front.
+
+    Raises
+    ------
+    OccmapError
+        It is not sure where it lies.
+    """
+    grid = to_grid(evidence)
+    made = render(grid, model, max_cells)
+    weights = made.occupied.astype(np.float64)
+    if grid.kind is EvidenceKind.COUNTS:
+        weights *= grid.read(made.box)[0]
+    points = spread_points(weights, Place(made.resolution, *made.origin))
+    found = find_match(points, find_walls(past, model, max_cells))
+    refuse_doubt(found, evidence.where, past.where or "the evidence before it")
+    if evidence.ground and past.ground:
+        rise_mm = past.ground.measure_rise(move_ground(evidence.ground, found.transform, 0.0))
+        found = found._replace(lift=-float(np.median(rise_mm)) / 1000 if rise_mm.size else 0.0)
+    return found
 
 
 def refuse_doubt(found: Match, whose: str, where: str) -> None:
@@ -310,27 +368,17 @@ def refuse_doubt(found: Match, whose: str, where: str) -> None:
 def lay_on(evidence: Evidence, past: Evidence) -> Evidence:
     """Move evidence so that its walls lie on those of other evidence; a note of it says how.
 
-    The hits in its occupied cells say where it lies. Of all hits, some are noise; and of cells,
-    each once, many are at the back of a wall that the other session saw from the front.
-
     Raises
     ------
     OccmapError
         The two cannot be combined, or it is not sure where it lies.
     """
     refuse_different(past.manifest, evidence)
-    model, where = read_model(past), past.where or "the evidence before it"
-    walls = find_walls(past, model, MAX_CELLS)
-    grid = to_grid(evidence)
-    made = render(grid, model, MAX_CELLS)
-    weights = made.occupied.astype(np.float64)
-    if grid.kind is EvidenceKind.COUNTS:
-        weights *= grid.read(made.box)[0]
-    found = find_match(spread_points(weights, Place(made.resolution, *made.origin)), walls)
-    refuse_doubt(found, evidence.where, where)
-    moved = move_evidence(evidence, found.transform)
+    found = match(evidence, past, read_model(past), MAX_CELLS)
+    moved = move_evidence(evidence, found.transform, found.lift)
     given = {tuple(each["options"]["posing"]["transform"]): None for each in moved.manifest.builds}
-    typed = " and ".join(f"`transform=({format_mount(Pose(*each))})`" for each in given)
+    typed = " and ".join(f"`transform=({format_place(Pose(*each))})`" for each in given)
+    where = past.where or "the evidence before it"
     note = f"{evidence.where}: fits {where} with {typed}: {found.told}"
     return replace(moved, notes=(*evidence.notes, note))
 
@@ -348,19 +396,33 @@ def list_hits(seen: Iterable[Rays]) -> Float64:
     return np.concatenate([np.zeros((0, 2)), *(rays.end[rays.kind == Kind.HIT] for rays in seen)])
 
 
-def move_evidence(evidence: Evidence, by: Transform) -> Evidence:
+def move_evidence(evidence: Evidence, by: Transform, lift: float = 0.0) -> Evidence:
     """Move evidence on its lattice: each cell takes all that is known of the one it comes from.
 
     That is the cell in which its middle was before. So no cell between others stays empty, no wall
     is smeared, and numbers stay whole; a cell here and there is taken twice, or not at all.
     """
     manifest = evidence.manifest
-    builds = tuple(_record_move(build, by, manifest.align) for build in manifest.builds)
+    builds = tuple(_record_move(build, by, manifest.align, lift) for build in manifest.builds)
     origins = list_origins(evidence.tiles, by, manifest.resolution)
     moved = _move_tiles(evidence.tiles, origins)
     slices = tuple(_move_slices(each, origins) for each in evidence.slices)
     manifest = replace(manifest, builds=builds)
-    return replace(evidence, manifest=manifest, tiles=moved, slices=slices)
+    ground = evidence.ground and move_ground(evidence.ground, by, lift)
+    return replace(evidence, manifest=manifest, tiles=moved, slices=slices, ground=ground)
+
+
+def move_ground(ground: Ground, by: Transform, lift: float) -> Ground:
+    """Move ground: each column takes the height of the one in which its middle was before.
+
+    All of it is lifted (m).
+    """
+    layers = np.stack([ground.height_mm - NO_GROUND, ground.measured], axis=1)  # 0: nothing
+    tiles = view_tiles(ground.blocks, layers.reshape(-1, 2, TILE, TILE))
+    places, moved = stack_tiles(_move_tiles(tiles, list_origins(tiles, by, COLUMN_MM / 1000)))
+    height, measured = moved.reshape(-1, 2, TILE * TILE).swapaxes(0, 1)
+    lifted = np.where(height, height + NO_GROUND + round(lift * 1000), NO_GROUND)
+    return Ground(places, lifted.astype(np.int32), measured > 0)
 
 
 Origin: TypeAlias = tuple[list[Key], Int64, Int64]
@@ -414,10 +476,12 @@ def _move_slices(slices: Slices, origins: dict[Key, Origin]) -> Slices:
     return tiles.unite(parts)
 
 
-def _record_move(build: dict[str, Any], by: Transform, align: float | None) -> dict[str, Any]:
+def _record_move(
+    build: dict[str, Any], by: Transform, align: float | None, lift: float
+) -> dict[str, Any]:
     """Say of a build that its cells were moved, and with which `transform` it would lie there."""
     options = build["options"]
     given = options["posing"].get("transform")
-    pose = add_move(given and Pose(*given), by, align)
+    pose = add_move(given and Pose(*given), by, align, lift)
     posing = {**options["posing"], "transform": write_value(pose)}
     return {**build, "options": {**options, "posing": posing}, "moved": list(by)}

@@ -18,7 +18,7 @@ from occmap.report import count
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
-from occmap.types import Int64, Pose
+from occmap.types import NO_GROUND, Int64, Pose
 
 UNEVEN_SHARE = 0.05
 """Noise of poses makes some such columns; more than this share of them is a different ground."""
@@ -51,7 +51,7 @@ def place_ground(ground: Ground, blocks: Int64) -> Ground:
     """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
     at = ground.find_blocks(blocks)
     there = (at >= 0)[:, np.newaxis]
-    height = np.where(there, ground.height_mm[at], np.int32(-(1 << 30)))
+    height = np.where(there, ground.height_mm[at], np.int32(NO_GROUND))
     return Ground(blocks, height, there & ground.measured[at])
 
 

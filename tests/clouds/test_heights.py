@@ -19,7 +19,7 @@ from occmap.clouds.ground import (
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
-from occmap.types import Bool, Float64, Int32
+from occmap.types import NO_GROUND, Bool, Float64, Int32
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ BLOCKS = index_blocks(np.array([[0, 0]]))
 """One block: column (row, col) lies at 64 row + col."""
 
 
-def lay(heights: dict[int, int], empty: int = growth.NO_GROUND) -> Int32:
+def lay(heights: dict[int, int], empty: int = NO_GROUND) -> Int32:
     """A number for each column of a block."""
     laid = np.full(64 * 64, empty, np.int32)
     laid[list(heights)] = list(heights.values())
@@ -135,7 +135,7 @@ def test_a_step_is_higher_where_the_robot_did_not_pass(
 
 def lay_rows(rows: list[int]) -> Int32:
     """Heights of ground of some columns of a block, by row; none elsewhere."""
-    laid = np.full((64, 64), growth.NO_GROUND, np.int32)
+    laid = np.full((64, 64), NO_GROUND, np.int32)
     laid[: len(rows), 26:34] = np.array(rows, np.int32)[:, None]
     return laid.ravel()
 
@@ -197,8 +197,8 @@ def test_the_height_of_the_ground_at_a_place_by_hand() -> None:
 
 def lay_slope(height: Float64) -> tuple[growth.Blocks, Int32, Bool]:
     """Ground in the lower half of a block, none in the upper one."""
-    level = np.where(ROW < 32, np.rint(height), growth.NO_GROUND).astype(np.int32).ravel()
-    return BLOCKS, level, level != growth.NO_GROUND
+    level = np.where(ROW < 32, np.rint(height), NO_GROUND).astype(np.int32).ravel()
+    return BLOCKS, level, level != NO_GROUND
 
 
 COL, ROW = (each.astype(np.float64) for each in np.meshgrid(np.arange(64), np.arange(64)))
@@ -217,4 +217,4 @@ def test_what_is_no_plane_does_not_go_on() -> None:
     blocks, level, measured = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
         some = measured & part
-        assert fit_plane(blocks, np.where(some, level, growth.NO_GROUND), some) is None
+        assert fit_plane(blocks, np.where(some, level, NO_GROUND), some) is None

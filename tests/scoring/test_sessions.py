@@ -16,16 +16,11 @@ from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring.matching import (
-    Transform,
-    Walls,
-    find_match,
-    find_transform,
-    lay_on,
-    move_evidence,
-)
+from occmap.scans.tracing import Keep, ignore_progress, observe
+from occmap.scoring.matching import Transform, Walls, find_match, fit_logs, lay_on, move_evidence
 from occmap.store.merging import merge
-from occmap.types import Pose
+from occmap.types import Pose, Update
+from tests.clouds.simulation import HALL, hall, turn, write_leaning
 from tests.evidence.saving import DRIVE, halve, save
 from tests.grid.scans import are_equal, assert_same_slices, make_grid, read_cells
 from tests.samples import find_real
@@ -40,8 +35,12 @@ def save_first_half(folder: Path, align: float = 0.0) -> Evidence:
     return save(folder / "first.npz", replace(FIRST, posing=posing))
 
 
-def turn_to_cloud(evidence: Evidence) -> Evidence:
-    return replace(evidence, manifest=replace(evidence.manifest, update="cloud"))
+def fit(options: BuildOptions, past: Evidence, log: Path = DRIVE) -> tuple[PosingOptions, str]:
+    """What `fit_logs` finds for one log."""
+    found, note = fit_logs(
+        [log], options, past, lambda each: observe([log], each, Keep(), ignore_progress)
+    )
+    return found.posing, note
 
 
 def assert_near(pose: Pose) -> None:
@@ -58,8 +57,9 @@ def test_the_second_half_of_a_drive_is_laid_on_the_first(align: float, tmp_path:
     """As a log, and as saved evidence."""
     past = save_first_half(tmp_path, align)
     options = replace(SECOND, posing=PosingOptions(align=align))
-    pose, note = find_transform([DRIVE], options, past)
-    assert_near(pose)
+    found, note = fit(options, past)
+    assert found.transform
+    assert_near(found.transform)
     assert "`transform=(1." in note
     moved = lay_on(save(tmp_path / "second.npz", options), past)
     pose = Pose(*moved.manifest.builds[0]["options"]["posing"]["transform"])
@@ -94,7 +94,8 @@ def test_a_first_transform_is_where_the_search_begins(tmp_path: Path) -> None:
     past = save_first_half(tmp_path)
     near = Pose.planar(2.0, -1.4, 0.3)
     options = replace(SECOND, posing=PosingOptions(transform=near))
-    pose, _ = find_transform([DRIVE], options, past)
+    found, _ = fit(options, past)
+    assert (pose := found.transform)
     assert (pose.x, pose.y, to_rpy(pose)[2]) == pytest.approx(MOVED, abs=0.05)
 
 
@@ -116,16 +117,30 @@ def test_sessions_of_different_buildings_are_not_fitted(tmp_path: Path) -> None:
     past = save_first_half(tmp_path)
     elsewhere = replace(SECOND, posing=PosingOptions(transform=Pose.planar(4.0, 3.0, 1.0)))
     with pytest.raises(PoseError, match="not sure") as caught:
-        find_transform([DRIVE], elsewhere, past)
+        fit(elsewhere, past)
     assert "transform" in caught.value.fix
 
 
-def test_clouds_are_not_fitted(tmp_path: Path) -> None:
-    past = save_first_half(tmp_path)
-    with pytest.raises(PoseError, match="planar lasers"):
-        find_transform([DRIVE], SECOND, turn_to_cloud(past))
-    with pytest.raises(PoseError, match="planar lasers"):
-        lay_on(turn_to_cloud(past), turn_to_cloud(past))
+@pytest.mark.parametrize("lean", [(0, 0), (2, -3)])
+def test_clouds_are_laid_on_clouds(lean: tuple[float, float], tmp_path: Path) -> None:
+    """As SLAM that knows no gravity gives them; as a log, and as saved evidence."""
+    past = save(tmp_path / "past.npz", BuildOptions(), HALL)
+    turned = turn(*lean, 5)
+    poses = write_leaning(tmp_path / "leaning.tum", turned)
+    shifted = Pose(0.8, -0.5, 0.35, 0, 0, 0, 1)
+    options = BuildOptions(posing=PosingOptions(poses=str(poses), transform=shifted))
+    found, note = fit(replace(options, update=Update.CLOUD), past, HALL)
+    assert ("`level=(" in note) == any(lean)
+    moved = lay_on(save(tmp_path / "second.npz", options, HALL), past)
+    of_moved = moved.manifest.builds[0]["options"]["posing"]["transform"]
+    level = turn(*found.level, 0) if found.level else np.eye(3)
+    for pose in (found.transform, Pose(*of_moved)):
+        assert pose
+        # The poses are the sensor's, taken for the robot's: it is as high again above the floor.
+        assert pose[:3] == pytest.approx((0, 0, -hall.SENSOR_HEIGHT), abs=0.03)
+        back = turn(0, 0, math.degrees(to_rpy(pose)[2])) @ level @ turned
+        assert back == pytest.approx(np.eye(3), abs=math.radians(0.5))
+    assert len(merge([past, moved]).manifest.builds) == 2  # their grounds agree
 
 
 def test_there_must_be_something_to_fit_to() -> None:

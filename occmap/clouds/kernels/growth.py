@@ -6,7 +6,7 @@ import numpy as np
 
 from occmap.clouds.kernels.heights import BIN_MM
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Int32, Int64, UInt8
 
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
@@ -29,8 +29,6 @@ BROAD = 10
 """A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
 BRINK_MM, DROP_MM = 60, 80
 """A level ends where the next column is so much lower; what falls by the second does not go on"""
-NO_GROUND = -(1 << 30)
-"""A column without ground."""
 
 
 class Blocks(NamedTuple):

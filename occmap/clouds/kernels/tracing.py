@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.growth import BLOCK, NO_GROUND, Blocks, find_column, locate
+from occmap.clouds.kernels.growth import BLOCK, Blocks, find_column, locate
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float64, Int16, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int16, Int32, Int64, UInt8
 
 STEP_MM = 80
 """The ground is bilinear between columns that differ by no more."""
