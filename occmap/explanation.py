@@ -28,7 +28,7 @@ from occmap.scans import plan_grid
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.sensor import interpret
 from occmap.sensor.models import MODEL, SensorModel, describe_model
-from occmap.store import Saved, as_blocks, read_part
+from occmap.store import Blocks, read_part
 from occmap.store.painting import open_map
 from occmap.types import Pose, PosedScans, PoseSample, Update
 from occmap.writers import WriteOptions
@@ -470,7 +470,7 @@ class Explanation(Printed):
         return sum_sightings(self.scans)
 
 
-def explain(saved: Saved, question: Question, progress: Progress = ignore_progress) -> Explanation:
+def explain(saved: Blocks, question: Question, progress: Progress = ignore_progress) -> Explanation:
     """Say what was observed at a point, and by which scans of the logs that the user has.
 
     Raises
@@ -490,14 +490,14 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     around = cell.read_around(grid)
     layers = cell.read_slices(part)
     lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
-    made, blocks = evidence.paint_box(lasting, model, cell.box), as_blocks(saved)
+    made = evidence.paint_box(lasting, model, cell.box)
     uses = find_uses(part, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, cell, progress)
     unexplained = list_unexplained(part, around[1][1], uses, sightings)
     return Explanation(
         point=(question.x, question.y),
         cell=cell,
-        map_extent=open_map(blocks, model).extent if blocks.blocks else None,
+        map_extent=open_map(saved, model).extent if saved.blocks else None,
         verdict=name_class(made, question.writing),
         probability=float(made.probability[0, 0]),
         model=describe_model(model),
@@ -532,7 +532,7 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
     return "undecided" if made.observed.all() else "unknown"
 
 
-def measure_ground(saved: Saved, question: Question) -> float | None:
+def measure_ground(saved: Blocks, question: Question) -> float | None:
     """How high the ground is at the point (m), as clouds showed it; None where they did not."""
     if saved.ground is None:
         return None

@@ -9,7 +9,7 @@ import re
 import reprlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,8 +20,8 @@ from occmap.errors import MapError, UsageError, refuse_unreadable
 from occmap.evidence import read_model
 from occmap.evidence.manifest import list_inputs
 from occmap.report import count
-from occmap.store import as_blocks, identify, open_saved
-from occmap.store.painting import classify_blocks, open_map
+from occmap.store import identify, open_saved
+from occmap.store.painting import open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import UNKNOWN
@@ -170,11 +170,10 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     saved = open_saved(path)
-    made = open_map(as_blocks(saved), read_model(saved))
-    x, y, *_ = made.extent
-    classes = classify_blocks(made, thresholds)
+    made, _ = open_map(saved, read_model(saved)).paint_all()
+    classes = replace(made, decision=thresholds.decide(made.decision)).classes
     inputs = (entry["sha256"] for build in saved.manifest.builds for entry in list_inputs(build))
-    place, turn = Place(made.resolution, x, y), str(saved.manifest.align or "")
+    place, turn = Place(made.resolution, *made.origin), str(saved.manifest.align or "")
     return ClassMap(
         path, classes, place, evidence=identify(saved), align=turn, inputs=frozenset(inputs)
     )

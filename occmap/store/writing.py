@@ -11,7 +11,7 @@ from occmap.cells import CellBox, Evidence, Ground, Manifest, OccupancyMap, keep
 from occmap.evidence import paint_box, to_grid
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
-from occmap.store import Blocks, as_blocks, layout
+from occmap.store import Blocks, layout
 from occmap.store.layout import BLOCK, Block, BlockRecord
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
@@ -231,7 +231,7 @@ class ZarrWriter(Writer):
 
     def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
         """Write the evidence block by block; return the folder."""
-        return self.write_blocks(path, product.blocks or as_blocks(product.evidence()))
+        return self.write_blocks(path, product.blocks or Blocks.of(product.evidence()))
 
     def write_blocks(self, path: Path, source: Blocks) -> tuple[Path, ...]:
         """Write evidence block by block; return the folder.

@@ -17,6 +17,7 @@ from occmap.grid.tiles import EvidenceKind
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Deskew, PosingOptions
 from occmap.sensor import models
+from occmap.store import Blocks
 from occmap.store.merging import merge, subtract
 from occmap.store.painting import RenderOptions, render_kept
 from occmap.types import BEAM_UPDATES, Update
@@ -42,7 +43,7 @@ def observe(poses: Sequence[Planar], options: BuildOptions = TENTH, log: Path = 
 
 
 def ask(evidence: Evidence, point: tuple[float, float], *logs: Path, **more: Any) -> Explanation:
-    return explain(evidence, Question(*point, logs, **more))
+    return explain(Blocks.of(evidence), Question(*point, logs, **more))
 
 
 def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
