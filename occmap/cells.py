@@ -244,15 +244,9 @@ class OccupancyMap:
         return replace(self, log_odds=log_odds, observed=observed, origin=start)
 
     @property
-    def place(self) -> Int64:
-        """(2,) row and column of the first cell on the lattice of its resolution."""
-        x, y = self.origin
-        return np.rint(np.array([y, x]) / self.resolution).astype(np.int64)
-
-    @property
     def box(self) -> CellBox:
         """Its cells, on the lattice of its resolution."""
-        row, col = self.place.tolist()
+        row, col = (round(edge / self.resolution) for edge in self.origin[::-1])
         return CellBox(row, col, row + self.shape[0], col + self.shape[1])
 
     @property

@@ -379,46 +379,31 @@ def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
 def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
     """Fit a plane to measured ground (C,); give its heights (C,; mm), or None where it has none.
 
-    Sums are of integers, so that all machines find the same plane.
+    Sums are of integers, so that their order does not count.
     """
     at = np.flatnonzero(measured)
     if len(at) < LEAST_LEVEL:
         return None
-    row, col = list_places(blocks, at)
-    level_mm, used = height[at].astype(np.int64), np.ones(len(at), np.bool_)
+    row, col = list_places(blocks, np.arange(len(height)))
+    terms = np.stack([np.ones_like(row), col - col[at[0]], row - row[at[0]]], axis=1)
+    known, level_mm, used = terms[at], height[at].astype(np.int64), np.ones(len(at), np.bool_)
     for _ in range(ROUNDS):
-        x, y, z = col[used], row[used], level_mm[used]
-        count, middle = len(x), (int(x.sum()) // len(x), int(y.sum()) // len(x))
-        x, y = x - middle[0], y - middle[1]
-        terms = [np.ones_like(x), x, y]
-        sums = [[int((one * other).sum()) for other in terms] for one in terms]
-        rises = [int((one * z).sum()) for one in terms]
-        whole, both = measure_volume(sums), list(zip(sums, rises, strict=True))
-        if count < LEAST_LEVEL or whole == 0:
+        some = known[used]
+        sums = some.T @ some
+        if len(some) < LEAST_LEVEL or np.linalg.matrix_rank(sums) < len(sums):
             return None
-        level, along, aside = (
-            measure_volume([[*terms[:n], rise, *terms[n + 1 :]] for terms, rise in both]) / whole
-            for n in range(3)
-        )
-        off = np.abs(level_mm - (level + along * (col - middle[0]) + aside * (row - middle[1])))
+        plane = np.linalg.solve(sums, some.T @ level_mm[used])
+        off = np.abs(level_mm - known @ plane)
         used = off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3)
     if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
         return None
-    row, col = list_places(blocks, np.arange(len(height)))
-    plane = level + along * (col - middle[0]) + aside * (row - middle[1])
-    return np.rint(plane).astype(np.int32)
+    return np.asarray(np.rint(terms @ plane).astype(np.int32))
 
 
 def list_places(blocks: Blocks, at: Int64) -> tuple[Int64, Int64]:
     """The rows and the columns of columns (N,), by where they lie in flat arrays."""
     row, col = blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK
     return row + (at >> BLOCK_BITS & BLOCK - 1), col + (at & BLOCK - 1)
-
-
-def measure_volume(rows: list[list[int]]) -> int:
-    """The determinant of three rows of three integers."""
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:

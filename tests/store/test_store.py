@@ -108,7 +108,7 @@ def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -
 def test_the_pictures_show_the_map(kept: Path, drive: Evidence) -> None:
     store, classes = open_store(kept), open_group(kept / "classes")
     shown = render_kept(drive, RenderOptions(choose(model="counting").model)).map
-    (row, col), (rows, cols) = ((shown.place - find_offset(store)).tolist(), shown.shape)
+    (row, col), (rows, cols) = (shown.box[:2] - find_offset(store), shown.shape)
     whole = np.zeros(classes["1"].shape, np.uint8)
     whole[row : row + rows, col : col + cols] = shown.classes
     assert np.array_equal(classes["1"][:], whole)
