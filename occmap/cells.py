@@ -403,6 +403,13 @@ class Ground:
         at = np.searchsorted(keys, wanted)
         return np.where(keys[at] == wanted, at, -1)
 
+    def lay_out(self, blocks: Int64) -> "Ground":
+        """Put it in its place among more blocks (B, 2), which are in ascending order."""
+        at = self.find_blocks(blocks)
+        there = (at >= 0)[:, np.newaxis]
+        height = np.where(there, self.height_mm[at], np.int32(-(1 << 30)))
+        return Ground(blocks, height, there & self.measured[at])
+
     def measure_rise(self, other: "Ground") -> Int32:
         """How much higher another ground is in each column that both measured (N,; mm)."""
         its = other.find_blocks(self.blocks)

@@ -199,7 +199,8 @@ class GroundFinder:
         stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
         if options.ground == FLAT:
             return make_flat(stood), []
-        height = grow(columns, seats, known)
+        laid = known and known.lay_out(blocks.places)
+        height = grow(columns, seats, laid)
         measured = height != NO_GROUND
         if not measured.any():
             raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
@@ -211,8 +212,8 @@ class GroundFinder:
             beyond &= height != NO_GROUND
             height[beyond] = plane[beyond]
         holes = find_holes(columns, height, measured, options)
-        if known is not None:
-            holes |= list_known_holes(blocks, known, measured)
+        if laid is not None:
+            holes |= list_known_holes(blocks, laid, measured)
         height[holes] = NO_GROUND
         shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
         note = (
@@ -296,7 +297,7 @@ def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32
         found = find_nothing(columns)
         for _, path, above, spread, beside in seats:
             look_beside(columns, path, (beside, BY, UNDER), (above - spread, above + spread), found)
-        lay_known(blocks, known, found)
+        keep_known(known, found)
         for apart in REACHES:
             if growth.grow_ground(blocks, peaks, found, apart, height.size, queue) and apart > 1:
                 growth.grow_ground(blocks, peaks, found, 1, height.size, queue)
@@ -308,7 +309,7 @@ def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32
     growth.restore_levels(blocks, grown[0], height)
     smooth = np.empty_like(height)
     growth.smooth_ground(blocks, peaks, height, smooth)
-    lay_known(blocks, known, found._replace(height=smooth))
+    keep_known(known, found._replace(height=smooth))
     return smooth
 
 
@@ -339,11 +340,9 @@ def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOp
 
 def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
     """List columns (C,) beside known ground that have none in it, and none was measured now."""
-    had, around = np.full((2, len(blocks.places), BLOCK**2), NO_GROUND, np.int32)
-    at = blocks.table[tuple((known.blocks - blocks.corner).T)]
-    had[at], around[at] = known.height_mm, np.where(known.measured, known.height_mm, NO_GROUND)
-    fill(blocks, around.reshape(-1), FILLED)
-    return np.asarray(~measured & ((around != NO_GROUND) & (had == NO_GROUND)).ravel())
+    around = np.where(known.measured, known.height_mm, NO_GROUND).astype(np.int32).ravel()
+    fill(blocks, around, FILLED)
+    return np.asarray(~measured & (around != NO_GROUND) & (known.height_mm == NO_GROUND).ravel())
 
 
 def find_nothing(columns: Columns) -> Found:
@@ -433,26 +432,40 @@ def list_storeys(stood: Int64) -> Iterator[str]:
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
     kept = np.flatnonzero(table.keys != heights.EMPTY)
-    kept = kept[np.argsort(table.keys[kept])]
+    kept = kept[np.argsort(table.keys[kept])]  # column by column, and in each from the lowest piece
     keys, counts = table.keys[kept], table.counts[kept]
-    columns = keys >> heights.PIECE_BITS
-    every = columns[np.flatnonzero(np.diff(columns, prepend=-1))]
-    many = np.zeros(len(every), np.int32)
-    level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
+    is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
+    places = unpack_columns(keys[is_next], path)
+    many, (level, weight) = (
+        np.zeros(len(places), np.int32),
+        np.empty((2, 8 * len(keys) + 8), np.int32),
+    )
     found = heights.list_peaks(keys, counts, np.empty(heights.ROOM, np.int64), many, level, weight)
-    level, weight = level[:found].copy(), weight[:found].copy()
-    start = path[:1, 1::-1] // COLUMN_MM - heights.WIDE // 2
-    packed = np.stack([every >> 21, every % heights.WIDE], axis=1)
-    places = start + (packed - start) % heights.WIDE
     blocks = make_blocks(places, known)
-    row, col = places.T
-    block = blocks.table[tuple(((places >> BLOCK_BITS) - blocks.corner).T)].astype(np.int64)
-    at = (block << 2 * BLOCK_BITS) | ((row % BLOCK) << BLOCK_BITS) | (col % BLOCK)
+    at = find_columns(blocks, places)
     first, of_column = np.zeros((2, len(blocks.places) << 2 * BLOCK_BITS), np.int32)
     first[at], of_column[at] = np.cumsum(many) - many, many
-    of_piece = at[np.cumsum(np.diff(columns, prepend=-1) != 0) - 1]
-    pieces = Pieces(of_piece, keys, counts)
-    return Columns(blocks, Peaks(first, of_column, level, weight), len(every), pieces)
+    peaks = Peaks(first, of_column, level[:found].copy(), weight[:found].copy())
+    pieces = Pieces(at[np.cumsum(is_next) - 1], keys, counts)
+    return Columns(blocks, peaks, len(places), pieces)
+
+
+def unpack_columns(keys: Int64, path: Int64) -> Int64:
+    """(N, 2) rows and columns of the columns of some keys, the ones that are nearest to a path.
+
+    A key has them modulo `WIDE`; a path has at least one place wherever there are keys.
+    """
+    columns = keys >> heights.PIECE_BITS
+    packed = np.stack([columns // heights.WIDE, columns % heights.WIDE], axis=1)
+    start = path[:1, 1::-1] // COLUMN_MM - heights.WIDE // 2
+    return np.asarray(start + (packed - start) % heights.WIDE)
+
+
+def find_columns(blocks: Blocks, places: Int64) -> Int64:
+    """Where columns (N, 2) that blocks hold lie in flat arrays."""
+    block = blocks.table[tuple(((places >> BLOCK_BITS) - blocks.corner).T)].astype(np.int64)
+    row, col = places.T % BLOCK
+    return np.asarray((block << 2 * BLOCK_BITS) | (row << BLOCK_BITS) | col)
 
 
 def make_blocks(columns: Int64, known: Ground | None) -> Blocks:
@@ -527,17 +540,12 @@ def measure_seat(
     return Seat(sensors, path, depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
 
 
-def lay_known(blocks: Blocks, known: Ground | None, found: Found) -> None:
-    """Put ground that is known in its place, where it stays as if the robot had stood there."""
+def keep_known(known: Ground | None, found: Found) -> None:
+    """Let ground that is known, in its place, stay as if the robot had stood there."""
     if known is not None:
-        at = blocks.table[tuple((known.blocks - blocks.corner).T)]
-        for mine, its in (
-            (found.height, known.height_mm),
-            (found.weight, np.int32(KNOWN_POINTS)),
-            (found.passed, np.uint8(growth.STOOD)),
-        ):
-            rows = mine.reshape(len(blocks.places), -1)
-            rows[at] = np.where(known.measured, its, rows[at])
+        there = known.measured.ravel()
+        found.height[there] = known.height_mm.ravel()[there]
+        found.weight[there], found.passed[there] = KNOWN_POINTS, growth.STOOD
 
 
 def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:

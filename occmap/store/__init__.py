@@ -43,17 +43,11 @@ class Blocks:
     @classmethod
     def of(cls, evidence: Evidence) -> Self:
         """Cut evidence into blocks; it stays in memory, and is cut when a block is asked for."""
-        reach: dict[Block, CellBox] = {}
-        for row, col in sorted(evidence.tiles):
-            block, tile = Block(row // SIDE, col // SIDE), CellBox.at(row, col).scale(TILE)
-            reach[block] = reach[block].join(tile) if block in reach else tile
+        blocks = sorted({Block(row // SIDE, col // SIDE) for row, col in evidence.tiles})
+        reach = {block: block.box for block in blocks}
         cut = cache(lambda: dict(layout.split_evidence(evidence)))
-        return cls(
-            *(evidence.manifest, evidence.where, dict(sorted(reach.items()))),
-            read_block=lambda block: cut()[block],
-            ground=evidence.ground,
-            whole=evidence,
-        )
+        what, where, ground = evidence.manifest, evidence.where, evidence.ground
+        return cls(what, where, reach, lambda block: cut()[block], ground, whole=evidence)
 
 
 def open_saved(path: Path) -> Blocks:

@@ -18,7 +18,7 @@ from occmap.report import count
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
-from occmap.types import Int64, Pose
+from occmap.types import Pose
 
 UNEVEN_SHARE = 0.05
 """Noise of poses makes some such columns; more than this share of them is a different ground."""
@@ -41,18 +41,10 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     with name_log(evidence.where):
         refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
-    mine, its = place_ground(ground, blocks), place_ground(other, blocks)
+    mine, its = ground.lay_out(blocks), other.lay_out(blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
     height = np.where(known, mine.height_mm, its.height_mm)
     return Ground(blocks, height, mine.measured | its.measured)
-
-
-def place_ground(ground: Ground, blocks: Int64) -> Ground:
-    """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
-    at = ground.find_blocks(blocks)
-    there = (at >= 0)[:, np.newaxis]
-    height = np.where(there, ground.height_mm[at], np.int32(-(1 << 30)))
-    return Ground(blocks, height, there & ground.measured[at])
 
 
 def combine(
