@@ -261,19 +261,7 @@ def open_scratch(
     OutputError
         The folder cannot be made.
     """
-    inputs = [*paths, *options.posing.files]
-    files = [file for path in inputs if path.exists() for file in manifests.list_files(path)]
-    states = [file.stat() for file in files]
-    what = [
-        version("occmap"),
-        manifests.write_options(options),
-        str(scratch.absolute()),  # from two of them, one output may be written at once
-        keep[:2],
-        keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
-        [str(path) for path in inputs],
-        [[state.st_size, state.st_mtime_ns] for state in states],
-    ]
-    digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
+    digest = digest_build(scratch, paths, options, keep)
     folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
     with ExitStack() as stack:
         is_held = False
@@ -288,3 +276,21 @@ def open_scratch(
         shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):  # another build may have something in it
         scratch.rmdir()
+
+
+def digest_build(scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep) -> str:
+    """Name a build by all that its tasks depend on: version, options, and files as they are."""
+    inputs = [*paths, *options.posing.files]
+    states = [
+        file.stat() for path in inputs if path.exists() for file in manifests.list_files(path)
+    ]
+    what = [
+        version("occmap"),
+        manifests.write_options(options),
+        str(scratch.absolute()),  # from two of them, one output may be written at once
+        keep[:2],
+        keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
+        [str(path) for path in inputs],
+        [[state.st_size, state.st_mtime_ns] for state in states],
+    ]
+    return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
