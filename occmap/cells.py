@@ -104,6 +104,12 @@ class CellBox(NamedTuple):
         return cls(*map(int, edges)).move(row, col)
 
     @classmethod
+    def enclose(cls, places: Iterable[Key]) -> Self:
+        """The smallest box around some places, at least one."""
+        rows, cols = zip(*places, strict=True)
+        return cls(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
+
+    @classmethod
     def at(cls, row: int, col: int) -> Self:
         """The box of a single cell."""
         return cls(row, col, row + 1, col + 1)

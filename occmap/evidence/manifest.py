@@ -30,9 +30,6 @@ RENDER_PARAMETERS = ("prior", "cut", *NO_CLAMP)
 MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset", "align")
 """What the numbers of evidence depend on: evidence that is combined is equal in all of these."""
 
-ALIKE = ("jump", "border_gap", "min_height", "max_height", "range_margin", "level")
-"""Options that builds may differ in, though what they observe is then not quite the same thing"""
-
 
 def describe_build(
     paths: Sequence[Path],
@@ -237,12 +234,17 @@ def describe_about(
 def list_doubts(manifest: Manifest) -> Iterator[str]:
     """Say what a reader of evidence should know of it."""
     yield from list_repeated(manifest.builds)
-    options = [build["options"] for build in manifest.builds]
+    names = {
+        Update.SURFACE: ("jump",),
+        Update.POLYGON: ("jump", "border_gap"),
+        Update.CLOUD: ("min_height", "max_height", "range_margin"),
+    }
     of_builds = [
-        {"level": [0.0, 0.0]} | each["posing"] | each.get("clouds", {}) | each for each in options
+        {"level": [0.0, 0.0]} | options["posing"] | options.get("clouds", {}) | options
+        for options in (build["options"] for build in manifest.builds)
     ]
-    for name in ALIKE:
-        values = {str(each[name]) for each in of_builds if name in each}
+    for name in (*names.get(Update(manifest.update), ()), "level"):
+        values = {str(options[name]) for options in of_builds if name in options}
         if len(values) > 1:
             yield f"its builds differ in `{name}` ({', '.join(sorted(values))})"
     if manifest.subtracted:

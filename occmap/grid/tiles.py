@@ -102,10 +102,8 @@ class TileGrid:
         """
         if not self.tiles:
             return
-        rows, cols = zip(*self.tiles, strict=True)
         # Maybe only the innermost cells of the outermost tiles are observed.
-        row, col = ((min(keys) + 1) * TILE - 1 for keys in (rows, cols))
-        row_end, col_end = (max(keys) * TILE + 1 for keys in (rows, cols))
+        row, col, row_end, col_end = CellBox.enclose(self.tiles).scale(TILE).grow(1 - TILE)
         box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
         refuse_large(box, self.lattice, max_cells)
 

@@ -44,7 +44,10 @@ class Blocks:
     def of(cls, evidence: Evidence) -> Self:
         """Cut evidence into blocks; it stays in memory, and is cut when a block is asked for."""
         blocks = sorted({Block(row // SIDE, col // SIDE) for row, col in evidence.tiles})
-        reach = {block: block.box for block in blocks}
+        reach = dict[Block, CellBox]()
+        if blocks:
+            whole = CellBox.enclose(evidence.tiles).scale(TILE)
+            reach = {block: whole.clip(block.box) for block in blocks}
         cut = cache(lambda: dict(layout.split_evidence(evidence)))
         what, where, ground = evidence.manifest, evidence.where, evidence.ground
         return cls(what, where, reach, lambda block: cut()[block], ground, whole=evidence)

