@@ -98,12 +98,6 @@ def hash_files(path: Path) -> frozenset[str]:
     return frozenset(entry["sha256"] for entry in records.describe_files(path))
 
 
-def list_logs(build: BuildRecord) -> list[str]:
-    """Name the logs of a build: the files, and the folders that were read as one log."""
-    names = (entry["name"] for entry in records.list_inputs(build))
-    return list(dict.fromkeys(name.partition("/")[0] for name in names))
-
-
 def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Path]) -> BuildOptions:
     """Recall the options of a build, with the trajectory that it had.
 
@@ -146,7 +140,7 @@ def refuse_stranger(part: Evidence, log: Path) -> None:
     LogError
         Saying what it was made of.
     """
-    names = dict.fromkeys(name for build in part.manifest.builds for name in list_logs(build))
+    names = records.list_logs(*part.manifest.builds)
     raise LogError(
         f"{part.where} was not made of it, or it was changed since",
         where=log,
@@ -487,7 +481,7 @@ def list_visits(cell: Cell, layers: Sequence[Slices], manifest: Manifest) -> Ite
     """List when each build observed the cell, of those that did."""
     for at, (layer, build) in enumerate(zip(layers, manifest.builds, strict=True)):
         if visits := cell.read_visits(layer, manifest):
-            yield BuildVisits(**vars(visits), build=at, logs=list_logs(build))
+            yield BuildVisits(**vars(visits), build=at, logs=records.list_logs(build))
 
 
 def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:

@@ -144,9 +144,8 @@ def to_script(value: Any) -> str:
 
 
 def name_logs(names: Iterable[str]) -> str:
-    """Name logs in a title; of a folder, the inputs are called folder/file."""
-    distinct = dict.fromkeys(name.partition("/")[0] for name in names)
-    return join_names(distinct, MOST_NAMES)
+    """Name logs in a title."""
+    return join_names(dict.fromkeys(names), MOST_NAMES)
 
 
 def describe_maker(inputs: Iterable[Mapping[str, Any]]) -> Section:

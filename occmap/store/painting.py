@@ -224,9 +224,6 @@ def bound_map(
         Nothing was observed, or lasts.
     """
     reach = {block.box: farthest for block, farthest in source.blocks.items()}
-    if source.whole and reach:  # is one part
-        everything = reduce(CellBox.join, reach.values())
-        reach = {everything: everything}
 
     @cache
     def measure(part: CellBox) -> CellBox | None:

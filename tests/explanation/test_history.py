@@ -14,8 +14,8 @@ import pytest
 from occmap.cells import Evidence
 from occmap.clouds import CloudOptions
 from occmap.errors import LogError, MapError, PoseError
-from occmap.evidence.manifest import UNRECORDED, describe_build
-from occmap.explanation import Use, find_uses, list_logs, recall_options
+from occmap.evidence.manifest import UNRECORDED, describe_build, list_logs
+from occmap.explanation import Use, find_uses, recall_options
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions, Stamps
