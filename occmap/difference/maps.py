@@ -180,12 +180,9 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
-    ".pgm": load_grey,
-    ".yaml": load_grey,
-    ".yml": load_grey,
+    **dict.fromkeys([".pgm", ".yaml", ".yml"], load_grey),
     ".png": load_png,
-    ".npz": load_saved,
-    ".zarr": load_saved,
+    **dict.fromkeys([".npz", ".zarr"], load_saved),
 }
 
 

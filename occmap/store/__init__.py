@@ -96,21 +96,21 @@ def open_store(path: Path) -> Blocks:
             found = "its table of blocks, or its ground, was altered"
             raise MapError(found, where=path, fix="build it again")
         blocks = [Block(*place) for place in table["place"].tolist()]
-        reach = [CellBox(*edges) for edges in table["reach"].tolist()]
-        digests = [digest.tobytes().hex() for digest in table["sha256"]]
+        edges, digests = map(CellBox._make, table["reach"].tolist()), map(bytes, table["sha256"])
+        reach = dict(zip(blocks, edges, strict=True))
         digest_of = dict(zip(blocks, digests, strict=True))
         ground = unpack_ground(below)
 
     def read_block(block: Block) -> Evidence:
         with refuse_damage(path):
             content = layout.read_block(root, block, manifest, str(path))
-        if layout.hash_content(content) != digest_of[block]:
+        if layout.hash_content(content) != digest_of[block].hex():
             found = f"its block {tuple(block)} was altered or a file of it is missing"
             raise MapError(found, where=path, fix="build it again")
         return content
 
-    reaches, name = dict(zip(blocks, reach, strict=True)), head.get("evidence", "")
-    return Blocks(manifest, str(path), reaches, read_block, ground, name, root)
+    name = head.get("evidence", "")
+    return Blocks(manifest, str(path), reach, read_block, ground, name, root)
 
 
 def identify(saved: Blocks) -> str:

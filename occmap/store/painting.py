@@ -87,6 +87,10 @@ class BlockMap:
     options: RenderOptions
     box: CellBox
     """Its cells"""
+    resolution: float
+    """Side of a cell (m)"""
+    decision: Decision
+    """How its cells are decided"""
     logs: Sequence[str] = ()
     """Names of those that the manifest does not have"""
 
@@ -96,19 +100,9 @@ class BlockMap:
         return self.box.shape
 
     @property
-    def resolution(self) -> float:
-        """Side of a cell (m)."""
-        return self.source.manifest.resolution
-
-    @property
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
         return Lattice(self.resolution).measure(self.box)
-
-    @property
-    def decision(self) -> Decision:
-        """How its cells are decided."""
-        return find_decision(self.model)
 
     @cached_property
     def about(self) -> About:
@@ -194,7 +188,7 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     MapError
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
-    chosen = options or RenderOptions()
+    chosen, lattice = options or RenderOptions(), Lattice(source.manifest.resolution)
     whole = None if is_large(source) else source.whole
     kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block), whole=whole)
     at_once = whole and find_lasting(whole, chosen.min_passes)
@@ -203,8 +197,8 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
         return at_once or find_lasting(read_part(kept, box), chosen.min_passes)
 
     bounds = bound_map(kept, read, model, chosen.min_passes)
-    box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
-    return BlockMap(kept, read, model, chosen, box)
+    box = choose_box(bounds, chosen.framing, lattice)
+    return BlockMap(kept, read, model, chosen, box, lattice.resolution, find_decision(model))
 
 
 def find_lasting(part: Evidence, min_passes: int | None) -> Grids:
