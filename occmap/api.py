@@ -105,7 +105,7 @@ class Map(OccupancyMap):
         """Show the probability as a small picture, dark is occupied, and the notes under it."""
         from occmap.writers.images import encode_png  # noqa: PLC0415  late: brings pillow
 
-        png = b64encode(encode_png(page.paint_map(self, page.Frame([self])))).decode()
+        png = b64encode(encode_png(page.paint_map(self, self.box))).decode()
         lines = [repr(self).strip("<>"), *self.report.notes]
         return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
 

@@ -12,7 +12,17 @@ from typing import Any, NamedTuple, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from occmap.types import BLOCK_BITS, COLUMN_MM, Bool, Float32, Float64, Int32, Int64, UInt8
+from occmap.types import (
+    BLOCK_BITS,
+    COLUMN_MM,
+    NO_GROUND,
+    Bool,
+    Float32,
+    Float64,
+    Int32,
+    Int64,
+    UInt8,
+)
 
 MOST_OBSERVED = 1 << 53
 """No number of a cell is larger, or below its negative: a float64 holds it exactly, and a thousand
@@ -102,6 +112,12 @@ class CellBox(NamedTuple):
             return None
         edges = rows[0], cols[0], rows[-1] + 1, cols[-1] + 1
         return cls(*map(int, edges)).move(row, col)
+
+    @classmethod
+    def enclose(cls, places: Iterable[Key]) -> Self:
+        """The smallest box around some places, at least one."""
+        rows, cols = zip(*places, strict=True)
+        return cls(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
 
     @classmethod
     def at(cls, row: int, col: int) -> Self:
@@ -244,15 +260,9 @@ class OccupancyMap:
         return replace(self, log_odds=log_odds, observed=observed, origin=start)
 
     @property
-    def place(self) -> Int64:
-        """(2,) row and column of the first cell on the lattice of its resolution."""
-        x, y = self.origin
-        return np.rint(np.array([y, x]) / self.resolution).astype(np.int64)
-
-    @property
     def box(self) -> CellBox:
         """Its cells, on the lattice of its resolution."""
-        row, col = self.place.tolist()
+        row, col = (round(edge / self.resolution) for edge in self.origin[::-1])
         return CellBox(row, col, row + self.shape[0], col + self.shape[1])
 
     @property
@@ -408,6 +418,13 @@ class Ground:
         keys = np.append(keys, np.iinfo(np.int64).max)  # behind all that there are
         at = np.searchsorted(keys, wanted)
         return np.where(keys[at] == wanted, at, -1)
+
+    def lay_out(self, blocks: Int64) -> "Ground":
+        """Put it in its place among more blocks (B, 2), which are in ascending order."""
+        at = self.find_blocks(blocks)
+        there = (at >= 0)[:, np.newaxis]
+        height = np.where(there, self.height_mm[at], np.int32(NO_GROUND))
+        return Ground(blocks, height, there & self.measured[at])
 
     def measure_rise(self, other: "Ground") -> Int32:
         """How much higher another ground is in each column that both measured (N,; mm)."""

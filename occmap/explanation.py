@@ -5,8 +5,7 @@ Options are read back from the JSON that `write_value` made of them.
 """
 
 import math
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
@@ -28,7 +27,7 @@ from occmap.scans import plan_grid
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.sensor import interpret
 from occmap.sensor.models import MODEL, SensorModel, describe_model
-from occmap.store import Saved, as_blocks, read_part
+from occmap.store import Blocks, read_part
 from occmap.store.painting import open_map
 from occmap.types import Pose, PosedScans, PoseSample, Update
 from occmap.writers import WriteOptions
@@ -61,15 +60,13 @@ class Use(NamedTuple):
     """A log, and how a build used it."""
 
     log: Path
-    hashes: frozenset[str]
-    """SHA-256 of its files"""
     build: int
     """Which of `Manifest.builds`"""
     options: BuildOptions
 
 
 def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> list[Use]:
-    """Find every build that used a log; one that used it twice is found twice.
+    """Find every build that used a log.
 
     Parameters
     ----------
@@ -81,58 +78,24 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
     LogError
         The evidence was not made of a log, or a file cannot be read.
     PoseError
-        A trajectory is missing, or none of these builds had it.
+        A trajectory is missing.
     """
     builds = part.manifest.builds
+    held = [{entry["sha256"] for entry in records.list_inputs(build)} for build in builds]
     given = {digest: path for path in poses for digest in hash_files(path)}
-    distinct: dict[frozenset[str], Path] = {}
-    for log in logs:  # of equal logs the first will do: a build cannot tell them apart
-        distinct.setdefault(hash_files(log), log)
     uses: list[Use] = []
-    for hashes, log in distinct.items():
-        times = [at for at, build in enumerate(builds) for _ in range(count_uses(hashes, build))]
+    # Of equal logs one will do: a build cannot tell them apart.
+    for hashes, log in {hash_files(log): log for log in logs}.items():
+        times = [at for at, of_build in enumerate(held) if hashes <= of_build]
         if not times:
             refuse_stranger(part, log)
-        recalled = [recall_build(builds[at], part.where, log, given) for at in times]
-        uses += [Use(log, hashes, *each) for each in zip(times, recalled, strict=True)]
-    used = {entry["sha256"] for use in uses for entry in records.list_trajectory(builds[use.build])}
-    idle = given.keys() - used
-    if idle:
-        found = "is not a trajectory that these logs were built with"
-        raise PoseError(found, where=given[min(idle)], fix="leave it out")
+        uses += [Use(log, at, recall_build(builds[at], part.where, log, given)) for at in times]
     return uses
 
 
 def hash_files(path: Path) -> frozenset[str]:
     """SHA-256 of a file, or of all files in a folder; raises LogError if one cannot be read."""
     return frozenset(entry["sha256"] for entry in records.describe_files(path))
-
-
-def count_uses(hashes: Iterable[str], build: BuildRecord) -> int:
-    """How many times a build read the log whose files have these hashes."""
-    held = Counter(entry["sha256"] for entry in records.list_inputs(build))
-    return min((held[digest] for digest in hashes), default=0)
-
-
-def list_logs(build: BuildRecord, but: Collection[str] = ()) -> list[str]:
-    """Name the logs of a build: the files, and the folders that were read as one log.
-
-    Parameters
-    ----------
-    but
-        Hashes of files that are left out.
-    """
-    entries = (entry for entry in records.list_inputs(build) if entry["sha256"] not in but)
-    return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in entries))
-
-
-def list_missing(part: Evidence, uses: Sequence[Use]) -> list[str]:
-    """Name the logs that went into the evidence, and that no use reads."""
-    missing = dict[str, None]()
-    for at, build in enumerate(part.manifest.builds):
-        read = {digest for use in uses if use.build == at for digest in use.hashes}
-        missing |= dict.fromkeys(list_logs(build, read))
-    return list(missing)
 
 
 def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Path]) -> BuildOptions:
@@ -175,15 +138,14 @@ def refuse_stranger(part: Evidence, log: Path) -> None:
     Raises
     ------
     LogError
-        Saying whether it was changed, and what the evidence was made of.
+        Saying what it was made of.
     """
-    names = list(dict.fromkeys(n for build in part.manifest.builds for n in list_logs(build)))
-    if log.resolve().name in names:
-        found = f"is not the {log.resolve().name} that {part.where} was made of: it was changed"
-        raise LogError(found, where=log, fix="give the log as it was, or build the evidence again")
-    found = f"{part.where} was not made of it"
-    fix = f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these"
-    raise LogError(found, where=log, fix=fix)
+    names = records.list_logs(*part.manifest.builds)
+    raise LogError(
+        f"{part.where} was not made of it, or it was changed since",
+        where=log,
+        fix=f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these",
+    )
 
 
 def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
@@ -470,7 +432,7 @@ class Explanation(Printed):
         return sum_sightings(self.scans)
 
 
-def explain(saved: Saved, question: Question, progress: Progress = ignore_progress) -> Explanation:
+def explain(saved: Blocks, question: Question, progress: Progress = ignore_progress) -> Explanation:
     """Say what was observed at a point, and by which scans of the logs that the user has.
 
     Raises
@@ -490,14 +452,14 @@ def explain(saved: Saved, question: Question, progress: Progress = ignore_progre
     around = cell.read_around(grid)
     layers = cell.read_slices(part)
     lasting = evidence.keep_lasting(grid, part.slices, question.min_passes)
-    made, blocks = evidence.paint_box(lasting, model, cell.box), as_blocks(saved)
+    made = evidence.paint_box(lasting, model, cell.box)
     uses = find_uses(part, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, cell, progress)
     unexplained = list_unexplained(part, around[1][1], uses, sightings)
     return Explanation(
         point=(question.x, question.y),
         cell=cell,
-        map_extent=open_map(blocks, model).extent if blocks.blocks else None,
+        map_extent=open_map(saved, model).extent if saved.blocks else None,
         verdict=name_class(made, question.writing),
         probability=float(made.probability[0, 0]),
         model=describe_model(model),
@@ -519,7 +481,7 @@ def list_visits(cell: Cell, layers: Sequence[Slices], manifest: Manifest) -> Ite
     """List when each build observed the cell, of those that did."""
     for at, (layer, build) in enumerate(zip(layers, manifest.builds, strict=True)):
         if visits := cell.read_visits(layer, manifest):
-            yield BuildVisits(**vars(visits), build=at, logs=list_logs(build))
+            yield BuildVisits(**vars(visits), build=at, logs=records.list_logs(build))
 
 
 def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
@@ -532,7 +494,7 @@ def name_class(made: OccupancyMap, writing: WriteOptions) -> Verdict:
     return "undecided" if made.observed.all() else "unknown"
 
 
-def measure_ground(saved: Saved, question: Question) -> float | None:
+def measure_ground(saved: Blocks, question: Question) -> float | None:
     """How high the ground is at the point (m), as clouds showed it; None where they did not."""
     if saved.ground is None:
         return None
@@ -545,20 +507,15 @@ def list_unexplained(
 ) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
     found, manifest = sum_sightings(sightings), part.manifest
-    if not uses or found == seen.numbers:
-        return
-    unit = find_unit(manifest.update)
-    parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
-    sums = " of ".join(parts)
-    if missing := list_missing(part, uses):
-        yield f"these logs explain {sums}; the rest is in {join_names(missing)}"
-    elif manifest.subtracted:
-        yield f"the scans explain {sums}; other evidence was subtracted"
-    elif any("moved" in build for build in manifest.builds):
-        yield f"the scans explain {sums}; `occmap merge` moved cells of it, not scans"
-    else:
+    if uses and found != seen.numbers:
+        unit = find_unit(manifest.update)
+        parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
         makers = ", ".join(sorted({build["occmap"] for build in manifest.builds}))
-        yield f"the scans explain {sums}: the occmap that built it ({makers}) read them differently"
+        yield (
+            f"these logs explain {' of '.join(parts)}; the rest may be of other logs, or differ "
+            "since evidence was subtracted, or moved by `occmap merge`, or since the occmap that "
+            f"built it ({makers}) read them differently"
+        )
 
 
 def describe_numbers(numbers: Numbers, kind: EvidenceKind, unit: int) -> str:

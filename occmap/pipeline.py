@@ -20,7 +20,7 @@ from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
 from occmap.scans.tracing import observe as observe_here
-from occmap.store import open_saved, read_all
+from occmap.store import Blocks, open_saved, read_all
 from occmap.store.merging import refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
@@ -184,7 +184,7 @@ def paint_seen(
     paths: Sequence[Path], seen: Observed, manifest: Manifest, is_whole: bool
 ) -> tuple[Any, MapFacts]:
     """Render what was observed, as `paint_saved` does."""
-    it, kept = seen.options, Evidence(manifest, seen.tiles.tiles, seen.slices)
+    it, kept = seen.options, Blocks.of(Evidence(manifest, seen.tiles.tiles, seen.slices))
     options = RenderOptions(None, it.writing, it.max_cells, it.framing, it.min_passes)
     return paint_saved(kept, it.model, options, is_whole, [path.name for path in paths])
 

@@ -27,7 +27,7 @@ from occmap.report.limits import DIFF, SAVED, SCORE
 from occmap.report.results import Report, tell_map, tell_scans
 from occmap.scoring.maps import Against, MapScore, score
 from occmap.scoring.matching import STAY, Transform, lay_on
-from occmap.store import Saved, open_saved
+from occmap.store import Blocks, open_saved
 from occmap.store.merging import combine
 from occmap.store.painting import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
@@ -91,7 +91,7 @@ def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
 
 
 def put_out(
-    console: Console, inputs: Sequence[Path], read: Callable[[], Saved], values: dict[str, Any]
+    console: Console, inputs: Sequence[Path], read: Callable[[], Blocks], values: dict[str, Any]
 ) -> Answer:
     """Render evidence, write it as the user wants, and sum it up.
 

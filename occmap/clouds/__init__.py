@@ -6,7 +6,7 @@ Here is what a user may choose about them.
 from dataclasses import dataclass
 from pathlib import Path
 
-from occmap.choices import option
+from occmap.choices import ABOVE_ZERO, check_bounds, option
 from occmap.errors import require
 
 LOCAL, FLAT = "local", "flat"
@@ -37,6 +37,7 @@ class CloudOptions:
         "poses and mounts are off by tenths of a degree.",
         unit="m/m",
         metavar="M",
+        bounds=(0, 1),
     )
     ground: str | None = option(
         None,
@@ -45,24 +46,20 @@ class CloudOptions:
         metavar="local|flat|NPZ",
     )
     sensor_height: float | None = option(
-        None, "Clouds: the sensor's height above the ground, where clouds do not show it.", unit="m"
+        None,
+        "Clouds: the sensor's height above the ground, where clouds do not show it.",
+        unit="m",
+        bounds=(ABOVE_ZERO, 100),
     )
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         found = f"no point lies above {self.min_height} m and below {self.max_height} m"
         fix = "give a `min_height` below the `max_height`, both above the ground"
         require(0 < self.min_height < self.max_height, found, fix)
-        require(
-            0 <= self.range_margin <= 1,
-            f"a range margin of {self.range_margin} is not possible",
-            "give 0 to 1",
-        )
         found = f"{self.ground!r} is no way to find the ground"
         is_known = self.ground in {None, LOCAL, FLAT} or self.file is not None
         require(is_known, found, f"give `ground={FLAT}`, or evidence: `ground=first.npz`")
-        height = self.sensor_height
-        found = f"a sensor height of {height} m is not possible"
-        require(height is None or 0 < height < 100, found, "try `sensor_height=0.6`")
 
     @property
     def band_mm(self) -> tuple[int, int]:

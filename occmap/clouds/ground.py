@@ -199,7 +199,8 @@ class GroundFinder:
         stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
         if options.ground == FLAT:
             return make_flat(stood), []
-        height = grow(columns, seats, known)
+        laid = known and known.lay_out(blocks.places)
+        height = grow(columns, seats, laid)
         measured = height != NO_GROUND
         if not measured.any():
             raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
@@ -211,8 +212,8 @@ class GroundFinder:
             beyond &= height != NO_GROUND
             height[beyond] = plane[beyond]
         holes = find_holes(columns, height, measured, options)
-        if known is not None:
-            holes |= list_known_holes(blocks, known, measured)
+        if laid is not None:
+            holes |= list_known_holes(blocks, laid, measured)
         height[holes] = NO_GROUND
         shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
         note = (
@@ -296,7 +297,7 @@ def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32
         found = find_nothing(columns)
         for _, path, above, spread, beside in seats:
             look_beside(columns, path, (beside, BY, UNDER), (above - spread, above + spread), found)
-        lay_known(blocks, known, found)
+        keep_known(known, found)
         for apart in REACHES:
             if growth.grow_ground(blocks, peaks, found, apart, height.size, queue) and apart > 1:
                 growth.grow_ground(blocks, peaks, found, 1, height.size, queue)
@@ -308,7 +309,7 @@ def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32
     growth.restore_levels(blocks, grown[0], height)
     smooth = np.empty_like(height)
     growth.smooth_ground(blocks, peaks, height, smooth)
-    lay_known(blocks, known, found._replace(height=smooth))
+    keep_known(known, found._replace(height=smooth))
     return smooth
 
 
@@ -339,11 +340,9 @@ def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOp
 
 def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
     """List columns (C,) beside known ground that have none in it, and none was measured now."""
-    had, around = np.full((2, len(blocks.places), BLOCK**2), NO_GROUND, np.int32)
-    at = blocks.table[tuple((known.blocks - blocks.corner).T)]
-    had[at], around[at] = known.height_mm, np.where(known.measured, known.height_mm, NO_GROUND)
-    fill(blocks, around.reshape(-1), FILLED)
-    return np.asarray(~measured & ((around != NO_GROUND) & (had == NO_GROUND)).ravel())
+    around = np.where(known.measured, known.height_mm, NO_GROUND).astype(np.int32).ravel()
+    fill(blocks, around, FILLED)
+    return np.asarray(~measured & (around != NO_GROUND) & (known.height_mm == NO_GROUND).ravel())
 
 
 def find_nothing(columns: Columns) -> Found:
@@ -379,46 +378,31 @@ def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
 def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
     """Fit a plane to measured ground (C,); give its heights (C,; mm), or None where it has none.
 
-    Sums are of integers, so that all machines find the same plane.
+    Sums are of integers, so that their order does not count.
     """
     at = np.flatnonzero(measured)
     if len(at) < LEAST_LEVEL:
         return None
-    row, col = list_places(blocks, at)
-    level_mm, used = height[at].astype(np.int64), np.ones(len(at), np.bool_)
+    row, col = list_places(blocks, np.arange(len(height)))
+    terms = np.stack([np.ones_like(row), col - col[at[0]], row - row[at[0]]], axis=1)
+    known, level_mm, used = terms[at], height[at].astype(np.int64), np.ones(len(at), np.bool_)
     for _ in range(ROUNDS):
-        x, y, z = col[used], row[used], level_mm[used]
-        count, middle = len(x), (int(x.sum()) // len(x), int(y.sum()) // len(x))
-        x, y = x - middle[0], y - middle[1]
-        terms = [np.ones_like(x), x, y]
-        sums = [[int((one * other).sum()) for other in terms] for one in terms]
-        rises = [int((one * z).sum()) for one in terms]
-        whole, both = measure_volume(sums), list(zip(sums, rises, strict=True))
-        if count < LEAST_LEVEL or whole == 0:
+        some = known[used]
+        sums = some.T @ some
+        if len(some) < LEAST_LEVEL or np.linalg.matrix_rank(sums) < len(sums):
             return None
-        level, along, aside = (
-            measure_volume([[*terms[:n], rise, *terms[n + 1 :]] for terms, rise in both]) / whole
-            for n in range(3)
-        )
-        off = np.abs(level_mm - (level + along * (col - middle[0]) + aside * (row - middle[1])))
+        plane = np.linalg.solve(sums, some.T @ level_mm[used])
+        off = np.abs(level_mm - known @ plane)
         used = off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3)
     if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
         return None
-    row, col = list_places(blocks, np.arange(len(height)))
-    plane = level + along * (col - middle[0]) + aside * (row - middle[1])
-    return np.rint(plane).astype(np.int32)
+    return np.asarray(np.rint(terms @ plane).astype(np.int32))
 
 
 def list_places(blocks: Blocks, at: Int64) -> tuple[Int64, Int64]:
     """The rows and the columns of columns (N,), by where they lie in flat arrays."""
     row, col = blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK
     return row + (at >> BLOCK_BITS & BLOCK - 1), col + (at & BLOCK - 1)
-
-
-def measure_volume(rows: list[list[int]]) -> int:
-    """The determinant of three rows of three integers."""
-    (a, b, c), (d, e, f), (g, h, i) = rows
-    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:
@@ -448,26 +432,40 @@ def list_storeys(stood: Int64) -> Iterator[str]:
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
     kept = np.flatnonzero(table.keys != heights.EMPTY)
-    kept = kept[np.argsort(table.keys[kept])]
+    kept = kept[np.argsort(table.keys[kept])]  # column by column, and in each from the lowest piece
     keys, counts = table.keys[kept], table.counts[kept]
-    columns = keys >> heights.PIECE_BITS
-    every = columns[np.flatnonzero(np.diff(columns, prepend=-1))]
-    many = np.zeros(len(every), np.int32)
-    level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
+    is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
+    places = unpack_columns(keys[is_next], path)
+    many, (level, weight) = (
+        np.zeros(len(places), np.int32),
+        np.empty((2, 8 * len(keys) + 8), np.int32),
+    )
     found = heights.list_peaks(keys, counts, np.empty(heights.ROOM, np.int64), many, level, weight)
-    level, weight = level[:found].copy(), weight[:found].copy()
-    start = path[:1, 1::-1] // COLUMN_MM - heights.WIDE // 2
-    packed = np.stack([every >> 21, every % heights.WIDE], axis=1)
-    places = start + (packed - start) % heights.WIDE
     blocks = make_blocks(places, known)
-    row, col = places.T
-    block = blocks.table[tuple(((places >> BLOCK_BITS) - blocks.corner).T)].astype(np.int64)
-    at = (block << 2 * BLOCK_BITS) | ((row % BLOCK) << BLOCK_BITS) | (col % BLOCK)
+    at = find_columns(blocks, places)
     first, of_column = np.zeros((2, len(blocks.places) << 2 * BLOCK_BITS), np.int32)
     first[at], of_column[at] = np.cumsum(many) - many, many
-    of_piece = at[np.cumsum(np.diff(columns, prepend=-1) != 0) - 1]
-    pieces = Pieces(of_piece, keys, counts)
-    return Columns(blocks, Peaks(first, of_column, level, weight), len(every), pieces)
+    peaks = Peaks(first, of_column, level[:found].copy(), weight[:found].copy())
+    pieces = Pieces(at[np.cumsum(is_next) - 1], keys, counts)
+    return Columns(blocks, peaks, len(places), pieces)
+
+
+def unpack_columns(keys: Int64, path: Int64) -> Int64:
+    """(N, 2) rows and columns of the columns of some keys, the ones that are nearest to a path.
+
+    A key has them modulo `WIDE`; a path has at least one place wherever there are keys.
+    """
+    columns = keys >> heights.PIECE_BITS
+    packed = np.stack([columns // heights.WIDE, columns % heights.WIDE], axis=1)
+    start = path[:1, 1::-1] // COLUMN_MM - heights.WIDE // 2
+    return np.asarray(start + (packed - start) % heights.WIDE)
+
+
+def find_columns(blocks: Blocks, places: Int64) -> Int64:
+    """Where columns (N, 2) that blocks hold lie in flat arrays."""
+    block = blocks.table[tuple(((places >> BLOCK_BITS) - blocks.corner).T)].astype(np.int64)
+    row, col = places.T % BLOCK
+    return np.asarray((block << 2 * BLOCK_BITS) | (row << BLOCK_BITS) | col)
 
 
 def make_blocks(columns: Int64, known: Ground | None) -> Blocks:
@@ -542,17 +540,12 @@ def measure_seat(
     return Seat(sensors, path, depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
 
 
-def lay_known(blocks: Blocks, known: Ground | None, found: Found) -> None:
-    """Put ground that is known in its place, where it stays as if the robot had stood there."""
+def keep_known(known: Ground | None, found: Found) -> None:
+    """Let ground that is known, in its place, stay as if the robot had stood there."""
     if known is not None:
-        at = blocks.table[tuple((known.blocks - blocks.corner).T)]
-        for mine, its in (
-            (found.height, known.height_mm),
-            (found.weight, np.int32(KNOWN_POINTS)),
-            (found.passed, np.uint8(growth.STOOD)),
-        ):
-            rows = mine.reshape(len(blocks.places), -1)
-            rows[at] = np.where(known.measured, its, rows[at])
+        there = known.measured.ravel()
+        found.height[there] = known.height_mm.ravel()[there]
+        found.weight[there], found.passed[there] = KNOWN_POINTS, growth.STOOD
 
 
 def pack_ground(blocks: Blocks, height: Int32, measured: Bool) -> Ground:

@@ -9,7 +9,7 @@ import re
 import reprlib
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,8 +20,8 @@ from occmap.errors import MapError, UsageError, refuse_unreadable
 from occmap.evidence import read_model
 from occmap.evidence.manifest import list_inputs
 from occmap.report import count
-from occmap.store import as_blocks, identify, open_saved
-from occmap.store.painting import classify_blocks, open_map
+from occmap.store import identify, open_saved
+from occmap.store.painting import open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
 from occmap.writers.pgm import UNKNOWN
@@ -170,23 +170,19 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     saved = open_saved(path)
-    made = open_map(as_blocks(saved), read_model(saved))
-    x, y, *_ = made.extent
-    classes = classify_blocks(made, thresholds)
+    made, _ = open_map(saved, read_model(saved)).paint_all()
+    classes = replace(made, decision=thresholds.decide(made.decision)).classes
     inputs = (entry["sha256"] for build in saved.manifest.builds for entry in list_inputs(build))
-    place, turn = Place(made.resolution, x, y), str(saved.manifest.align or "")
+    place, turn = Place(made.resolution, *made.origin), str(saved.manifest.align or "")
     return ClassMap(
         path, classes, place, evidence=identify(saved), align=turn, inputs=frozenset(inputs)
     )
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {
-    ".pgm": load_grey,
-    ".yaml": load_grey,
-    ".yml": load_grey,
+    **dict.fromkeys([".pgm", ".yaml", ".yml"], load_grey),
     ".png": load_png,
-    ".npz": load_saved,
-    ".zarr": load_saved,
+    **dict.fromkeys([".npz", ".zarr"], load_saved),
 }
 
 
@@ -200,11 +196,6 @@ class Meta:
     free_thresh: float
     negate: bool = False
     place: Place | None = None
-
-
-def brief(value: object) -> str:
-    """Write a value of a YAML, cut where it is very long."""
-    return reprlib.repr(value)[:60]
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -243,55 +234,49 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
         A value is missing or impossible, or the map is turned.
     """
     image, mode = values.get("image"), values.get("mode", MapMode.TRINARY.value)
-    if not isinstance(image, str):
-        raise MapError("names no image", where=path, fix="add a line such as `image: map.pgm`")
-    if mode not in list(MapMode):
-        found = f"{brief(mode)} is not a mode of a map"
-        raise MapError(found, where=path, fix="trinary, scale or raw")
+    negate = str(values.get("negate", "0"))
+    expect(path, "image", image, isinstance(image, str), "the name of a file such as map.pgm")
+    expect(path, "mode", mode, mode in list(MapMode), "trinary, scale or raw")
+    expect(path, "negate", negate, negate in NEGATES, "0 or 1")
     resolution, occupied, free = (
         parse_number(path, name, values.get(name))
         for name in ("resolution", "occupied_thresh", "free_thresh")
     )
-    if free > occupied:
-        found = f"free_thresh is {free:g}, and occupied_thresh {occupied:g}: cells would be both"
-        raise MapError(found, where=path, fix="make free_thresh the smaller one")
-    negate = str(values.get("negate", "0"))
-    if negate not in NEGATES:
-        raise MapError(f"negate is {brief(negate)}, where 0 or 1 belongs", where=path)
-    image = image.translate({private: byte for byte, private in BYTES.items()})
-    return Meta(
-        image, MapMode(mode), occupied, free, NEGATES[negate], parse_place(path, resolution, values)
-    )
+    wanted = f"no more than occupied_thresh ({occupied:g})"
+    expect(path, "free_thresh", free, free <= occupied, wanted)
+    image = str(image).translate({private: byte for byte, private in BYTES.items()})
+    place = parse_place(path, resolution, values.get("origin"))
+    return Meta(image, MapMode(mode), occupied, free, NEGATES[negate], place)
 
 
-def parse_place(path: Path, resolution: float, values: dict[str, Any]) -> Place:
+def parse_place(path: Path, resolution: float, origin: Any) -> Place:
     """Check where a map_server YAML says that a map lies; raises MapError."""
-    origin = values.get("origin")
-    if not isinstance(origin, list) or len(origin) != 3:
-        raise MapError(f"origin is {brief(origin)}, where [x, y, yaw] belongs", where=path)
+    is_triple = isinstance(origin, list) and len(origin) == 3
+    expect(path, "origin", origin, is_triple, "[x, y, yaw]")
     x, y, yaw = (parse_number(path, "a value of origin", each) for each in origin)
     if round(math.remainder(yaw, math.tau), 6):  # whole turns turn nothing: 1 cm across 10 km
         found = f"the map is turned by {yaw} rad: it lies on no lattice"
         raise MapError(found, where=path, fix="turn its image, so that the yaw of origin is 0")
-    if not 0 < resolution <= FARTHEST_M:
-        raise MapError(f"a resolution of {resolution:g} m is not possible", where=path)
-    if max(abs(x), abs(y)) > FARTHEST_M:
-        raise MapError(f"an origin at ({x:g}, {y:g}) m is not possible", where=path)
+    wanted = f"a length up to {FARTHEST_M:g} m"
+    expect(path, "resolution", resolution, 0 < resolution <= FARTHEST_M, wanted)
+    expect(path, "origin", origin, max(abs(x), abs(y)) <= FARTHEST_M, wanted)
     return Place(resolution, x, y)
 
 
 def parse_number(path: Path, name: str, value: object) -> float:
-    """Check a number of a map_server YAML.
-
-    Raises
-    ------
-    MapError
-        It is missing, or not a number.
-    """
+    """Check a number of a map_server YAML; raises MapError."""
+    number = math.nan
     with suppress(ValueError):
-        if isinstance(value, str) and math.isfinite(number := float(value)):
-            return number
-    raise MapError(f"{name} is {brief(value)}, where a number belongs", where=path)
+        number = float(value) if isinstance(value, str) else math.nan
+    expect(path, name, value, math.isfinite(number), "a number")
+    return number
+
+
+def expect(path: Path, name: str, value: object, is_right: bool, wanted: str) -> None:
+    """Refuse a value of a map_server YAML that is not right; raises MapError."""
+    if not is_right:
+        found = reprlib.repr(value)[:60]  # which may be very long
+        raise MapError(f"{name} is {found}, where {wanted} belongs", where=path)
 
 
 def read_image(path: Path) -> "GreyImage":

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from occmap.cells import CellBox, Evidence, Key, Manifest, OccupancyMap, Slices,
 from occmap.choices import format_place
 from occmap.errors import MapError, OccmapError, UsageError, require
 from occmap.evidence.manifest import describe_profile
-from occmap.grid import Lattice, rendering, tiles
+from occmap.grid import Lattice, tiles
 from occmap.grid.rendering import SpreadHits, count_agreeing, find_bounds, paint_cells
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models
@@ -283,35 +283,6 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
             kept = np.where(often, hits, 0), np.where(mostly, 0, misses)
             lasting[key] = np.stack(kept)
     return grid.like(tiles.drop_empty(lasting))
-
-
-def render_lasting(
-    grid: TileGrid, slices: Sequence[Slices], model: SensorModel, options: Any
-) -> tuple[OccupancyMap, list[str]]:
-    """Make the map of what lasts, as it is to be framed; a note says where much does not last.
-
-    Parameters
-    ----------
-    options
-        Those of a build or of a map of saved evidence: `min_passes`, `max_cells` and `framing`.
-
-    Raises
-    ------
-    MapError
-        Nothing is left, or lies in the extent, or the map would be too large.
-    """
-    lasting = keep_lasting(grid, slices, options.min_passes)
-    if grid.tiles and not lasting.tiles:
-        rendering.refuse_nothing_left(options.min_passes)
-    whole = find_bounds(choose_tiles(lasting, model))
-    box = rendering.choose_box(whole, options.framing, grid.lattice)
-    # Cells that were forgotten may lie beyond those that are left.
-    is_whole = lasting is not grid and options.framing.extent is None
-    around = box.join(find_bounds(choose_tiles(grid, model))) if is_whole else box
-    tiles.refuse_large(around, grid.lattice, options.max_cells)
-    made, found = paint_lasting(grid, lasting, model, box, around)
-    agreement, lost = sum_up(found)
-    return replace(made, agreement=agreement), lost
 
 
 def paint_lasting(

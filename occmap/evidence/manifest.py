@@ -160,6 +160,13 @@ def list_inputs(build: BuildRecord) -> list[dict[str, Any]]:
     return list(build["inputs"][: len(build["inputs"]) - len(list_trajectory(build))])
 
 
+def list_logs(*builds: BuildRecord) -> list[str]:
+    """Name the logs of builds: the files, and the folders that were read as one log."""
+    inputs = (entry for build in builds for entry in list_inputs(build))
+    # Of a folder, the inputs are called folder/file.
+    return list(dict.fromkeys(entry["name"].partition("/")[0] for entry in inputs))
+
+
 def write_value(value: Any) -> Any:
     """Write an option so that JSON holds it and `recall_options` reads it back: inf as "inf"."""
     if is_dataclass(value):
@@ -224,9 +231,7 @@ def describe_about(
     how = {name: value for name, value in given.items() if value != usual.get(name)}
     text = json.dumps([manifest.model, how], sort_keys=True)
     rendering = hashlib.sha256(text.encode()).hexdigest()[:12]
-    of_builds = (entry["name"] for build in manifest.builds for entry in list_inputs(build))
-    # Of a folder, the inputs are called folder/file.
-    names = sorted({name.partition("/")[0] for name in (*of_builds, *logs)})
+    names = sorted({*list_logs(*manifest.builds), *logs})
     named = join_names(map(json.dumps, names), MOST_NAMED)
     return About(version("occmap"), evidence, rendering, named, manifest.align or 0.0)
 

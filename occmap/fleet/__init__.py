@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from occmap.errors import require
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.tasks import BlockJob, Job, Piece, Setting
+from occmap.fleet.tasks import BlockJob, Job, Piece, Setting, Traced
 from occmap.grid import Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
@@ -34,7 +33,7 @@ from occmap.report.results import MapFacts, Report, list_notes
 from occmap.scans import tracing
 from occmap.scans.align import settle_align
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import BuildGround, Keep, Observed, Progress, Remarks
+from occmap.scans.tracing import Keep, Observed, Progress, Remarks
 from occmap.store.layout import Block, BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
@@ -48,17 +47,87 @@ ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
 
 
-class Work(NamedTuple):
-    """What workers found in logs, and where they left what was observed."""
+@dataclass
+class Crew:
+    """Workers at a build, and what they found so far, or where they left it."""
 
     cluster: Cluster
     setting: Setting
-    jobs: list[Job]
-    """One for each log"""
+    logs: list[Job]
     tally: Tally
     remarks: Remarks
-    reductions: list[BlockJob]
-    """One for each block that is to be added up, with all that was observed in it"""
+    blocks: Sequence[BlockJob] = ()
+    """Those in which anything was observed, each with all of it"""
+
+    def settle(self) -> None:
+        """Settle what only the logs show: how many scans, which update, the ground below clouds.
+
+        Raises
+        ------
+        OccmapError
+            A log cannot be read, or they hold scans and clouds.
+        """
+        with self.tally.time("open"):
+            surveyed = self.cluster.run(tasks.survey_log, self.setting, self.logs)
+        counts, settled = zip(*surveyed, strict=True)
+        require(
+            len({each.update for each in settled}) == 1,
+            "some of the logs hold laser scans, others clouds of points",
+            "map one kind at a time: choose with `topics`",
+        )
+        self.setting = replace(self.setting, options=settled[0], scans=sum(counts))
+        if self.setting.options.update is Update.CLOUD:
+            with self.tally.time("ground"):
+                self.find_ground()
+
+    def find_ground(self) -> None:
+        """Find the ground below the clouds of all logs."""
+        from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+        def count(options: BuildOptions) -> GroundFinder:
+            self.setting = replace(self.setting, options=options)
+            level = "".join(f" {angle}" for angle in options.posing.level or ())
+            some = [replace(job, name=job.name + level) for job in self.logs]
+            finder = GroundFinder(self.setting.scans)
+            for counted in self.cluster.run(tasks.survey_ground, self.setting, some):
+                finder.join(counted)
+            return finder
+
+        known = self.setting.keep
+        found = tracing.level_ground(count, self.setting.options, known.ground)
+        self.remarks.notes += found.notes
+        keep = known._replace(ground=found.ground)
+        self.setting = replace(self.setting, keep=keep, options=found.options)
+
+    def trace(self, progress: Progress) -> None:
+        """Trace all scans, and sort what was observed by the blocks that it lies in."""
+
+        def tell(log: Traced) -> None:
+            progress(log.tally.scans_read, self.setting.scans)
+
+        blocks: dict[Block, list[Piece]] = defaultdict(list)
+        traced = self.cluster.run(tasks.trace_log, self.setting, self.logs, tell)
+        for job, log in zip(self.logs, traced, strict=True):
+            self.remarks.note(Path(job.where), log.log_notes, log.notes)
+            self.tally.add(log.tally)
+            for block, pieces in log.pieces.items():
+                blocks[block] += pieces
+        self.blocks = [BlockJob.of(*each) for each in sorted(blocks.items())]
+
+    def paint(self, records: Sequence[BlockRecord]) -> MapFacts:
+        """Paint the pictures of all blocks of a store, and sum up what the report tells of them.
+
+        Blocks beside those that are written are looked at, too: hits speak for the cells around.
+        """
+        beside = {block for record in records for block in list_blocks(record.reach.grow(1))}
+        around = map(BlockJob.of, beside - {job.block for job in self.blocks})
+        measured = self.cluster.run(tasks.measure_block, self.setting, [*self.blocks, *around])
+        reaches, cells, hits = zip(*measured, strict=True)
+        box = reduce(CellBox.join, filter(None, reaches))
+        agreeing, met = np.sum(hits, axis=0).tolist()
+        lattice = Lattice(self.setting.options.resolution)
+        where = lattice.resolution, lattice.measure(box), box.shape
+        return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)
 
 
 @dataclass(frozen=True)
@@ -105,11 +174,11 @@ class Fleet:
         OccmapError
             As there, or the workers cannot do it.
         """
-        with self.work(paths, options, keep, progress) as work, work.tally.time("fold"):
-            pieces = work.cluster.run("reduce", tasks.reduce_block, work.reductions)
-            seen = tasks.add_up_pieces(work.setting, pieces)
-            settled = work.setting.keep.ground, work.setting.options
-            return Observed(*seen, work.tally, work.remarks, *settled)
+        with self.work(paths, options, keep, progress) as crew, crew.tally.time("fold"):
+            pieces = crew.cluster.run(tasks.reduce_block, crew.setting, crew.blocks)
+            seen = tasks.add_up_pieces(crew.setting, pieces)
+            settled = crew.setting.keep.ground, crew.setting.options
+            return Observed(*seen, crew.tally, crew.remarks, *settled)
 
     def _build_store(
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
@@ -118,24 +187,24 @@ class Fleet:
         writers.check_outputs([output], pipeline.list_input_files(paths, options), options.writing)
         options, unaligned = settle_align(paths, options)
         options, keep = pipeline.choose_keep(options, [output], None)
-        with self.work(paths, options, keep, progress) as work:
-            tally, remarks, options = work.tally, work.remarks, work.setting.options
+        with self.work(paths, options, keep, progress) as crew:
+            tally, remarks, options = crew.tally, crew.remarks, crew.setting.options
             refuse_unused(paths, tally)
-            refuse_unseen(paths, tally, work.reductions)
+            refuse_unseen(paths, tally, crew.blocks)
             with tally.time("fold"):
-                hashed = work.cluster.run("hash", tasks.hash_log, work.jobs)
+                hashed = crew.cluster.run(tasks.hash_log, crew.setting, crew.logs)
                 known = dict(zip(paths, hashed, strict=True))
                 made = manifests.describe_build(paths, options, tally.to_json(), known)
                 manifest = replace(manifests.plan_manifest(options), builds=(made,))
-            with make_folder(output, f".occmap-{work.setting.folder.name}.tmp") as store:
+            with make_folder(output, f".occmap-{crew.setting.folder.name}.tmp") as store:
+                crew.setting = replace(crew.setting, store=store)
                 with tally.time("fold"):
-                    create_store(store, manifest, [job.block for job in work.reductions])
-                    jobs = [replace(job, store=store) for job in work.reductions]
-                    records = work.cluster.run("reduce", tasks.store_block, jobs)
+                    create_store(store, manifest, [job.block for job in crew.blocks])
+                    records = crew.cluster.run(tasks.store_block, crew.setting, crew.blocks)
                 with tally.time("render"):
-                    facts = paint_blocks(work, jobs, records)
+                    facts = crew.paint(records)
                 with tally.time("write"):
-                    finish_store(store, manifest, records, work.setting.keep.ground)
+                    finish_store(store, manifest, records, crew.setting.keep.ground)
         remarks.notes += [*unaligned, *manifests.list_doubts(manifest)]
         remarks.notes += list_notes(paths, options, [output], tally, facts)
         return replace(pipeline.make_report(options, tally, remarks, facts), files=(str(output),))
@@ -143,7 +212,7 @@ class Fleet:
     @contextmanager
     def work(
         self, paths: Sequence[Path], options: BuildOptions, keep: Keep, progress: Progress
-    ) -> Iterator[Work]:
+    ) -> Iterator[Crew]:
         """Find workers, and let them trace all scans; what they found goes when the block ends.
 
         Raises
@@ -160,25 +229,12 @@ class Fleet:
             spare = ((cluster.memory or ROOMY_BYTES) - BASE_BYTES) // 4
             window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, WINDOW_CELLS)
             setting = Setting(options, keep, folder, len(paths), window, spare)
-            jobs = [Job(setting, f"log{place:05}", str(each)) for place, each in enumerate(paths)]
-            tally = Tally()
+            logs = [Job(f"log{place:05}", str(each)) for place, each in enumerate(paths)]
             remarks = Remarks([str(path) for path in paths], list(list_other_builds(folder)))
-            setting = settle(cluster, jobs, tally, remarks)
-            jobs = [replace(job, setting=setting) for job in jobs]
-            traced = cluster.run(
-                "trace",
-                tasks.trace_log,
-                jobs,
-                lambda log: progress(log.tally.scans_read, setting.scans),
-            )
-            blocks: dict[Block, list[Piece]] = defaultdict(list)
-            for path, log in zip(paths, traced, strict=True):
-                remarks.note(path, log.log_notes, log.notes)
-                tally.add(log.tally)
-                for block, pieces in log.pieces.items():
-                    blocks[block] += pieces
-            reductions = [BlockJob.of(setting, *each) for each in sorted(blocks.items())]
-            yield Work(cluster, setting, jobs, tally, remarks, reductions)
+            crew = Crew(cluster, setting, logs, Tally(), remarks)
+            crew.settle()
+            crew.trace(progress)
+            yield crew
 
 
 def list_other_builds(folder: Path) -> Iterator[str]:
@@ -189,49 +245,6 @@ def list_other_builds(folder: Path) -> Iterator[str]:
                 f"{other}: of a build with another log, option or version of occmap, which this "
                 "build does not go on from; remove the folder if nobody will"
             )
-
-
-def settle(cluster: Cluster, jobs: Sequence[Job], tally: Tally, remarks: Remarks) -> Setting:
-    """Settle what only the logs show: how many scans, which update, and the ground below clouds.
-
-    Raises
-    ------
-    OccmapError
-        A log cannot be read, or they hold scans and clouds.
-    """
-    setting = jobs[0].setting
-    with tally.time("open"):
-        counts, settled = zip(*cluster.run("open", tasks.survey_log, jobs), strict=True)
-    require(
-        len({each.update for each in settled}) == 1,
-        "some of the logs hold laser scans, others clouds of points",
-        "map one kind at a time: choose with `topics`",
-    )
-    options = settled[0]
-    setting = replace(setting, options=options, scans=sum(counts))
-    if options.update is not Update.CLOUD:
-        return setting
-    with tally.time("ground"):
-        found = find_ground(cluster, jobs, setting)
-    remarks.notes += found.notes
-    keep = setting.keep._replace(ground=found.ground)
-    return replace(setting, keep=keep, options=found.options)
-
-
-def find_ground(cluster: Cluster, jobs: Sequence[Job], setting: Setting) -> BuildGround:
-    """Find the ground below the clouds of all logs."""
-    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
-
-    def count(options: BuildOptions) -> GroundFinder:
-        turned = replace(setting, options=options)
-        level = "".join(f" {angle}" for angle in options.posing.level or ())
-        some = [replace(job, setting=turned, name=job.name + level) for job in jobs]
-        finder = GroundFinder(setting.scans)
-        for counted in cluster.run("ground", tasks.survey_ground, some):
-            finder.join(counted)
-        return finder
-
-    return tracing.level_ground(count, setting.options, setting.keep.ground)
 
 
 @contextmanager
@@ -248,19 +261,7 @@ def open_scratch(
     OutputError
         The folder cannot be made.
     """
-    inputs = [*paths, *options.posing.files]
-    files = [file for path in inputs if path.exists() for file in manifests.list_files(path)]
-    states = [file.stat() for file in files]
-    what = [
-        version("occmap"),
-        manifests.write_options(options),
-        str(scratch.absolute()),  # from two of them, one output may be written at once
-        keep[:2],
-        keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
-        [str(path) for path in inputs],
-        [[state.st_size, state.st_mtime_ns] for state in states],
-    ]
-    digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]
+    digest = digest_build(scratch, paths, options, keep)
     folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
     with ExitStack() as stack:
         is_held = False
@@ -277,18 +278,19 @@ def open_scratch(
         scratch.rmdir()
 
 
-def paint_blocks(work: Work, jobs: list[BlockJob], records: Sequence[BlockRecord]) -> MapFacts:
-    """Paint the pictures of all blocks, and sum up what the report tells of them.
-
-    Blocks beside those that are written are looked at, too: hits speak for the cells around them.
-    """
-    beside = {block for record in records for block in list_blocks(record.reach.grow(1))}
-    beside -= {job.block for job in jobs}
-    around = [replace(BlockJob.of(work.setting, block), store=jobs[0].store) for block in beside]
-    measured = work.cluster.run("paint", tasks.measure_block, [*jobs, *around])
-    reaches, cells, hits = zip(*measured, strict=True)
-    box = reduce(CellBox.join, filter(None, reaches))
-    agreeing, met = np.sum(hits, axis=0).tolist()
-    lattice = Lattice(work.setting.options.resolution)
-    where = lattice.resolution, lattice.measure(box), box.shape
-    return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)
+def digest_build(scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep) -> str:
+    """Name a build by all that its tasks depend on: version, options, and files as they are."""
+    inputs = [*paths, *options.posing.files]
+    states = [
+        file.stat() for path in inputs if path.exists() for file in manifests.list_files(path)
+    ]
+    what = [
+        version("occmap"),
+        manifests.write_options(options),
+        str(scratch.absolute()),  # from two of them, one output may be written at once
+        keep[:2],
+        keep.ground and hashlib.sha256(keep.ground.height_mm.tobytes()).hexdigest(),
+        [str(path) for path in inputs],
+        [[state.st_size, state.st_mtime_ns] for state in states],
+    ]
+    return hashlib.sha256(json.dumps(what).encode()).hexdigest()[:16]

@@ -14,7 +14,7 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
-from occmap.fleet.tasks import AnyJob, Job, Result
+from occmap.fleet.tasks import AnyJob, Job, Result, Setting, Task
 from occmap.plugins import need_extra
 from occmap.report import count
 
@@ -59,17 +59,17 @@ class Cluster:
 
     def run(
         self,
-        phase: str,
-        task: Callable[[AnyJob], Result],
+        task: Task[AnyJob, Result],
+        setting: Setting,
         jobs: Sequence[AnyJob],
         tell: Callable[[Result], None] = lambda _result: None,
     ) -> list[Result]:
-        """Do jobs, each by one worker; where one fails, the first of them says why.
+        """Do jobs, each by one worker; where some fail, the first of them in order says why.
 
         Parameters
         ----------
-        phase
-            What the user is told about it.
+        task
+            What its name begins with is what the user is told of.
         tell
             Called with each result, in whatever order they come.
 
@@ -80,29 +80,32 @@ class Cluster:
         """
         from distributed import as_completed  # noqa: PLC0415  late: an extra
 
+        phase, _, _ = task.__name__.partition("_")
         results: dict[Any, Result] = {}
         try:
-            if self._client.status != "running":
-                raise CancelledError  # as Dask does if it goes later; now Dask would wait for ever
+            self._refuse_gone()
             # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
-            futures = self._client.map(task, jobs, pure=False, retries=0)
+            futures = self._client.map(partial(task, setting), jobs, pure=False, retries=0)
             for future in as_completed(futures):
                 if future.status != "finished":
-                    break  # but a job before it may fail, too, and then that one says why
+                    break
                 results[future] = future.result()
                 tell(results[future])
                 future.release()
                 self._describe(f"{phase} {len(results)}/{len(jobs)}, {self._crew}")
-            return [
-                results[future] if future in results else self._wait_for(job, future)
-                for job, future in zip(jobs, futures, strict=True)
-            ]
+            # After a failure others are still waited for: one that comes before it may fail, too.
+            pairs = zip(jobs, futures, strict=True)
+            return [results[it] if it in results else self._wait_for(job, it) for job, it in pairs]
         except LOST as error:  # maybe while a result was fetched
-            folder = jobs[0].setting.folder
-            kept = sum((folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
+            kept = sum((setting.folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
             done = max(kept, len(results))
             so_far = f"; {done} of {len(jobs)} tasks of {phase!r} are done"
-            raise self._explain(error, so_far, str(folder)) from None
+            raise self._explain(error, so_far, str(setting.folder)) from None
+
+    def _refuse_gone(self) -> None:
+        """Raise what Dask raises if the scheduler goes later; now Dask would wait for ever."""
+        if self._client.status != "running":
+            raise CancelledError
 
     def _wait_for(self, job: Job, future: Any) -> Any:
         """Wait for the result of a job.

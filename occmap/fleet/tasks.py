@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 import zstandard
@@ -60,17 +60,18 @@ class Setting:
     """How much evidence is kept in memory before it goes to a run file"""
     scans: int = 0
     """How many scans all logs have, where that is known"""
+    store: Path = Path()
+    """Where blocks are written"""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a task is given."""
+    """What a task is about."""
 
-    setting: Setting
     name: str
     """What its files are called"""
     where: str
-    """What it is about, as an error names it: the path of a log, or a block"""
+    """As an error names it: the path of a log, or a block"""
 
 
 class Piece(NamedTuple):
@@ -89,14 +90,12 @@ class BlockJob(Job):
     block: Block
     pieces: tuple[Piece, ...]
     """All that was observed in it; none of a block that only lies beside others"""
-    store: Path = Path()
-    """Where it is written"""
 
     @classmethod
-    def of(cls, setting: Setting, block: Block, pieces: Iterable[Piece] = ()) -> Self:
+    def of(cls, block: Block, pieces: Iterable[Piece] = ()) -> Self:
         """Make a job of a block."""
         name, where = f"block{block.row}_{block.col}", f"block {tuple(block)}"
-        return cls(setting, name, where, block, tuple(pieces))
+        return cls(name, where, block, tuple(pieces))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +110,22 @@ class Traced:
     pieces: dict[Block, list[Piece]]
 
 
-def once(task: Callable[[AnyJob], Result]) -> Callable[[AnyJob], Result]:
+Task: TypeAlias = Callable[[Setting, AnyJob], Result]
+
+
+def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
     """Let a task keep its result in the scratch folder, and read it from there the next time.
 
     Then it also raises OutputError, where its result cannot be written.
     """
 
     @wraps(task)
-    def do_once(job: AnyJob) -> Result:
-        stub = job.setting.folder / f"{job.name}.{task.__name__}"
+    def do_once(setting: Setting, job: AnyJob) -> Result:
+        stub = setting.folder / f"{job.name}.{task.__name__}"
         if stub.exists():
             known: Result = pickle.loads(stub.read_bytes())
             return known
-        result = task(job)
+        result = task(setting, job)
         with open_atomic(stub) as (file,):
             pickle.dump(result, file)
         return result
@@ -132,26 +134,25 @@ def once(task: Callable[[AnyJob], Result]) -> Callable[[AnyJob], Result]:
 
 
 @once
-def survey_log(job: Job) -> tuple[int, BuildOptions]:
+def survey_log(setting: Setting, job: Job) -> tuple[int, BuildOptions]:
     """Count the scans of a log, and choose its update; raises LogError if it cannot be read."""
-    options = job.setting.options
+    options = setting.options
     log = open_log(Path(job.where), options.reading)
     return count_scans(log, options.selection.topics), settle_update([log], options)
 
 
 @once
-def survey_ground(job: Job) -> "Counted":
+def survey_ground(setting: Setting, job: Job) -> "Counted":
     """Count what the clouds of a log show of the ground; raises OccmapError as `count_ground`."""
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    finder = GroundFinder(job.setting.scans)
-    options = replace(job.setting.options, jobs=1)
+    finder, options = GroundFinder(setting.scans), replace(setting.options, jobs=1)
     count_ground(open_drive(open_log(Path(job.where), options.reading), options), finder)
     return finder.count()
 
 
 @once
-def trace_log(job: Job) -> Traced:
+def trace_log(setting: Setting, job: Job) -> Traced:
     """Trace all scans of a log, and leave what they observed in run files.
 
     Raises
@@ -159,11 +160,11 @@ def trace_log(job: Job) -> Traced:
     OccmapError
         As `open_drive`, or the scratch folder cannot be written.
     """
-    setting, options = job.setting, replace(job.setting.options, jobs=1)
+    options = replace(setting.options, jobs=1)
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
     tally = Tally(shown_every=setting.keep.choose_shown(scans * setting.logs))
-    runs = RunWriter(job)
+    runs = RunWriter(setting, job.name)
     with tally.time("poses"):
         drive = open_drive(log, options)
     trace_drive(drive, runs.begin, tally)
@@ -176,8 +177,8 @@ def trace_log(job: Job) -> Traced:
 class RunWriter:
     """Observes the rays of a log, and writes a run file whenever memory holds enough tiles."""
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
+    def __init__(self, setting: Setting, name: str) -> None:
+        self._setting, self._name = setting, name
         self._runs = 0
         self.begin()
 
@@ -192,22 +193,22 @@ class RunWriter:
         return self
 
     def _renew(self) -> None:
-        setting = self._job.setting
+        setting = self._setting
         self._engine = choose_engine(setting.options, setting.keep, setting.window_cells)
 
     def add(self, seen: Any) -> None:
         """Observe rays, or posed clouds."""
         self._engine.add(seen)
-        if self._engine.bytes_held > self._job.setting.most_bytes:
+        if self._engine.bytes_held > self._setting.most_bytes:
             self.flush()
 
     def flush(self) -> None:
         """Write what memory holds, block by block: a copy of all of it would not fit."""
         self.points.update(self._engine.points)
-        plan = plan_manifest(self._job.setting.options)
+        plan = plan_manifest(self._setting.options)
         seen = Evidence(plan, self._engine.finish().tiles, self._engine.read_slices())
-        name = f"{self._job.name}-{self._runs}.run"
-        for block, piece in write_run(self._job.setting.folder, name, split_evidence(seen)).items():
+        name = f"{self._name}-{self._runs}.run"
+        for block, piece in write_run(self._setting.folder, name, split_evidence(seen)).items():
             self.pieces.setdefault(block, []).append(piece)
         self._runs += 1
         self._renew()
@@ -269,14 +270,14 @@ def add_up_pieces(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, 
     return grid, (unite(layers),) if setting.keep.slices else ()
 
 
-def add_up_block(job: BlockJob) -> Evidence:
+def add_up_block(setting: Setting, job: BlockJob) -> Evidence:
     """Add up all that was observed in a block; raises MapError as `add_up`."""
-    grid, slices = add_up_pieces(job.setting, job.pieces)
-    return Evidence(plan_manifest(job.setting.options), grid.tiles, slices)
+    grid, slices = add_up_pieces(setting, job.pieces)
+    return Evidence(plan_manifest(setting.options), grid.tiles, slices)
 
 
 @once
-def reduce_block(job: BlockJob) -> Piece:
+def reduce_block(setting: Setting, job: BlockJob) -> Piece:
     """Add up a block, and leave it in a run file of its own.
 
     Raises
@@ -284,11 +285,11 @@ def reduce_block(job: BlockJob) -> Piece:
     OccmapError
         A run file cannot be read, or the scratch folder cannot be written.
     """
-    parts = [(job.block, add_up_block(job))]
-    return write_run(job.setting.folder, f"{job.name}.run", parts)[job.block]
+    parts = [(job.block, add_up_block(setting, job))]
+    return write_run(setting.folder, f"{job.name}.run", parts)[job.block]
 
 
-def store_block(job: BlockJob) -> BlockRecord:
+def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
     """Add up a block, and write it to the store; if a worker died at that, it is done anew.
 
     Raises
@@ -296,10 +297,10 @@ def store_block(job: BlockJob) -> BlockRecord:
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    return write_block(job.store, job.block, add_up_block(job))
+    return write_block(setting.store, job.block, add_up_block(setting, job))
 
 
-def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
+def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:
     """Paint the pictures of a block, if it is one that was written, and measure it.
 
     Returns a box around the cells that are observed, if there are any; numbers (4,) as
@@ -311,13 +312,13 @@ def measure_block(job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]
         They cannot be written.
     """
     box = job.block.box
-    grid, made = paint_block(job.store, job.block, keep=bool(job.pieces))
+    grid, made = paint_block(setting.store, job.block, keep=bool(job.pieces))
     reach = CellBox.around(made.observed, box.row, box.col)
-    writing = job.setting.options.writing
+    writing = setting.options.writing
     cells = count_cells(writing.edit(made), writing)
     return reach, cells, count_agreeing(grid, made.occupied, box)
 
 
-def hash_log(job: Job) -> list[dict[str, Any]]:
+def hash_log(_: Setting, job: Job) -> list[dict[str, Any]]:
     """Name, size and SHA-256 of the files of a log; raises LogError if one cannot be read."""
     return list(describe_files(Path(job.where)))

@@ -340,9 +340,8 @@ class Engine(ABC):
 class GridEngine(Engine):
     """Adds up what rays observe.
 
-    A map of more than `max_cells` is refused as soon as what was observed shows it, and a single
-    scan that would make one much larger before it is traced. Nearly always a `Reach` has refused it
-    before, in words that do not depend on threads.
+    A single scan that would make a map of much more than `max_cells` is refused before it is
+    traced. Nearly always a `Reach` has refused such a map before.
     """
 
     def __init__(
@@ -432,8 +431,6 @@ class GridEngine(Engine):
 
     def _empty(self, window: Window) -> None:
         self._keep(window.read(), window.observations * self.spec.tables.largest, window.number)
-        with self._lock:
-            self.grid.refuse_outgrown(self._max_cells)
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:

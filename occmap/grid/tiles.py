@@ -58,7 +58,6 @@ class TileGrid:
         """What one observation weighs in the numbers of a cell"""
         self.tiles: dict[Key, Tile] = {}
         self._bounds: dict[Key, int] = {}
-        self._reach: CellBox | None = None
 
     def add(self, tiles: Mapping[Key, Tile], bound: int) -> None:
         """Add what was observed to tiles at the same places, wider before a sum overflows 32 bits.
@@ -82,10 +81,6 @@ class TileGrid:
             if total > INT32_LIMIT:
                 mine = self.tiles[key] = mine.astype(np.int64, copy=False)
             mine += tile
-        if tiles:
-            rows, cols = zip(*tiles, strict=True)
-            reach = CellBox(min(rows), min(cols), max(rows) + 1, max(cols) + 1)
-            self._reach = reach if self._reach is None else self._reach.join(reach)
 
     def merge(self, other: Self) -> None:
         """Take over the evidence of another grid of the same lattice and kind."""
@@ -105,11 +100,10 @@ class TileGrid:
         MapError
             The smallest map that all tiles can be a part of is too large.
         """
-        if self._reach is None:
+        if not self.tiles:
             return
         # Maybe only the innermost cells of the outermost tiles are observed.
-        row, col = ((edge + 1) * TILE - 1 for edge in self._reach[:2])
-        row_end, col_end = ((edge - 1) * TILE + 1 for edge in self._reach[2:])
+        row, col, row_end, col_end = CellBox.enclose(self.tiles).scale(TILE).grow(1 - TILE)
         box = CellBox(row, col, max(row_end, row + 1), max(col_end, col + 1))
         refuse_large(box, self.lattice, max_cells)
 

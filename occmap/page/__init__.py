@@ -144,9 +144,8 @@ def to_script(value: Any) -> str:
 
 
 def name_logs(names: Iterable[str]) -> str:
-    """Name logs in a title; of a folder, the inputs are called folder/file."""
-    distinct = dict.fromkeys(name.partition("/")[0] for name in names)
-    return join_names(distinct, MOST_NAMES)
+    """Name logs in a title."""
+    return join_names(dict.fromkeys(names), MOST_NAMES)
 
 
 def describe_maker(inputs: Iterable[Mapping[str, Any]]) -> Section:
@@ -259,27 +258,6 @@ def compare_logs(
     return replace(comparison, files=(str(picture),))
 
 
-class Frame:
-    """The cells that any of several maps covers, and how large they are drawn."""
-
-    def __init__(self, maps: Sequence[OccupancyMap]) -> None:
-        self._box = reduce(CellBox.join, (grid.box for grid in maps))
-        self.shape = self._box.shape
-        longest = max(self.shape)
-        self._step = -(-longest // LARGEST_PX)
-        self._times = -(-SMALLEST_PX // longest)
-
-    def locate(self, grid: OccupancyMap) -> tuple[slice, slice]:
-        """Rows and columns of a map's cells."""
-        return grid.box.within(self._box)
-
-    def draw(self, cells: UInt8) -> UInt8:
-        """Draw (H, W) cells: the largest of those that share a pixel, highest y on top."""
-        small = keep_largest(cells, self._step)[::-1]
-        drawn: UInt8 = small.repeat(self._times, axis=0).repeat(self._times, axis=1)
-        return drawn
-
-
 def write_picture(path: Path, results: Sequence[ScoredVariant]) -> None:
     """Draw the maps, the best first, and where they disagree.
 
@@ -288,43 +266,50 @@ def write_picture(path: Path, results: Sequence[ScoredVariant]) -> None:
     OutputError
         The picture cannot be written.
     """
-    from occmap.writers.images import Panel, write_panels  # noqa: PLC0415  late: it brings pillow
+    from occmap.writers.images import write_panels  # noqa: PLC0415  late: it brings pillow
 
     maps = [result.map for result in results]
-    frame, panels = Frame(maps), []
+    box, panels = reduce(CellBox.join, (grid.box for grid in maps)), []
     for result in results:
         score = result.score
         numbers = f"share {score.share:.3f}, log-likelihood {score.log_likelihood:.3f}"
-        panels.append(Panel((result.name, numbers), paint_map(result.map, frame)))
+        panels.append(((result.name, numbers), paint_map(result.map, box)))
     if len(results) > 1:
-        legend, pixels = paint_disagreement(maps, frame)
-        panels.append(Panel(("where they disagree", legend), pixels))
+        legend, pixels = paint_disagreement(maps, box)
+        panels.append((("where they disagree", legend), pixels))
     write_panels(path, panels)
 
 
-def paint_map(grid: OccupancyMap, frame: Frame) -> UInt8:
-    """Paint probability as grey, dark is occupied; (h, w, 3)."""
-    darkness = np.full(frame.shape, UNKNOWN, np.uint8)
+def paint_map(grid: OccupancyMap, box: CellBox) -> UInt8:
+    """Paint probability as grey, dark is occupied; (h, w, 3) of a box around the map."""
+    darkness = np.full(box.shape, UNKNOWN, np.uint8)
     level = 255 - np.rint(255 * (1 - grid.probability)).astype(np.uint8)
-    darkness[frame.locate(grid)] = np.where(grid.observed, level, UNKNOWN)
-    return np.repeat(255 - frame.draw(darkness)[..., None], 3, axis=2)
+    darkness[grid.box.within(box)] = np.where(grid.observed, level, UNKNOWN)
+    return np.repeat(255 - draw(darkness)[..., None], 3, axis=2)
 
 
-def paint_disagreement(maps: Sequence[OccupancyMap], frame: Frame) -> tuple[str, UInt8]:
+def draw(cells: UInt8) -> UInt8:
+    """Draw (H, W) cells: the largest of those that share a pixel, highest y on top."""
+    longest = max(cells.shape)
+    small, times = keep_largest(cells, -(-longest // LARGEST_PX))[::-1], -(-SMALLEST_PX // longest)
+    return np.asarray(small.repeat(times, axis=0).repeat(times, axis=1))
+
+
+def paint_disagreement(maps: Sequence[OccupancyMap], box: CellBox) -> tuple[str, UInt8]:
     """Paint what all maps say of a cell, red where they contradict each other; a legend says so."""
-    free, occupied = np.zeros((2, *frame.shape), np.bool_)
-    decided = np.zeros(frame.shape, np.int64)
+    free, occupied = np.zeros((2, *box.shape), np.bool_)
+    decided = np.zeros(box.shape, np.int64)
     for grid in maps:
-        box = frame.locate(grid)
-        free[box] |= grid.free
-        occupied[box] |= grid.occupied
-        decided[box] += grid.free | grid.occupied
+        inside = grid.box.within(box)
+        free[inside] |= grid.free
+        occupied[inside] |= grid.occupied
+        decided[inside] += grid.free | grid.occupied
     contradicted = free & occupied
     partly = (decided > 0) & (decided < len(maps)) & ~contradicted
     darkness = np.where(decided > 0, np.where(occupied, 255, 0), UNKNOWN).astype(np.uint8)
-    pixels = np.repeat(255 - frame.draw(darkness)[..., None], 3, axis=2)
+    pixels = np.repeat(255 - draw(darkness)[..., None], 3, axis=2)
     for cells, colour in ((partly, BLUE), (contradicted, RED)):
-        pixels[frame.draw(cells.astype(np.uint8)) > 0] = colour
+        pixels[draw(cells.astype(np.uint8)) > 0] = colour
     known = max(int(np.count_nonzero(decided)), 1)
     red, blue = (np.count_nonzero(mask) / known for mask in (contradicted, partly))
     return f"red: free or occupied ({red:.1%}), blue: known or not ({blue:.1%})", pixels

@@ -14,7 +14,7 @@ from bokeh.plotting import figure
 from occmap import page
 from occmap.cells import CellBox, Evidence
 from occmap.difference import COLOURS, MapDifference, tell_changes
-from occmap.evidence.manifest import describe_files, list_inputs
+from occmap.evidence.manifest import describe_files, list_logs
 from occmap.page import Block, Page, Section, Stage, raster
 from occmap.report.results import tell_beams, tell_map, tell_scans
 from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
@@ -30,7 +30,6 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     """Lay out all that there is to show of a map, and all that is known beside it."""
     evidence, report = product.evidence(), product.report
     builds = evidence.manifest.builds
-    logs = [entry["name"] for build in builds for entry in list_inputs(build)]
     rows, cols = product.grid.shape
     size = product.grid.resolution
     spread = f"{cols * size:.4g} x {rows * size:.4g} m"
@@ -52,7 +51,7 @@ def describe_product(product: Product, options: WriteOptions) -> Page:
     inputs = (entry for build in builds for entry in build["inputs"])
     sections.append(page.describe_maker(inputs))
     stage = stage_map(product, evidence, options)
-    return Page(f"Map of {page.name_logs(logs)}", subtitle, sections, stage)
+    return Page(f"Map of {page.name_logs(list_logs(*builds))}", subtitle, sections, stage)
 
 
 def stage_map(product: Product, evidence: Evidence, options: WriteOptions) -> Stage:

@@ -27,6 +27,7 @@ from occmap.grid.tiles import TILE, EvidenceKind, TileGrid
 from occmap.page import Stage
 from occmap.types import Bool, Int64, Trajectory
 from occmap.writers.images import encode_png
+from occmap.writers.pgm import RAW_UNKNOWN, to_raw
 
 MOST_CELLS = 4100 * 4100
 """A page with more of them takes long to open."""
@@ -34,8 +35,6 @@ MOST_BYTES = 12_500_000
 """Of all layers of a page together, compressed and as text"""
 COUNTS = {"hits", "misses", "looks"}
 UNKNOWN, FREE, UNDECIDED, OCCUPIED = range(4)
-NOT_OBSERVED = 255
-"""In the layer of probabilities, which are in per cent."""
 STEPS = (1, 2, 4, 8, 16, 32, TILE)
 """Where a map has too many cells, of each square with so many along its side one is shown."""
 COUNT_STEPS = (16, 4)
@@ -150,21 +149,16 @@ def read_bands(grid: OccupancyMap, seen: Seen | None, box: CellBox) -> Iterator[
         part, there = grid.take(*own.within(box)), own.within(whole)
         band: Layers = {
             "class": np.zeros((TILE, outer.cols), np.uint8),
-            "p": np.full((TILE, outer.cols), NOT_OBSERVED, np.uint8),
+            "p": np.full((TILE, outer.cols), RAW_UNKNOWN, np.uint8),
             "rank": np.full((TILE, outer.cols), -np.inf, np.float32),
         }
-        band["class"][there] = number_classes(part)
-        band["p"][there] = np.where(part.observed, np.rint(100 * part.probability), NOT_OBSERVED)
+        masks = [part.occupied, part.free, part.observed]
+        band["class"][there] = np.select(masks, [OCCUPIED, FREE, UNDECIDED], UNKNOWN)
+        band["p"][there] = to_raw(part)
         band["rank"][there] = np.where(part.observed, part.log_odds, -np.inf)
         if seen:
             band |= read_seen(seen, whole)
         yield band
-
-
-def number_classes(grid: OccupancyMap) -> NDArray[np.uint8]:
-    """(H, W) what each cell is."""
-    masks, classes = [grid.occupied, grid.free, grid.observed], [OCCUPIED, FREE, UNDECIDED]
-    return np.select(masks, classes, UNKNOWN).astype(np.uint8)
 
 
 def read_seen(seen: Seen, box: CellBox) -> Layers:
@@ -280,7 +274,7 @@ def name_layers(rasters: Sequence[Raster], seen: Seen | None = None) -> list[Lay
         usual = {"none": 0, "top": max(tops.get(key, 1), 1)}
         return Layer(key, label, kind, colours, **usual | more)
 
-    percent = {"none": NOT_OBSERVED, "top": 100, "scale": 0.01, "digits": 2}
+    percent = {"none": RAW_UNKNOWN, "top": 100, "scale": 0.01, "digits": 2}
     layers = [
         Layer("class", "class", "classes", CLASS_COLOURS, CLASS_NAMES),
         shade("p", "probability", "ramp", palettes.Greys256[::-1], **percent),

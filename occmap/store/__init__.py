@@ -2,26 +2,27 @@
 
 A store is such evidence as a Zarr v3 folder. It is made block by block, by as many processes as
 there are: `writing.create_store`, then `writing.write_block` and `writing.paint_block` for each
-block, then `writing.finish_store`. docs/formats.md says what is in it. Here evidence is read: a
-file at once, a store block by block, or any of it as blocks.
+block, then `writing.finish_store`. docs/formats.md says what is in it. Here evidence is read: all
+of it as blocks, which are read when they are asked for; what a file holds is in memory at once.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Self
 
 from occmap.cells import CellBox, Evidence, Ground, Manifest, sum_tiles
 from occmap.errors import MapError
 from occmap.grid.tiles import TILE, take_tiles, unite
 from occmap.store import layout
-from occmap.store.layout import Block
+from occmap.store.layout import SIDE, Block
 from occmap.writers.npz import GROUND, read_evidence, refuse_damage, unpack_ground
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Evidence that is read block by block: a store, evidence in memory, or a sum of these."""
+    """Saved evidence, block by block: a store, what is in memory, or a sum of these."""
 
     manifest: Manifest
     where: str
@@ -36,12 +37,23 @@ class Blocks:
     """As `identify` gives it; "" where it is not known"""
     root: Any = None
     """The group of Zarr, of a store"""
+    whole: Evidence | None = None
+    """All of it, where that is in memory"""
+
+    @classmethod
+    def of(cls, evidence: Evidence) -> Self:
+        """Cut evidence into blocks; it stays in memory, and is cut when a block is asked for."""
+        blocks = sorted({Block(row // SIDE, col // SIDE) for row, col in evidence.tiles})
+        reach = dict[Block, CellBox]()
+        if blocks:
+            whole = CellBox.enclose(evidence.tiles).scale(TILE)
+            reach = {block: whole.clip(block.box) for block in blocks}
+        cut = cache(lambda: dict(layout.split_evidence(evidence)))
+        what, where, ground = evidence.manifest, evidence.where, evidence.ground
+        return cls(what, where, reach, lambda block: cut()[block], ground, whole=evidence)
 
 
-Saved: TypeAlias = Evidence | Blocks
-
-
-def open_saved(path: Path) -> Saved:
+def open_saved(path: Path) -> Blocks:
     """Read an evidence file, or open a store.
 
     Raises
@@ -53,7 +65,7 @@ def open_saved(path: Path) -> Saved:
     """
     if path.is_dir() or path.suffix.lower() == ".zarr":
         return open_store(path)
-    return read_evidence(path)
+    return Blocks.of(read_evidence(path))
 
 
 def open_store(path: Path) -> Blocks:
@@ -84,52 +96,40 @@ def open_store(path: Path) -> Blocks:
             found = "its table of blocks, or its ground, was altered"
             raise MapError(found, where=path, fix="build it again")
         blocks = [Block(*place) for place in table["place"].tolist()]
-        reach = [CellBox(*edges) for edges in table["reach"].tolist()]
-        digests = [digest.tobytes().hex() for digest in table["sha256"]]
+        edges, digests = map(CellBox._make, table["reach"].tolist()), map(bytes, table["sha256"])
+        reach = dict(zip(blocks, edges, strict=True))
         digest_of = dict(zip(blocks, digests, strict=True))
         ground = unpack_ground(below)
 
     def read_block(block: Block) -> Evidence:
         with refuse_damage(path):
             content = layout.read_block(root, block, manifest, str(path))
-        if layout.hash_content(content) != digest_of[block]:
+        if layout.hash_content(content) != digest_of[block].hex():
             found = f"its block {tuple(block)} was altered or a file of it is missing"
             raise MapError(found, where=path, fix="build it again")
         return content
 
-    reaches, name = dict(zip(blocks, reach, strict=True)), head.get("evidence", "")
-    return Blocks(manifest, str(path), reaches, read_block, ground, name, root)
+    name = head.get("evidence", "")
+    return Blocks(manifest, str(path), reach, read_block, ground, name, root)
 
 
-def identify(saved: Saved) -> str:
+def identify(saved: Blocks) -> str:
     """Name what was observed, by `Manifest.identify`; a sum of stores is read for that."""
-    if isinstance(saved, Blocks) and saved.name:
-        return saved.name
-    parts = [saved] if isinstance(saved, Evidence) else map(saved.read_block, saved.blocks)
-    total = sum(sum_tiles(each.tiles) for each in parts)
-    return saved.manifest.identify(total)
+    parts = [saved.whole] if saved.whole else map(saved.read_block, saved.blocks)
+    return saved.name or saved.manifest.identify(sum(sum_tiles(each.tiles) for each in parts))
 
 
-def as_blocks(saved: Saved) -> Blocks:
-    """Cut evidence into blocks, where it is not yet."""
-    if not isinstance(saved, Evidence):
-        return saved
-    contents = dict(layout.split_evidence(saved))
-    reach = {block: block.box for block in contents}
-    return Blocks(saved.manifest, saved.where, reach, contents.__getitem__, saved.ground)
-
-
-def read_all(saved: Saved) -> Evidence:
+def read_all(saved: Blocks) -> Evidence:
     """Read all blocks at once."""
-    if isinstance(saved, Evidence):
-        return saved
+    if saved.whole:
+        return replace(saved.whole, manifest=saved.manifest)
     return join_blocks(saved, map(saved.read_block, saved.blocks))
 
 
-def read_part(saved: Saved, box: CellBox) -> Evidence:
+def read_part(saved: Blocks, box: CellBox) -> Evidence:
     """Read the tiles that lie in a box of cells or beside it; of evidence in memory, all."""
-    if isinstance(saved, Evidence):
-        return saved
+    if saved.whole:
+        return saved.whole
     near = box.align(TILE).grow(TILE)
     blocks = (block for block in layout.list_blocks(near) if block in saved.blocks)
     parts = (keep_inside(saved.read_block(block), near.shrink(TILE)) for block in blocks)

@@ -7,6 +7,7 @@ docs/formats.md lists the arrays in its folder. zarr is imported here alone, by 
 import hashlib
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import product
@@ -65,28 +66,13 @@ class BlockRecord(NamedTuple):
 
 def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
     """Cut evidence into blocks, in ascending order."""
-    tiles, slices = evidence.tiles, evidence.slices
-    keys = np.array(sorted(tiles), np.int64).reshape(-1, 2)
-    of_tiles, *of_slices = (group_by_block(each) for each in (keys, *(s.tiles for s in slices)))
-    nothing = np.zeros(0, np.int64)
-    for block in sorted(set(of_tiles).union(*of_slices)):
-        places = of_tiles.get(block, nothing)
-        own = {(row, col): tiles[row, col] for row, col in keys[places].tolist()}
-        parts = tuple(
-            take_tiles(layer, found.get(block, nothing))
-            for layer, found in zip(slices, of_slices, strict=True)
-        )
-        yield block, replace(evidence, tiles=own, slices=parts, ground=None)
-
-
-def group_by_block(tiles: Int64) -> dict[Block, Int64]:
-    """Which of the tiles (T, 2) lie in each block, in their order."""
-    blocks, which = np.unique(tiles // SIDE, axis=0, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    ends = np.cumsum(np.bincount(which, minlength=len(blocks)))
-    keys = (Block(row, col) for row, col in blocks.tolist())
-    # Of no tiles at all, `split` makes one empty part.
-    return dict(zip(keys, np.split(order, ends[:-1]), strict=False))
+    blocks = defaultdict[Block, dict[Key, Tile]](dict)
+    for (row, col), tile in evidence.tiles.items():
+        blocks[Block(row // SIDE, col // SIDE)][row, col] = tile
+    for block in sorted(blocks):
+        inside = block.box.shrink(TILE)
+        slices = tuple(take_tiles(each, inside.find(each.tiles)) for each in evidence.slices)
+        yield block, replace(evidence, tiles=blocks[block], slices=slices, ground=None)
 
 
 def spread_cells(block: Block, content: Evidence) -> Int64:

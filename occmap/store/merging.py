@@ -16,9 +16,9 @@ from occmap.grid import tiles
 from occmap.grid.tiles import EvidenceKind, TileGrid
 from occmap.report import count
 from occmap.sensor.models import SensorModel
-from occmap.store import Blocks, Saved, as_blocks, join_blocks, open_saved, read_all
+from occmap.store import Blocks, join_blocks, open_saved, read_all
 from occmap.store.layout import Block
-from occmap.types import NO_GROUND, Int64, Pose
+from occmap.types import Pose
 
 UNEVEN_SHARE = 0.05
 """Noise of poses makes some such columns; more than this share of them is a different ground."""
@@ -41,25 +41,17 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     with name_log(evidence.where):
         refuse_other(ground.measure_rise(other), UNEVEN_SHARE, placed and Pose(*placed), fix)
     blocks = np.unique(np.concatenate([ground.blocks, other.blocks]), axis=0)
-    mine, its = place_ground(ground, blocks), place_ground(other, blocks)
+    mine, its = ground.lay_out(blocks), other.lay_out(blocks)
     known = mine.measured | ((mine.height_mm > its.height_mm) & ~its.measured)
     height = np.where(known, mine.height_mm, its.height_mm)
     return Ground(blocks, height, mine.measured | its.measured)
-
-
-def place_ground(ground: Ground, blocks: Int64) -> Ground:
-    """Put a ground in its place among more blocks (B, 2), which are in ascending order."""
-    at = ground.find_blocks(blocks)
-    there = (at >= 0)[:, np.newaxis]
-    height = np.where(there, ground.height_mm[at], np.int32(NO_GROUND))
-    return Ground(blocks, height, there & ground.measured[at])
 
 
 def combine(
     added: Sequence[Path],
     taken: Sequence[Path] = (),
     lay: Callable[[Evidence, Evidence], Evidence] | None = None,
-) -> Saved:
+) -> Blocks:
     """Add saved evidence and take some away, block by block where any of it is in a store.
 
     Parameters
@@ -74,18 +66,15 @@ def combine(
         As `merge` and `subtract`; of blocks, maybe only when they are read.
     """
     parts = [open_saved(path) for path in (*added, *taken)]
-    if lay is not None:
-        parts = list(map(read_all, parts))
-    held = [each for each in parts if isinstance(each, Evidence)]
-    if len(held) < len(parts):
-        return combine_blocks([as_blocks(each) for each in parts], len(added))
-    model = None
+    if lay is None and not all(each.whole for each in parts):
+        return combine_blocks(parts, len(added))
+    held, model = list(map(read_all, parts)), None
     with suppress(MapError):  # without a model, no note says what does not fit
         model = read_model(held[0])
     if lay is None:
-        return add_and_take(held, len(added), model)
+        return Blocks.of(add_and_take(held, len(added), model))
     fitted = reduce(lambda past, other: merge([past, lay(other, past)], model), held[: len(added)])
-    return add_and_take([fitted, *held[len(added) :]], 1)
+    return Blocks.of(add_and_take([fitted, *held[len(added) :]], 1))
 
 
 def add_and_take(

@@ -1,15 +1,16 @@
 """Saved evidence painted as a map and written, and what the report says of it.
 
-A map of a store is painted block by block: memory is that of the map and of a few blocks.
+A map is painted block by block: memory is that of the map and of a few blocks. What is in memory
+is painted at once, unless it lies far apart.
 """
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, reduce
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -26,9 +27,9 @@ from occmap.report.results import Build, MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
-from occmap.store import Blocks, Saved, as_blocks, identify, read_all, read_part
+from occmap.store import Blocks, identify, read_all, read_part
 from occmap.store.layout import SIDE, Block, list_blocks
-from occmap.types import Int64, UInt8
+from occmap.types import Int64
 from occmap.writers import WriteOptions
 from occmap.writers.npz import refuse_damage
 
@@ -71,6 +72,8 @@ class RenderOptions:
 Piece: TypeAlias = tuple[tuple[slice, slice], OccupancyMap, Int64]
 """A piece of a map as it is painted: its rows and columns in the map, what it shows, and (4,) as
 `paint_lasting` counts it"""
+Grids: TypeAlias = tuple[TileGrid, TileGrid]
+"""What was observed in a box of cells or beside it, and what of that lasts"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,10 +81,16 @@ class BlockMap:
     """A map that is painted piece by piece, anew whenever it is asked for."""
 
     source: Blocks
+    read: Callable[[CellBox], Grids]
+    """Raises MapError where a block cannot be read"""
     model: SensorModel
     options: RenderOptions
     box: CellBox
     """Its cells"""
+    resolution: float
+    """Side of a cell (m)"""
+    decision: Decision
+    """How its cells are decided"""
     logs: Sequence[str] = ()
     """Names of those that the manifest does not have"""
 
@@ -91,19 +100,9 @@ class BlockMap:
         return self.box.shape
 
     @property
-    def resolution(self) -> float:
-        """Side of a cell (m)."""
-        return self.source.manifest.resolution
-
-    @property
     def extent(self) -> Box:
         """Lowest x and y, highest x and y (m)."""
         return Lattice(self.resolution).measure(self.box)
-
-    @property
-    def decision(self) -> Decision:
-        """How its cells are decided."""
-        return find_decision(self.model)
 
     @cached_property
     def about(self) -> About:
@@ -122,10 +121,10 @@ class BlockMap:
         return made
 
     def paint(self, box: CellBox) -> tuple[OccupancyMap, Int64]:
-        """Paint all of it, or a part; return (4,) what all pieces found, too.
-
-        Cell by cell it is the map of `render_lasting`.
-        """
+        """Paint all of it, or a part; return (4,) what all pieces found, too."""
+        if self.source.whole:
+            ((_, made, found),) = self.list_pieces(box)
+            return made, found
         nothing, found = evidence.make_empty(self.source.manifest), np.zeros(4, np.int64)
         made = evidence.paint_box(nothing, self.model, box)
         for window, piece, of_piece in self.list_pieces(box):
@@ -148,13 +147,13 @@ class BlockMap:
         MapError
             A block cannot be read.
         """
-        # Cells that were forgotten count as lost, also in blocks in which nothing is left.
+        # Cells that were forgotten count as lost, also where nothing is left around them.
         counts_forgotten = self.is_whole(box) and self.options.min_passes is not None
-        for block in self.choose_blocks(box):
-            shown = box.clip(block.box)
-            counted = block.box if counts_forgotten else shown
+        for part in self.list_parts(box):
+            shown = box.clip(part)
+            counted = part if counts_forgotten else shown
             if counted.cells:
-                grids = read_lasting(self.source, counted, self.options.min_passes)
+                grids = self.read(counted)
                 made, found = evidence.paint_lasting(*grids, self.model, shown, counted)
                 yield shown.within(box), self.options.writing.edit(made), found
 
@@ -162,8 +161,13 @@ class BlockMap:
         """Whether a box is the whole map, which no extent cuts."""
         return box == self.box and self.options.framing.extent is None
 
-    def choose_blocks(self, box: CellBox) -> list[Block]:
-        """Choose the blocks in which a box may show something, in the order in which to paint."""
+    def list_parts(self, box: CellBox) -> list[CellBox]:
+        """List what is painted at once: all of a box, or the blocks in which it may show something.
+
+        These come in the order in which to paint them.
+        """
+        if self.source.whole:
+            return [reduce(CellBox.join, self.source.blocks.values(), box)]
         observed: Iterable[Block] = self.source.blocks
         if not self.is_whole(box):  # maybe a tile of a large map, and most blocks lie far from it
             observed = self.source.blocks.keys() & set(list_blocks(box.grow(1)))
@@ -172,7 +176,8 @@ class BlockMap:
         for shape in self.options.writing.shapes:
             corners = np.array(shape.measure(self.resolution))
             seen |= set(list_blocks(Lattice(self.resolution).enclose(corners).clip(box)))
-        return sorted(seen, key=lambda each: (each.row // STRIPE, each.col, each.row))
+        order = sorted(seen, key=lambda each: (each.row // STRIPE, each.col, each.row))
+        return [block.box for block in order]
 
 
 def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None = None) -> BlockMap:
@@ -183,14 +188,28 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
     MapError
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
-    chosen = options or RenderOptions()
-    kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
-    bounds = bound_map(kept, model, chosen.min_passes)
-    box = choose_box(bounds, chosen.framing, Lattice(source.manifest.resolution))
-    return BlockMap(kept, model, chosen, box)
+    chosen, lattice = options or RenderOptions(), Lattice(source.manifest.resolution)
+    whole = None if is_large(source) else source.whole
+    kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block), whole=whole)
+    at_once = whole and find_lasting(whole, chosen.min_passes)
+
+    def read(box: CellBox) -> Grids:
+        return at_once or find_lasting(read_part(kept, box), chosen.min_passes)
+
+    bounds = bound_map(kept, read, model, chosen.min_passes)
+    box = choose_box(bounds, chosen.framing, lattice)
+    return BlockMap(kept, read, model, chosen, box, lattice.resolution, find_decision(model))
 
 
-def bound_map(source: Blocks, model: SensorModel, min_passes: int | None) -> CellBox:
+def find_lasting(part: Evidence, min_passes: int | None) -> Grids:
+    """What was observed, and what of that lasts."""
+    grid = evidence.to_grid(part)
+    return grid, evidence.keep_lasting(grid, part.slices, min_passes)
+
+
+def bound_map(
+    source: Blocks, read: Callable[[CellBox], Grids], model: SensorModel, min_passes: int | None
+) -> CellBox:
     """The smallest box around all cells of a map; only blocks that may reach its edges are read.
 
     Raises
@@ -198,21 +217,21 @@ def bound_map(source: Blocks, model: SensorModel, min_passes: int | None) -> Cel
     MapError
         Nothing was observed, or lasts.
     """
-    reach = source.blocks
+    reach = {block.box: farthest for block, farthest in source.blocks.items()}
 
     @cache
-    def measure(block: Block) -> CellBox | None:
-        _, lasting = read_lasting(source, block.box, min_passes)
+    def measure(part: CellBox) -> CellBox | None:
+        _, lasting = read(part)
         return measure_bounds(evidence.choose_tiles(lasting, model))
 
     edges = []
     for side, outward in enumerate((-1, -1, 1, 1)):  # of a box: row, col, row_end, col_end
         farthest = -math.inf
-        for block in sorted(reach, key=lambda each: outward * reach[each][side], reverse=True):
-            # A hit speaks for the cell beside it, so a block may reach one cell farther.
-            if outward * reach[block][side] + 1 <= farthest:
+        for part in sorted(reach, key=lambda each: outward * reach[each][side], reverse=True):
+            # A hit speaks for the cell beside it, so a part may reach one cell farther.
+            if outward * reach[part][side] + 1 <= farthest:
                 break
-            if box := measure(block):
+            if box := measure(part):
                 farthest = max(farthest, outward * box[side])
         if math.isinf(farthest):
             rendering.refuse_nothing_left(min_passes if reach else None)
@@ -220,27 +239,11 @@ def bound_map(source: Blocks, model: SensorModel, min_passes: int | None) -> Cel
     return CellBox(*edges)
 
 
-def read_lasting(source: Blocks, box: CellBox, min_passes: int | None) -> tuple[TileGrid, TileGrid]:
-    """What was observed in a box of cells or beside it, and what of that lasts."""
-    part = read_part(source, box)
-    grid = evidence.to_grid(part)
-    return grid, evidence.keep_lasting(grid, part.slices, min_passes)
-
-
-def classify_blocks(made: BlockMap, writing: WriteOptions) -> UInt8:
-    """(H, W) of CellClass, a byte for each cell.
-
-    Raises
-    ------
-    MapError
-        The map would be too large, or a block cannot be read.
-    """
-    refuse_large(made.box, Lattice(made.resolution), made.options.max_cells)
-    decision = writing.decide(made.decision)
-    classes = np.full(made.shape, CellClass.NEITHER, np.uint8)
-    for window, piece, _ in made.list_pieces(made.box):
-        classes[window] = replace(piece, decision=decision).classes
-    return classes
+def is_large(saved: Blocks) -> bool:
+    """Whether the map of all evidence would be large, and, if that is in memory, of little."""
+    keys, side = (saved.whole.tiles, 1) if saved.whole else (saved.blocks, SIDE)
+    spanned = CellBox.enclose(keys).cells * side**2 if keys else 0
+    return spanned > LARGE_TILES and not (saved.whole and len(keys) > FULL * spanned)
 
 
 def survey_blocks(made: BlockMap) -> MapFacts:
@@ -277,7 +280,7 @@ def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
             raise UsageError(found, where=path, fix="leave out `overview`, or write a .png")
 
 
-def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Report:
+def publish(saved: Blocks, options: RenderOptions, outputs: Sequence[Path]) -> Report:
     """Render evidence and write it, as a map or as evidence; the report sums up its builds.
 
     Where no output needs the whole map, it is never made: evidence is written block by block.
@@ -293,10 +296,9 @@ def publish(saved: Saved, options: RenderOptions, outputs: Sequence[Path]) -> Re
         As `render_kept`, or an output cannot be written.
     """
     saved, model = settle_model(saved, options)
-    blocks = None if isinstance(saved, Evidence) else saved
     grid, facts = paint_saved(saved, model, options, writers.want_whole(outputs))
     report = summarise(saved.manifest, facts, options, outputs)
-    product = writers.Product(grid, cache(lambda: read_all(saved)), report=report, blocks=blocks)
+    product = writers.Product(grid, cache(lambda: read_all(saved)), report=report, blocks=saved)
     files = writers.write_outputs(outputs, product, options.writing)
     return replace(report, files=tuple(files))
 
@@ -310,16 +312,13 @@ def render_kept(kept: Evidence, options: RenderOptions) -> Build:
         The model cannot read the evidence or knows no visits, or nothing is left of the map or it
         would be too large.
     """
-    kept, model = settle_model(kept, options)
-    grid, facts = paint_saved(kept, model, options, is_whole=True)
-    report = summarise(kept.manifest, facts, options)
-    return Build(grid, report, evidence.to_grid(kept), kept)
+    saved, model = settle_model(Blocks.of(kept), options)
+    grid, facts = paint_saved(saved, model, options, is_whole=True)
+    report = summarise(saved.manifest, facts, options)
+    return Build(grid, report, evidence.to_grid(kept), read_all(saved))
 
 
-AnySaved = TypeVar("AnySaved", bound=Saved)
-
-
-def settle_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, SensorModel]:
+def settle_model(saved: Blocks, options: RenderOptions) -> tuple[Blocks, SensorModel]:
     """Choose the model by which evidence is rendered, and let the evidence name that.
 
     Raises
@@ -332,7 +331,7 @@ def settle_model(saved: AnySaved, options: RenderOptions) -> tuple[AnySaved, Sen
 
 
 def paint_saved(
-    saved: Saved,
+    saved: Blocks,
     model: SensorModel,
     options: RenderOptions,
     is_whole: bool,
@@ -352,35 +351,22 @@ def paint_saved(
     OccmapError
         Nothing is left of it, it would be too large, or there is no such overview.
     """
-    notes = saved.notes if isinstance(saved, Evidence) else ()
+    notes = saved.whole.notes if saved.whole else ()
     lost: Sequence[str] = ()
     if options.overview is not None:
         shown = options.writing.edit(read_overview(saved, options.overview, options))
-    elif not is_whole and is_large(saved):
-        made = replace(open_map(as_blocks(saved), model, options), logs=logs)
-        facts = survey_blocks(made)
-        return made, facts._replace(lost=[*notes, *facts.lost])
-    elif isinstance(saved, Evidence):
-        grid = evidence.to_grid(saved)
-        shown, lost = evidence.render_lasting(grid, saved.slices, model, options)
-        shown = options.writing.edit(shown)
     else:
-        shown, lost = open_map(saved, model, options).paint_all()
+        made = replace(open_map(saved, model, options), logs=logs)
+        if not is_whole and is_large(saved):
+            facts = survey_blocks(made)
+            return made, facts._replace(lost=[*notes, *facts.lost])
+        shown, lost = made.paint_all()
     about = describe_about(saved.manifest, identify(saved), options, logs)
     facts = results.measure_map(shown, options.writing)._replace(lost=[*notes, *lost])
     return replace(shown, about=about), facts
 
 
-def is_large(saved: Saved) -> bool:
-    """Whether the map of all evidence would be large, and, if that is in memory, of little."""
-    in_memory = isinstance(saved, Evidence)
-    keys, side = (saved.tiles, 1) if isinstance(saved, Evidence) else (saved.blocks, SIDE)
-    places = np.array([*keys]).reshape(-1, 2)
-    spanned = float(np.prod((np.ptp(places, axis=0) + 1.0) * side)) if len(places) else 0.0
-    return spanned > LARGE_TILES and not (in_memory and len(places) > FULL * spanned)
-
-
-def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyMap:
+def read_overview(store: Blocks, side: int, options: RenderOptions) -> OccupancyMap:
     """Make a coarse map of the pictures in a store, in which a pixel is a square of cells.
 
     Raises
@@ -391,7 +377,7 @@ def read_overview(store: Saved, side: int, options: RenderOptions) -> OccupancyM
         Nothing was observed or lies in the extent, the map would be too large, or the picture
         cannot be read.
     """
-    if isinstance(store, Evidence) or store.root is None:
+    if store.root is None:
         raise UsageError("`overview` goes with a store", where=store.where, fix="leave it out")
     if options.model or options.min_passes:
         found = "the pictures in a store show what its own model decided of all that was observed"

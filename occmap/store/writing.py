@@ -11,7 +11,7 @@ from occmap.cells import CellBox, Evidence, Ground, Manifest, OccupancyMap, keep
 from occmap.evidence import paint_box, to_grid
 from occmap.grid.tiles import TILE, TileGrid, find_unit
 from occmap.sensor.models import parse_model
-from occmap.store import Blocks, as_blocks, layout
+from occmap.store import Blocks, layout
 from occmap.store.layout import BLOCK, Block, BlockRecord
 from occmap.writers import Product, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, refuse_unwritable
@@ -45,22 +45,20 @@ def create_store(path: Path, plan: Manifest, blocks: Iterable[Block]) -> None:
         It cannot be written.
     """
     zarr = layout.import_zarr()
-    corners = np.array(list(blocks) or [Block(0, 0)])
-    low, high = corners.min(axis=0) * BLOCK, (corners.max(axis=0) + 1) * BLOCK
-    shape = tuple((high - low).tolist())
+    box = CellBox.enclose(list(blocks) or [Block(0, 0)]).scale(BLOCK)
     unit = find_unit(plan.update)
     with refuse_unwritable(path):
-        root = zarr.create_group(path, attributes={"occmap": layout.make_head(plan, low.tolist())})
+        root = zarr.create_group(path, attributes={"occmap": layout.make_head(plan, box[:2])})
         for name in layout.LAYERS[plan.kind]:
             meaning = {"of_one_observation": unit}
-            add_picture(root, name, shape, BLOCK, dtype=np.int64, attributes=meaning)
-        for name, first, size in zip("yx", low.tolist(), shape, strict=True):
+            add_picture(root, name, box.shape, BLOCK, dtype=np.int64, attributes=meaning)
+        for name, first, size in zip("yx", box[:2], box.shape, strict=True):
             middle = (first + np.arange(size) + 0.5) * plan.resolution
             add_list(root, name, np.round(middle, 12), {"units": "m"})
         root.create_group("slices")
         classes = root.create_group("classes")
         for side in FINE_LEVELS:
-            add_level(classes, side, shape, BLOCK // side)
+            add_level(classes, side, box.shape, BLOCK // side)
 
 
 def make_codec() -> Any:
@@ -231,7 +229,7 @@ class ZarrWriter(Writer):
 
     def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
         """Write the evidence block by block; return the folder."""
-        return self.write_blocks(path, product.blocks or as_blocks(product.evidence()))
+        return self.write_blocks(path, product.blocks or Blocks.of(product.evidence()))
 
     def write_blocks(self, path: Path, source: Blocks) -> tuple[Path, ...]:
         """Write evidence block by block; return the folder.

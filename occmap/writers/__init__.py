@@ -8,8 +8,7 @@ names are found to be writable before the work starts, and written after it.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from importlib import import_module
@@ -348,17 +347,11 @@ def list_idle(outputs: Sequence[Path], options: WriteOptions) -> Iterator[str]:
             yield f"`{name}` does nothing: it is for {', '.join(formats)}, and no output ends so"
 
 
-@contextmanager
-def lock_arrays(arrays: Iterable[NDArray[Any]]) -> Iterator[None]:
-    """Let nobody write to arrays within the block."""
-    locked = [each for each in arrays if each.flags.writeable]
-    for each in locked:
-        each.flags.writeable = False
-    try:
-        yield
-    finally:
-        for each in locked:
-            each.flags.writeable = True
+def protect(array: NDArray[Any]) -> NDArray[Any]:
+    """A view of an array that nobody can write to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptions) -> list[str]:
@@ -370,13 +363,14 @@ def write_outputs(outputs: Sequence[Path], product: Product, options: WriteOptio
         A file cannot be written, and is not left behind; or a plugin did not write it.
     """
     written: list[Path] = []
-    grid = product.grid  # a plugin must not change what comes after it
-    layers = (grid.log_odds, grid.observed) if isinstance(grid, OccupancyMap) else ()
-    with lock_arrays(layers):
-        for path in outputs:
-            writer = find_writer(path)
-            files = writer.write_product(path, product, options) or writer.targets(path)
-            written += to_paths(files)
+    grid = product.grid
+    if isinstance(grid, OccupancyMap):  # a plugin must not change what comes after it
+        log_odds, observed = protect(grid.log_odds), protect(grid.observed)
+        product = replace(product, grid=replace(grid, log_odds=log_odds, observed=observed))
+    for path in outputs:
+        writer = find_writer(path)
+        files = writer.write_product(path, product, options) or writer.targets(path)
+        written += to_paths(files)
     for path in (each for each in written if not each.exists()):
         raise OutputError("its writer did not write it", where=path, fix="choose another format")
     return list(map(str, written))

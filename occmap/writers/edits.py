@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import OccupancyMap
+from occmap.cells import CellBox, OccupancyMap
 from occmap.errors import UsageError, refuse_unreadable
 from occmap.types import Bool, Float64
 
@@ -77,14 +77,12 @@ class Shape:
         window, covered
             Rows and columns of a part of the map, and which of its cells it covers.
         """
-        reach, place = self.find_reach(grid.resolution), grid.place
-        (col, row), (col_end, row_end) = (
-            np.clip(end / grid.resolution - place[::-1] + beyond, 0, grid.shape[::-1]).astype(int)
-            for end, beyond in zip(self.measure(grid.resolution), (-1, 2), strict=True)
-        )
+        reach, size, whole = self.find_reach(grid.resolution), grid.resolution, grid.box
+        (low, left), (high, right) = (end[::-1] / size for end in self.measure(size))
+        box = whole.clip(CellBox(*(math.floor(edge) for edge in (low, left, high, right))).grow(1))
         # Counted from the map's zero, so that a part of a map has the middles of the whole.
-        x = (place[1] + np.arange(col, col_end) + 0.5) * grid.resolution
-        y = (place[0] + np.arange(row, row_end) + 0.5) * grid.resolution
+        x = (np.arange(box.col, box.col_end, dtype=np.float64) + 0.5) * size
+        y = (np.arange(box.row, box.row_end, dtype=np.float64) + 0.5) * size
         covered = np.zeros((len(y), len(x)), np.bool_)
         for ring in self.rings:
             closed = ring if self.width is not None else np.vstack([ring, ring[:1]])
@@ -97,7 +95,7 @@ class Shape:
                     cols = slice(*np.searchsorted(x, (low[0] - reach, high[0] + reach)))
                     apart = measure_distance(x[cols], y[rows, np.newaxis], start, end)
                     covered[rows, cols] |= apart <= reach
-        return (slice(row, row_end), slice(col, col_end)), covered
+        return box.within(whole), covered
 
 
 def is_left_of(x: Float64, y: Float64, start: Float64, end: Float64) -> Bool:

@@ -68,9 +68,8 @@ class GroundWriter(Writer):
         if ground is None:
             found = "shows the ground below clouds, and this map was made of none"
             raise OutputError(found, where=path, fix="leave it out")
-        side, low, high = 1 << BLOCK_BITS, ground.blocks.min(axis=0), ground.blocks.max(axis=0)
-        box = CellBox(*low.tolist(), *(high + 1).tolist())
-        rows, cols = (ground.blocks - low).T
+        side, box = 1 << BLOCK_BITS, CellBox.enclose(ground.blocks.tolist())
+        rows, cols = (ground.blocks - box[:2]).T
         squares = np.full((*box.shape, side, side), np.nan, np.float32)
         known = np.where(ground.measured, ground.height_mm / 1000, np.nan)
         squares[rows, cols] = known.reshape(-1, side, side)
@@ -100,10 +99,7 @@ def write_image(
         with TemporaryDirectory(prefix=".occmap-", dir=follow_links(path).parent) as folder:
             # GDAL can only copy into this format: all is written once without compression.
             plain, done = Path(folder) / "plain.tif", Path(folder) / "done.tif"
-            pixels = math.prod(-(-layout[side] // BLOCK) * BLOCK for side in ("height", "width"))
-            # On a full disk libtiff would print lines of its own.
-            if shutil.disk_usage(folder).free < pixels * np.dtype(layout["dtype"]).itemsize:
-                raise OSError(ENOSPC, os.strerror(ENOSPC))
+            refuse_full_disk(folder, layout)
             with rasterio.open(plain, "w", **layout) as image:
                 image.update_tags(**tags)
                 for window, pixels in parts:
@@ -116,6 +112,13 @@ def write_image(
     except (OSError, rasterio.errors.RasterioError, rasterio._err.CPLE_BaseError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise OutputError(f"cannot be written ({reason})", where=path) from None
+
+
+def refuse_full_disk(folder: str, layout: Mapping[str, Any]) -> None:
+    """Raise OSError where an image has no room, before libtiff would print lines of its own."""
+    height, width = (-(-layout[side] // BLOCK) * BLOCK for side in ("height", "width"))
+    if shutil.disk_usage(folder).free < height * width * np.dtype(layout["dtype"]).itemsize:
+        raise OSError(ENOSPC, os.strerror(ENOSPC))
 
 
 def lay_out(

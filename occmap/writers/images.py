@@ -11,10 +11,10 @@ import math
 import struct
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
@@ -101,14 +101,8 @@ def encode_png(pixels: UInt8) -> bytes:
     return file.getvalue()
 
 
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """A picture with a title."""
-
-    title: tuple[str, ...]
-    """Lines"""
-    pixels: UInt8
-    """(H, W, 3), first row on top"""
+Panel: TypeAlias = tuple[Sequence[str], UInt8]
+"""The lines of a title, and what is below it: (H, W, 3), first row on top"""
 
 
 def write_panels(path: Path, panels: Sequence[Panel]) -> None:
@@ -120,20 +114,20 @@ def write_panels(path: Path, panels: Sequence[Panel]) -> None:
         It cannot be written; then nothing is left behind.
     """
     font = ImageFont.load_default(TEXT_PX)
-    text_px = max(font.getlength(line) for each in panels for line in each.title)
-    heights, widths = zip(*(panel.pixels.shape[:2] for panel in panels), strict=True)
-    head = LINE_PX * max(len(panel.title) for panel in panels)
+    text_px = max(font.getlength(line) for title, _ in panels for line in title)
+    heights, widths = zip(*(pixels.shape[:2] for _, pixels in panels), strict=True)
+    head = LINE_PX * max(len(title) for title, _ in panels)
     width = max(*widths, math.ceil(text_px)) + GAP_PX
     height = max(heights) + head + GAP_PX
     columns, rows = arrange(len(panels), width, height)
     picture = Image.new("RGB", (columns * width + GAP_PX, rows * height + GAP_PX), PAPER)
     draw = ImageDraw.Draw(picture)
-    for index, panel in enumerate(panels):
+    for index, (title, pixels) in enumerate(panels):
         row, column = divmod(index, columns)
         left, top = GAP_PX + column * width, GAP_PX + row * height
-        for number, line in enumerate(panel.title):
+        for number, line in enumerate(title):
             draw.text((left, top + number * LINE_PX), line, INK, font)
-        picture.paste(Image.fromarray(panel.pixels), (left, top + head))
+        picture.paste(Image.fromarray(pixels), (left, top + head))
     with open_atomic(path) as (file,):
         picture.save(file, format="PNG")
 

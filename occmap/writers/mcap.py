@@ -19,10 +19,11 @@ from mcap.writer import Writer as BagWriter
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
-from occmap.cells import CellClass, OccupancyMap, list_captions
+from occmap.cells import OccupancyMap, list_captions
 from occmap.types import Float64
 from occmap.writers import MapMode, Product, WriteOptions, Writer
 from occmap.writers.atomic import open_atomic
+from occmap.writers.pgm import to_raw
 
 MAP_FRAME = "map"
 CELLS = np.array([-1, 0, 100], np.int8)
@@ -120,8 +121,7 @@ def fill_cells(grid: OccupancyMap, options: WriteOptions) -> NDArray[np.int8]:
     """
     if options.mode is MapMode.TRINARY:
         return CELLS[replace(grid, decision=options.decide(grid.decision)).classes]
-    percent = np.rint(100 * grid.probability)
-    return np.where(grid.observed, percent, CELLS[CellClass.NEITHER]).astype(np.int8)
+    return to_raw(grid).view(np.int8)  # of 255, which is unknown there, -1
 
 
 def make_header(frame: str, stamp_ns: Any) -> Any:

@@ -87,7 +87,7 @@ REFUSED = [
     ("explain a.npz 0 nan", 2, "the point (0, nan) is in no map; give x and y in metres"),
     ("explain a.npz -inf 0", 2, "-i"),
     ("explain a.npz 1e300 0", 2, "is in no map"),
-    ("explain a.npz 0 0 --log b.csv", 1, "b.csv: a.npz was not made of it; it was made"),
+    ("explain a.npz 0 0 --log b.csv", 1, "b.csv: a.npz was not made of it, or it was"),
     ("explain a.npz 0 0 --log none.csv", 1, "none.csv: cannot be read (No such file"),
     ("explain a.npz 0 0 --poses b.csv", 2, "--poses goes with a log; add --log LOG"),
     ("explain a.npz 0 0 --modle counting", 2, "--model"),

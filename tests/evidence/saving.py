@@ -8,10 +8,12 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from occmap.cells import Evidence
+from occmap.cells import Evidence, Manifest, Slices
+from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.sensor.models import parse_model
+from occmap.store import Blocks
 from occmap.types import BEAM_UPDATES, Update
 from occmap.writers.npz import read_evidence, write_evidence
 from tests.samples import SAMPLE_LOGS
@@ -41,6 +43,13 @@ def save(path: Path, options: BuildOptions, log: Path = DRIVE) -> Evidence:
     else:
         build([log], options, [path])
     return read_evidence(path)
+
+
+def hold(grid: TileGrid, *slices: Slices) -> Blocks:
+    """Evidence of hits and misses in memory."""
+    size = grid.lattice.resolution
+    manifest = Manifest(size, "beam", "counts", "", 10.0, 0.5, "simple", ())
+    return Blocks.of(Evidence(manifest, grid.tiles, slices))
 
 
 def halve(options: BuildOptions, middle: float = MIDDLE_S) -> tuple[BuildOptions, BuildOptions]:

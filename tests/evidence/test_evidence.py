@@ -19,6 +19,7 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
+from occmap.store import Blocks
 from occmap.store.painting import RenderOptions, publish, render_kept
 from occmap.types import Update
 from occmap.writers.npz import read_evidence
@@ -35,7 +36,9 @@ def test_a_rendered_map_is_the_one_that_was_built(
     options = choose(update, model)
     built = build([DRIVE], options, [tmp_path / "m.npz", tmp_path / "m.pgm"])
     evidence = read_evidence(tmp_path / "m.npz")
-    report = publish(evidence, RenderOptions(), [tmp_path / "r.pgm", tmp_path / "again.npz"])
+    report = publish(
+        Blocks.of(evidence), RenderOptions(), [tmp_path / "r.pgm", tmp_path / "again.npz"]
+    )
     assert (tmp_path / "r.pgm").read_bytes() == (tmp_path / "m.pgm").read_bytes()
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "m.npz").read_bytes()
     expected = replace(built.report, logs=("drive.csv",), files=report.files, seconds={}, notes=())
@@ -132,7 +135,9 @@ def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
     (made,) = evidence.manifest.builds
     older = {**made, "scans": {**made["scans"], "beams": {"hit": 5, "lost": 7}}}
     manifest = replace(evidence.manifest, builds=(older, older))
-    report = publish(replace(evidence, manifest=manifest), RenderOptions(), [tmp_path / "m.pgm"])
+    report = publish(
+        Blocks.of(replace(evidence, manifest=manifest)), RenderOptions(), [tmp_path / "m.pgm"]
+    )
     assert report.beams == ReturnCounts(hit=10)
     assert report.scans.used == 2 * made["scans"]["used"]
     (note,) = report.notes

@@ -12,18 +12,19 @@ import pytest
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.evidence import keep_lasting, render_lasting
+from occmap.evidence import keep_lasting
 from occmap.grid.tiles import TILE, TileGrid, pack_bits
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.sensor import ReturnOptions
 from occmap.sensor.models import parse_model
-from occmap.store.painting import RenderOptions
+from occmap.store.painting import RenderOptions, open_map
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import occmap
 from tests.csv_logs import write_scans
+from tests.evidence.saving import hold
 from tests.grid.scans import are_equal, make_grid
 from tests.samples import PLAIN, PLAIN_WORDS, import_generator, write_csv
 
@@ -130,7 +131,8 @@ def test_a_quarter_of_the_occupied_cells_is_not_lost_without_a_word(
     others = [(0, 5, 0, 1)] * 9 + [(1, 50, 1, 1)] * 7 + [(9, 50, 2, 2)]
     grid, slices = observe(cells + others)
     options = RenderOptions(min_passes=2)
-    made, notes = render_lasting(grid, [slices], parse_model("simple:spread=0"), options)
+    shown = open_map(hold(grid, slices), parse_model("simple:spread=0"), options)
+    made, notes = shown.paint_all()
     # Of 60 + 7 + 9 hits; those that are lost, some of them beside the map, agree with nothing.
     assert made.agreement == (3 * (20 - lost) + 9) / 76
     if share is None:
@@ -217,4 +219,4 @@ def test_slices_of_all_builds_count_once() -> None:
 def test_nothing_left_is_no_map() -> None:
     grid, slices = observe([(9, 0, 1, 1)])
     with pytest.raises(MapError, match=r"no cell was hit on 2 visits, .*; give a smaller `min_p"):
-        render_lasting(grid, [slices], parse_model("simple"), RenderOptions(min_passes=2))
+        open_map(hold(grid, slices), parse_model("simple"), RenderOptions(min_passes=2))

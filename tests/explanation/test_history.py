@@ -14,8 +14,8 @@ import pytest
 from occmap.cells import Evidence
 from occmap.clouds import CloudOptions
 from occmap.errors import LogError, MapError, PoseError
-from occmap.evidence.manifest import UNRECORDED, describe_build
-from occmap.explanation import Use, find_uses, list_logs, list_missing, recall_options
+from occmap.evidence.manifest import UNRECORDED, describe_build, list_logs
+from occmap.explanation import Use, find_uses, recall_options
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions, Stamps
@@ -68,19 +68,11 @@ def test_every_build_that_used_a_log_is_found_with_its_own_options() -> None:
     uses = find(evidence, "b.csv", "a.csv")
     assert name_uses(uses) == [("b.csv", 0), ("b.csv", 1), ("b.csv", 2), ("a.csv", 1)]
     assert [use.options.selection.start_s for use in uses[:3]] == [-float("inf")] * 2 + [-1.0]
-    assert list_missing(evidence, uses) == []
-
-
-def test_a_log_that_counted_twice_is_found_twice_and_given_twice_once() -> None:
-    evidence = save("a.csv", "a.csv")
-    assert name_uses(find(evidence, "a.csv", "a.csv")) == [("a.csv", 0)] * 2
 
 
 def test_copies_of_a_log_are_one() -> None:
     shutil.copy("a.csv", "copy.csv")
-    assert name_uses(find(save("a.csv"), "copy.csv", "a.csv", "./a.csv")) == [("copy.csv", 0)]
-    both = save("a.csv", "copy.csv")
-    assert name_uses(find(both, "a.csv", "copy.csv")) == [("a.csv", 0)] * 2
+    assert name_uses(find(save("a.csv"), "./a.csv", "a.csv", "copy.csv")) == [("copy.csv", 0)]
 
 
 def test_a_folder_is_known_by_its_files(tmp_path: Path) -> None:
@@ -89,18 +81,9 @@ def test_a_folder_is_known_by_its_files(tmp_path: Path) -> None:
     assert list_logs(evidence.manifest.builds[0]) == ["drive", "a.csv"]
     shutil.move("drive", "elsewhere")
     assert name_uses(find(evidence, "elsewhere")) == [("elsewhere", 0)]
-    assert list_missing(evidence, find(evidence, "elsewhere")) == ["a.csv"]
-    assert list_missing(evidence, find(evidence, "a.csv")) == ["drive"]
     Path("elsewhere", "more.txt").write_text("?")
     with pytest.raises(LogError, match=r"elsewhere: m.npz was not made of it"):
         find(evidence, "elsewhere")
-
-
-def test_a_log_that_was_changed_is_refused_as_such() -> None:
-    evidence = save("a.csv")
-    Path("a.csv").write_text(Path("a.csv").read_text() + "1,0,0,0,0.3\n")
-    with pytest.raises(LogError, match=r"a.csv: is not the a.csv that m.npz was made of"):
-        find(evidence, "a.csv")
 
 
 def build_followed() -> Evidence:
@@ -112,7 +95,6 @@ def test_a_trajectory_is_found_by_its_hash() -> None:
     shutil.move("path.txt", "moved.txt")
     (use,) = find(evidence, "bare.csv", poses=["moved.txt"])
     assert use.options.posing.poses == "moved.txt"
-    assert list_missing(evidence, [use]) == []
     assert list_logs(evidence.manifest.builds[0]) == ["bare.csv"]
 
 
@@ -130,11 +112,9 @@ def test_each_build_gets_its_own_trajectory() -> None:
     [
         ("bare.csv", [], "bare.csv: its poses came from path.txt"),
         ("bare.csv", ["a.csv"], "SHA-256 of a.csv is another); add `poses=path"),
-        ("bare.csv", ["path.txt", "a.csv"], "a.csv: is not a trajectory"),
-        ("a.csv", ["path.txt"], "path.txt: is not a trajectory"),
     ],
 )
-def test_one_trajectory_too_few_or_many_is_refused(log: str, poses: list[str], found: str) -> None:
+def test_a_trajectory_that_is_missing_is_asked_for(log: str, poses: list[str], found: str) -> None:
     evidence = merge([build_followed(), save("a.csv", into="n.npz")])
     with pytest.raises(PoseError) as caught:
         find(evidence, log, poses=poses)
@@ -142,9 +122,9 @@ def test_one_trajectory_too_few_or_many_is_refused(log: str, poses: list[str], f
 
 
 def test_what_is_no_log_of_the_evidence_is_refused_with_what_it_was_made_of() -> None:
-    with pytest.raises(LogError, match=r"b.csv: m.npz was not made of it; .* a.csv: .*`logs`"):
+    with pytest.raises(LogError, match=r"b.csv: m.npz was not made of it, .* a.csv: .*`logs`"):
         find(save("a.csv"), "b.csv")
-    with pytest.raises(LogError, match=r"path.txt: m.npz was not made of it; .* bare.csv"):
+    with pytest.raises(LogError, match=r"path.txt: m.npz was not made of it, .* bare.csv"):
         find(build_followed(), "path.txt")
 
 

@@ -155,7 +155,7 @@ def test_a_log_that_is_read_twice_counts_once(
     folder = tmp_path / "scratch"
     folder.mkdir()
     setting = Setting(options, Keep(slices=True), folder, 1, window_cells=1 << 20, most_bytes=1)
-    traced = trace_log(Job(setting, "log", str(log)))
+    traced = trace_log(setting, Job("log", str(log)))
     pieces = [piece for block in sorted(traced.pieces) for piece in traced.pieces[block]]
     grid, _ = add_up_pieces(setting, pieces)
     files = {piece.file for piece in pieces}

@@ -36,7 +36,8 @@ resource = pytest.importorskip("resource", reason="Windows has neither SIGKILL n
 LOGS = [DRIVES[0], DRIVES[4]]
 OPTIONS = BuildOptions(jobs=1)
 PATIENCE_S = 60
-JOB = Job(Setting(OPTIONS, Keep(), Path(), 1, 0, 0), "log", "drive.mcap")
+SETTING = Setting(OPTIONS, Keep(), Path(), 1, 0, 0)
+JOB = Job("log", "drive.mcap")
 
 
 @pytest.fixture(scope="module")
@@ -215,11 +216,11 @@ def test_a_scheduler_that_was_lost_between_two_phases_is_not_waited_for(tmp_path
         scheduler.kill()
         time.sleep(1)  # by then, the client knows
         with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
-            found.run("trace", die, [JOB])
+            found.run(die, SETTING, [JOB])
 
 
 def run_job(found: cluster.Cluster) -> None:
-    found.run("trace", die, [JOB])
+    found.run(die, SETTING, [JOB])
 
 
 def ask_workers(found: cluster.Cluster) -> None:
@@ -272,7 +273,7 @@ def test_that_no_worker_is_left_is_said_once(
             pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"),
             cluster.miss_workers(found._client, address),
         ):
-            found.run("trace", die, [JOB])
+            found.run(die, SETTING, [JOB])
     assert told == [f"{address}: no worker is left; waiting for another one"]
 
 
@@ -301,7 +302,7 @@ def test_a_full_disk_is_one_line_and_nothing_is_published(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["map.npz.scratch"]
 
 
-def die(_job: Job) -> int:
+def die(_setting: Setting, _job: Job) -> int:
     os.kill(os.getpid(), signal.SIGKILL)
     return 0
 
@@ -311,7 +312,7 @@ def test_a_task_that_kills_its_workers_is_named(address: str) -> None:
         open_cluster(address, 2, lambda _: None) as found,
         pytest.raises(FleetError, match=r"drive.mcap: killed its workers 2 times, which had \d+ M"),
     ):
-        found.run("trace", die, [JOB])
+        found.run(die, SETTING, [JOB])
 
 
 def test_nobody_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

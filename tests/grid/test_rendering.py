@@ -11,15 +11,16 @@ from hypothesis import strategies as st
 
 from occmap.cells import Box, CellBox, OccupancyMap
 from occmap.errors import MapError, UsageError
-from occmap.evidence import render, render_lasting
+from occmap.evidence import render
 from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.rendering import Framing, SpreadHits, count_agreeing, find_bounds, paint_cells
 from occmap.grid.tiles import PART, TILE, EvidenceKind, GridSpec, TileGrid, find_unit
 from occmap.sensor.models import CountingModel, QuadraticModel, SensorModel, SimpleModel
-from occmap.store.painting import RenderOptions
+from occmap.store.painting import RenderOptions, open_map
 from occmap.types import BEAM_UPDATES, Float64, Kind, Rays, Update
 from occmap.writers import WriteOptions
+from tests.evidence.saving import hold
 from tests.grid.scans import FEW, MANY, MIDDLE, Drive, aim, drives, make_grid, make_rays, make_scan
 
 Cell = tuple[int, int]
@@ -177,7 +178,7 @@ def show(framing: Framing, prior: float = 0.5, max_cells: int = 100) -> Occupanc
     model = SimpleModel(1 / (1 + math.exp(-1)), 0.1, prior=prior, spread=0)
     numbers = {(row - 1, col + 1): (int(n), 0) for (row, col), n in np.ndenumerate(LOG_ODDS)}
     options = RenderOptions(None, WriteOptions(), max_cells, framing)
-    shown, _ = render_lasting(make_grid(numbers, 0.05), (), model, options)
+    shown, _ = open_map(hold(make_grid(numbers, 0.05)), model, options).paint_all()
     return shown
 
 

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from occmap.cells import Slices
-from occmap.errors import MapError
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import TILE, WINDOW_CELLS, GridSpec, count_visits, split_tiles, unpack_bits
 from occmap.types import Rays
@@ -135,16 +134,6 @@ def test_threads_give_the_same_sums_and_slices(kind_of_map: int, slice_ns: int |
     assert scans.read_cells(engine.finish()) == scans.observe(spec, alone)
     for slices in engine.read_slices():
         assert spread(slices) == look_scan_by_scan(spec, rays)
-
-
-def test_a_map_that_slices_make_too_large_is_refused() -> None:
-    """No slice by itself does: each is of one tile, and they lie ten tiles apart."""
-    engine = GridEngine(all_specs(1.0)[0], max_cells=1000, slice_ns=SLICE)
-    far = one_beam([0, 1000, 2000])
-    for s in range(2):
-        engine.add(scans.take(far, [s])._replace(origin=np.full((1, 1, 2), 640.5 * s)))
-    with pytest.raises(MapError, match="more than `max_cells=1000`"):
-        engine.finish()
 
 
 def one_beam(stamps: list[int]) -> Rays:

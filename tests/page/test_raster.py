@@ -85,7 +85,7 @@ def test_a_coarse_cell_is_the_one_most_likely_occupied(
     monkeypatch.setattr("occmap.page.raster.MOST_CELLS", made.log_odds.size / step**2)
     raster = make_raster(made, seen)
     assert raster.step == step
-    row, col = made.place.tolist()
+    row, col = made.box[:2]
     begin, left = row // step * step, col // step * step
     assert (raster.x, raster.y) == pytest.approx((left * 0.1, begin * 0.1))
     classes, hits = layer(raster, "class"), layer(raster, "hits") / seen.grid.unit

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap import build_map, evidence
+from occmap import build_map
 from occmap.difference.maps import load_map
 from occmap.options import Selection
 from occmap.pipeline import build
@@ -315,7 +315,6 @@ def test_large_maps_in_memory_are_painted_in_parts(
     whole = run_all("whole"), build_map(DRIVE)
     monkeypatch.setattr(painting, "LARGE_TILES", 0)
     monkeypatch.setattr(painting, "FULL", 1.0)
-    monkeypatch.setattr(evidence, "render_lasting", None)  # would make the whole map
     assert run_all("parts") == whole[0]
     shown = build_map(DRIVE)
     np.testing.assert_array_equal(shown.probability, whole[1].probability)

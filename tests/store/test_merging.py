@@ -17,6 +17,7 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scoring.matching import Transform, move_evidence
 from occmap.sensor.models import QuadraticModel
+from occmap.store import Blocks
 from occmap.store.merging import merge, subtract
 from occmap.store.painting import RenderOptions, publish
 from occmap.types import Update
@@ -59,7 +60,7 @@ def test_a_seam_between_halves_is_no_visit_more(tmp_path: Path) -> None:
     whole, *halves = (save(tmp_path / "m.npz", each) for each in (choose(), *halve(choose())))
     options = RenderOptions(min_passes=2)
     for evidence, name in ((whole, "whole.pgm"), (merge(halves), "both.pgm")):
-        publish(evidence, options, [tmp_path / name])
+        publish(Blocks.of(evidence), options, [tmp_path / name])
     assert (tmp_path / "both.pgm").read_bytes() == (tmp_path / "whole.pgm").read_bytes()
 
 
@@ -74,7 +75,7 @@ def test_logs_of_the_same_hours_are_one_visit_however_they_are_built(
     build(logs, BuildOptions(), [tmp_path / "both.npz"])
     apart = merge([save(tmp_path / "m.npz", BuildOptions(), log) for log in logs])
     for evidence in (read_evidence(tmp_path / "both.npz"), apart):
-        found = explain(evidence, Question(0.35, 0.05)).visits
+        found = explain(Blocks.of(evidence), Question(0.35, 0.05)).visits
         until_ns = (other_start + 8) // 10 * 10**10 + 10**10
         assert found == Visits(0, until_ns, visits, visits)
 
@@ -90,12 +91,12 @@ def test_what_was_no_build_leaves_visits_that_are_bounds(tmp_path: Path) -> None
         assert np.array_equal(count_visits(of_tile)[1] > 0, seen)
     assert 0 < len(after.numbers) <= len(before.numbers)
     assert rest.manifest.builds == whole.manifest.builds
-    report = publish(rest, RenderOptions(), [tmp_path / "m.pgm"])
+    report = publish(Blocks.of(rest), RenderOptions(), [tmp_path / "m.pgm"])
     (note,) = report.notes
     for said in ("no whole logs", "beams are counted as before", "are upper bounds"):
         assert said in note
     assert report.scans.used == whole.manifest.builds[0]["scans"]["used"]
-    assert publish(whole, RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
+    assert publish(Blocks.of(whole), RenderOptions(), [tmp_path / "m.pgm"]).notes == ()
 
 
 def test_logs_of_a_build_are_taken_out_with_their_scans(tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_logs_of_a_build_are_taken_out_with_their_scans(tmp_path: Path) -> None:
     both = read_evidence(tmp_path / "both.npz")
     one, other = (save(tmp_path / "m.npz", BuildOptions(), log) for log in logs)
     rest = subtract(both, one)
-    told, alone = (publish(each, RenderOptions(), []) for each in (rest, other))
+    told, alone = (publish(Blocks.of(each), RenderOptions(), []) for each in (rest, other))
     assert replace(told, notes=()) == replace(alone, notes=())
     assert [note.endswith("numbers of visits are upper bounds") for note in told.notes] == [True]
     nothing = subtract(rest, other)
@@ -194,7 +195,7 @@ def test_options_that_differ_between_builds_are_noted(
     one = save(tmp_path / "a.npz", first)
     other = save(tmp_path / "b.npz", replace(second, **changed))
     mine = [f"its builds differ in `{text}" for text in notes]
-    assert publish(merge([one, other]), RenderOptions(), []).notes == tuple(mine)
+    assert publish(Blocks.of(merge([one, other])), RenderOptions(), []).notes == tuple(mine)
     added = build([DRIVE], replace(first, resume=tmp_path / "b.npz"), [tmp_path / "c.npz"])
     assert [note for note in added.report.notes if "differ" in note] == mine
 
@@ -237,7 +238,7 @@ def test_nothing_left_is_no_map(tmp_path: Path) -> None:
     nothing = subtract(whole, whole)
     assert (len(nothing.tiles), nothing.manifest.builds) == (0, ())
     with pytest.raises(MapError, match="observed a cell"):
-        publish(nothing, RenderOptions(), [tmp_path / "m.pgm"])
+        publish(Blocks.of(nothing), RenderOptions(), [tmp_path / "m.pgm"])
     assert not (tmp_path / "m.pgm").exists()
 
 

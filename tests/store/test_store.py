@@ -16,7 +16,7 @@ import zarr
 from occmap.cells import CellClass, Evidence, Manifest
 from occmap.errors import MapError
 from occmap.grid.tiles import TILE, pack_bits
-from occmap.store import Blocks, as_blocks, open_store, read_all
+from occmap.store import Blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
 from occmap.store.painting import RenderOptions, render_kept
 from occmap.store.writing import ZarrWriter, create_store, finish_store, paint_block, write_block
@@ -37,7 +37,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Evidence:
 @pytest.fixture(scope="module")
 def kept(drive: Evidence, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("kept") / "m.zarr"
-    ZarrWriter().write_blocks(path, as_blocks(drive))
+    ZarrWriter().write_blocks(path, Blocks.of(drive))
     return path
 
 
@@ -68,7 +68,7 @@ def test_an_npz_that_is_written_from_a_store_is_that_of_the_build(
     tmp_path: Path, update: Update, model: str
 ) -> None:
     evidence = save(tmp_path / "m.npz", replace(choose(update, model), resolution=FINE))
-    ZarrWriter().write_blocks(tmp_path / "m.zarr", as_blocks(evidence))
+    ZarrWriter().write_blocks(tmp_path / "m.zarr", Blocks.of(evidence))
     store = open_store(tmp_path / "m.zarr")
     assert write_bytes(tmp_path, read_all(store)) == (tmp_path / "m.npz").read_bytes()
     assert read_digest(store) == digest_evidence(evidence)
@@ -108,7 +108,7 @@ def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -
 def test_the_pictures_show_the_map(kept: Path, drive: Evidence) -> None:
     store, classes = open_store(kept), open_group(kept / "classes")
     shown = render_kept(drive, RenderOptions(choose(model="counting").model)).map
-    (row, col), (rows, cols) = ((shown.place - find_offset(store)).tolist(), shown.shape)
+    (row, col), (rows, cols) = (shown.box[:2] - find_offset(store), shown.shape)
     whole = np.zeros(classes["1"].shape, np.uint8)
     whole[row : row + rows, col : col + cols] = shown.classes
     assert np.array_equal(classes["1"][:], whole)
@@ -260,6 +260,6 @@ def test_altered_attributes_are_refused(
 
 def test_evidence_of_nothing(tmp_path: Path) -> None:
     manifest = Manifest(0.05, "beam", "counts", "", 10.0, 0.0, "simple", ())
-    ZarrWriter().write_blocks(tmp_path / "m.zarr", as_blocks(Evidence(manifest, {})))
+    ZarrWriter().write_blocks(tmp_path / "m.zarr", Blocks.of(Evidence(manifest, {})))
     store = open_store(tmp_path / "m.zarr")
     assert (store.blocks, len(read_all(store).tiles)) == ({}, 0)

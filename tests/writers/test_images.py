@@ -11,8 +11,7 @@ from occmap.writers.images import GAP_PX, LINE_PX, Panel, arrange, write_panels
 
 def make_panels(count: int, shape: tuple[int, int] = (40, 60)) -> list[Panel]:
     return [
-        Panel((f"map {i}",), np.full((*shape, 3), (10 * i, 200, 30), np.uint8))
-        for i in range(count)
+        ((f"map {i}",), np.full((*shape, 3), (10 * i, 200, 30), np.uint8)) for i in range(count)
     ]
 
 
@@ -32,8 +31,8 @@ def test_each_panel_lies_below_its_title(tmp_path: Path) -> None:
     write_panels(tmp_path / "p.png", panels)
     with Image.open(tmp_path / "p.png") as image:
         pixels = np.asarray(image)
-    for _index, panel in enumerate(panels):
-        found = np.argwhere((pixels == panel.pixels[0, 0]).all(axis=-1))
+    for _, drawn in panels:
+        found = np.argwhere((pixels == drawn[0, 0]).all(axis=-1))
         low, high = found.min(axis=0), found.max(axis=0)
         assert (high - low + 1).tolist() == [40, 60]
         title = pixels[low[0] - LINE_PX : low[0], low[1] : low[1] + 60]
@@ -42,7 +41,7 @@ def test_each_panel_lies_below_its_title(tmp_path: Path) -> None:
 
 
 def test_a_title_wider_than_its_panel_is_whole(tmp_path: Path) -> None:
-    panel = Panel(("a title of many words, " * 4,), np.zeros((5, 5, 3), np.uint8))
+    panel: Panel = ("a title of many words, " * 4,), np.zeros((5, 5, 3), np.uint8)
     write_panels(tmp_path / "p.png", [panel])
     with Image.open(tmp_path / "p.png") as image:
         assert image.width > 400

@@ -291,19 +291,18 @@ def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool
 @kernel
 def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     """Whether a column is of a surface that goes on, and not at its brink."""
-    height, (points, _, down, left) = found.height, sum_stepped(blocks, found, at)
-    up, right, ways, is_broad = -down, -left, 1, False
-    if points == 0:
-        up, right, ways = 0, 1, 4
-    for _ in range(ways):
-        is_broad = is_broad or goes_on(blocks, height, at, up, right)
-        up, right = right, -up
-    if points == 0 or not is_broad:
-        return is_broad
+    height, (points, _, down, aside) = found.height, sum_stepped(blocks, found, at)
+    if points == 0:  # nothing lies lower: it may go on anywhere
+        for up, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            if goes_on(blocks, height, at, up, right):
+                return True
+        return False
+    # It goes on away from what lies lower, and the next column towards that is no brink.
+    if not goes_on(blocks, height, at, -down, -aside):
+        return False
     row, col = locate(blocks, at)
-    way = max(abs(down), abs(left))
-    up, right = int(np.rint(down / way)), int(np.rint(left / way))
-    near = find_column(blocks, row + up, col + right)
+    way = max(abs(down), abs(aside))
+    near = find_column(blocks, row + int(np.rint(down / way)), col + int(np.rint(aside / way)))
     return near >= 0 and height[near] != NO_GROUND and height[at] - height[near] <= BRINK_MM
 
 
