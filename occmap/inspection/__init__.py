@@ -21,7 +21,7 @@ from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
-from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
+from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
@@ -40,8 +40,6 @@ SHARE_OF_NOTE = 0.05
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"
-CLEAR = "no_return"
-"""The one option that is advised though a map is as right without it"""
 
 
 def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
@@ -134,14 +132,10 @@ def recommend(
     """
     # Those with poses, or with an option that gives some.
     mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
-    advice, remarks = [advise(log) for log in mapped], list[str]()
-    if any(each != advice[0] for each in advice):
-        clearing = [log for log, it in zip(mapped, advice, strict=True) if it and CLEAR in it[1]]
-        advice = [
-            it and (it[0], {key: it[1][key] for key in it[1] if key != CLEAR}) for it in advice
-        ]
-        names = join_names(log.path for log in clearing)
-        remarks.append(f"`no_return=clear` suits only {names}: the line does without it")
+    advice = [advise(log) for log in mapped]
+    if not all(it and "no_return" in it[1] for it in advice):  # a map is as right without it
+        for _, advised in filter(None, advice):
+            advised.pop("no_return", None)
     needs = defaultdict[str, list[str]](list)
     for log, each in zip(mapped, advice, strict=True):
         needs[tell_advice(each)].append(log.path)
@@ -154,9 +148,8 @@ def recommend(
     command = compose_build([log.path for log in mapped], options, advised)
     if name == "tune":
         command = ("occmap", name, *command[2:-2])
-    if left := ", ".join(log.path for log in logs if log not in mapped):
-        remarks.append(f"the line leaves out what cannot be mapped: {left}")
-    return command, tuple(remarks)
+    left = ", ".join(log.path for log in logs if log not in mapped)
+    return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
 
 
 def tell_advice(advice: tuple[str, dict[str, str]] | None) -> str:
@@ -291,12 +284,6 @@ def list_oddities(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     lost = topic.poses.dropped
     if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         yield Concern(f"scans without a pose: {write_counts(lost)}")
-    if topic.frozen_s:
-        start, end = topic.frozen_s
-        since = start - topic.times.start_ns / 1e9
-        found = f"the poses stand still for {end - start:.3g} s, {since:.3f} s after the first scan"
-        why = "did odometry stop? map the rest by `start_s` and `end_s`, or give other poses"
-        yield Concern(f"{found}, and the scans change all the same: {why}")
     if not topic.poses.stated:  # else the stamps do not matter
         yield from list_clock_faults(topic)
     if not topic.is_of_clouds:
@@ -418,7 +405,7 @@ def inspect_ground(
     against = list(poses.list_floor_concerns(some, level, options, ground))
     if ground is not None:
         box = poses.enclose_clouds(log, level, options, ground)
-        against += poses.list_other_concerns(some, level, options, ground, is_right=not against)
+        against += poses.list_other_concerns(some, options, ground, is_right=not against)
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
 
@@ -448,7 +435,6 @@ def describe_topic(
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    stacked = stack_sample(topic.sample.parts, options.returns)
     found = ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
@@ -458,12 +444,11 @@ def describe_topic(
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
-        ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
+        ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=poses.sum_up_poses(topic, posing),
         mount=poses.describe_mount(topic, posing, options),
         agreement=estimate_agreement(topic.sample.parts, options),
-        frozen_s=find_frozen(stacked),
     )
     better = poses.find_better(log, posing, topic, found, options)
     if better and better.name == "stamps":

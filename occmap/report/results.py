@@ -388,15 +388,15 @@ def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
     """Say that the user's edits hold no shape, or that some change no cell of a map."""
     if writing.edits and not writing.shapes:
         yield f"{writing.edits}: holds no shape, so it edits nothing"
-    low_x, low_y, high_x, high_y = facts.extent
+    map_low, map_high = np.reshape(facts.extent, (2, 2))
     vain = []
     for shape in writing.shapes:
         low, high = shape.measure(facts.resolution)
-        (x, y), (right, top) = low.round(3).tolist(), high.round(3).tolist()
-        is_outside = x >= high_x or right <= low_x or y >= high_y or top <= low_y
-        first, last = np.ceil(low / facts.resolution - 0.5), np.floor(high / facts.resolution - 0.5)
-        if is_outside or (first > last).any():
-            vain.append((x, y, right, top))
+        # The first and the last cell of the map whose middle may be inside
+        first = np.ceil(np.maximum(low, map_low) / facts.resolution - 0.5)
+        last = np.floor(np.minimum(high, map_high) / facts.resolution - 0.5)
+        if (first > last).any():
+            vain.append([*low.round(3), *high.round(3)])
     if vain:
         lie = f"{count(len(vain), 'shape')} outside of the map, or between the middles of cells"
         at = "at" if len(vain) == 1 else "the first at"

@@ -1,7 +1,7 @@
 """How good a written map is, whatever made it: asked of recordings, or of the truth."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,10 +11,9 @@ from occmap.cells import CellClass, Decision, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
-from occmap.evidence.manifest import describe_files
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
-from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes, join_names
+from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes
 from occmap.report.results import doubt_agreement
 from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
@@ -174,7 +173,7 @@ def score(
     by_logs, by_truth, notes = None, None, [*written.notes, *(true.notes if true else ())]
     if against.logs:
         by_logs, told = score_by_logs(written, against.logs, options, against.fit, progress)
-        notes += [*told, *list_own(written, against.logs)]
+        notes += told
     if true:
         found = AS_THEY_LIE
         if against.fit:
@@ -196,18 +195,6 @@ def score(
         notes=fold_notes(notes),
         files=(str(picture),) if picture else (),
     )
-
-
-def list_own(written: ClassMap, logs: Sequence[Path]) -> Iterator[str]:
-    """Say which logs a map was made of, where it keeps their hashes."""
-    own = [
-        str(log)
-        for log in logs
-        if written.inputs and any(it["sha256"] in written.inputs for it in describe_files(log))
-    ]
-    if own:
-        names = join_names(own)
-        yield f"{written.path} was made of {names}, so what these say is better than it should be"
 
 
 def find_place(written: ClassMap) -> Place:
