@@ -22,8 +22,8 @@ from occmap.inspection.findings import RangeFindings, Repeated, ScanShape, Speci
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.readers import Stream
-from occmap.scans import encode_cells
-from occmap.scans.stream import Drive, Selector, TopicSample
+from occmap.scans import TopicSample, encode_cells
+from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import ReturnOptions, bands
 from occmap.sensor.models import get_parameter
@@ -363,8 +363,8 @@ class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
     stream: Stream
-    sample: TopicSample
     is_sampled: bool
+    sample: TopicSample = field(default_factory=TopicSample)
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
     shapes: Counter[ScanShape] = field(default_factory=Counter)
@@ -402,7 +402,7 @@ class Survey(Selector):
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
         self.topics = {
-            topic: TopicSurvey(streams[topic], TopicSample(drive, topic), place < SAMPLED_TOPICS)
+            topic: TopicSurvey(streams[topic], place < SAMPLED_TOPICS)
             for place, topic in enumerate(drive.topics)
         }
         self._behind = options.hit_offset * options.resolution

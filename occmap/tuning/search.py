@@ -18,12 +18,12 @@ from occmap.options import BuildOptions, compose_build
 from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import MAX_TURN_S, Transforms
-from occmap.scans import make_engine, mounts
+from occmap.scans import Sample, make_engine, mounts
 from occmap.scans.logs import choose_topics
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Reading
-from occmap.scoring import SMALL, Gain, HoldOut, Sample, Trial, score_map
+from occmap.scoring import SMALL, Gain, HoldOut, Trial, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
 from occmap.threads import Threads

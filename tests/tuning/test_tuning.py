@@ -15,9 +15,10 @@ from occmap.errors import LogError, PoseError
 from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, OPTIONS, BuildOptions, Selection, choose_model
 from occmap.posing import Deskew, PosingOptions
+from occmap.scans import GOLDEN, Sample
 from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Reading, ignore_progress
-from occmap.scoring import GOLDEN, Gain, Sample, Trial
+from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import Variant, compare
 from occmap.tuning import Tuning, list_other_cures, list_unlike, search, tune
 from occmap.tuning.search import Correction, Verdict
