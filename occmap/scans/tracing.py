@@ -408,34 +408,30 @@ def observe(
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
-    ground, known = keep.ground, dict[Path, Drive]()
-    if options.update is Update.CLOUD:
+    drives = (open_drive(log, options) for log in logs)
+    if options.update is Update.CLOUD:  # which are read twice, by the same poses
         with tally.time("poses"):
-            known = {log.path: open_drive(log, options) for log in logs}
+            known = list(drives)
         with tally.time("ground"):
-            ground, found, options = find_ground(known.values(), options, ground)
+            ground, found, options = find_ground(known, options, keep.ground)
+        keep, drives = keep._replace(ground=ground), (drive.renew(options) for drive in known)
         remarks.notes += found
     tiles = make_grid(options)
     slices: list[Slices] = []
-    begin = partial(choose_engine, options, keep._replace(ground=ground))
-    for log, scans in zip(logs, counts, strict=True):
+    begin = partial(choose_engine, options, keep)
+    for drive, scans in zip(tally.time_each("poses", drives), counts, strict=True):
         of_log = Tally(tally.tell, keep.choose_shown(scans * len(logs)))
-        with of_log.time("poses"):
-            drive = (  # of what is known, poses are let go once they are traced
-                known.pop(log.path).renew(options)
-                if log.path in known
-                else open_drive(log, options)
-            )
         engine = trace_drive(drive, begin, of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)
         with tally.time("fold"):
             misfit = add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
-        remarks.note(log.path, log.notes, [*drive.list_notes(ground), *misfit])
+        log_notes = drive.list_notes(keep.ground)
+        remarks.note(drive.log.path, drive.log.notes, [*log_notes, *misfit])
     with tally.time("fold"):
         kept = (unite(slices),) if keep.slices else ()
-        return Observed(tiles, kept, tally, remarks, ground, options)
+        return Observed(tiles, kept, tally, remarks, keep.ground, options)
 
 
 def add_seen(tiles: TileGrid, seen: TileGrid, drive: Drive) -> list[str]:
