@@ -15,7 +15,7 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
-from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally, advise_on_dropped
+from occmap.scans.tally import NOT_ASKED_FOR, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
 from occmap.types import Int64, Trajectory, Update
@@ -265,8 +265,6 @@ def tell_beams(report: Report) -> Iterator[Row]:
 
 MOST_DROPPED = 0.5
 """Where more of the scans that were asked for are not used, hardly anybody wants the map"""
-LONGEST_LOG_S = 1e8
-"""Three years: a time that is later is a date."""
 LEAST_OBSTACLES = 0.001
 """Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
@@ -286,9 +284,6 @@ def list_notes(
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
-    end_s = options.selection.end_s
-    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
-        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
     if tally.scans.dropped_share > MOST_DROPPED:
         lost = {why: tally.dropped[why] for why in tally.dropped if why not in NOT_ASKED_FOR}
         yield f"most scans are left out: {write_counts(lost)}; {advise_on_dropped(lost)}"

@@ -173,7 +173,7 @@ def score(
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
     by_logs, by_truth, notes = None, None, [*written.notes, *(true.notes if true else ())]
     if against.logs:
-        by_logs, told = score_by_logs(written, against.logs, options, against.fit, progress)
+        by_logs, told = score_by_logs(written, against, options, progress)
         notes += told
     if true:
         found = AS_THEY_LIE
@@ -209,20 +209,11 @@ def find_place(written: ClassMap) -> Place:
 
 
 def score_by_logs(
-    written: ClassMap,
-    paths: Sequence[Path],
-    options: BuildOptions,
-    is_fitted: bool,
-    progress: Progress = ignore_progress,
+    written: ClassMap, against: Against, options: BuildOptions, progress: Progress
 ) -> tuple[LogScore, list[str]]:
     """Ask recordings how good a map is; return what they say, and notes on them.
 
     At most 4,000 scans are asked, spread over all of them.
-
-    Parameters
-    ----------
-    is_fitted
-        Move the recordings by the transform by which their hits fit the map best.
 
     Raises
     ------
@@ -232,7 +223,7 @@ def score_by_logs(
     place = find_place(written)
     options = replace(options, resolution=place.resolution)
     sample = Sample[Rays](MOST_SCANS)
-    reading = Reading(open_scans(paths, options), options, progress)
+    reading = Reading(open_scans(against.logs, options), options, progress)
     for rays in reading.list_rays():
         sample.add(rays)
     tally, remarks = reading.tally, reading.remarks
@@ -242,14 +233,14 @@ def score_by_logs(
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place)
-    found = find_match(hits, walls) if is_fitted else AS_THEY_LIE
+    found = find_match(hits, walls) if against.fit else AS_THEY_LIE
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
         remarks.notes.append(f"{doubt}: try again with a first `transform`")
     seen = [move_rays(rays, moved) for rays in sample.parts]
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
-    if not is_fitted and (doubt := doubt_agreement(agreement)):
+    if not against.fit and (doubt := doubt_agreement(agreement)):
         remarks.notes.append(
             f"{doubt} or beside one: if the logs have another frame, `fit` may find it"
         )
@@ -263,7 +254,7 @@ def score_by_logs(
         agreement=agreement,
         stops_in_occupied=occupied,
         stops_in_free=free,
-        transform=moved.after(options.posing.transform or IDENTITY) if is_fitted else STAY,
+        transform=moved.after(options.posing.transform or IDENTITY) if against.fit else STAY,
     )
     return score, remarks.notes
 

@@ -121,9 +121,6 @@ def tune(
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))
     findings, unsearched = search_all(scorer)
-    while scorer.is_at_edge(findings["together"].correction) and (wider := scorer.widen()):
-        scorer = wider
-        findings, unsearched = search_all(scorer)
     best, before = findings["together"].correction, scorer.score(Correction())
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
@@ -219,7 +216,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
         return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
-    timed, notes = [replace(search.TIME, reach=scorer.reach_s)], list[str]()
+    timed, notes = [search.TIME], list[str]()
     if all(log.stated for log in scorer.logs):
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")
