@@ -397,9 +397,9 @@ def inspect_ground(
         ground, notes, options = find_ground([survey.drive], options, None)
     except OccmapError as error:
         problem = str(error.placed(log.path))
-    # It has seen no cloud, but knows the chains, and what leaps away.
-    drift = options.posing.find_drift(log.path)
-    level = replace(poser, options=options.posing, courses={}, drift=drift)
+    # By the options of the ground; it has seen no cloud, but knows the chains and what leaps away.
+    drift, known = options.posing.find_drift(log.path), (poser.fixed, poser.chains)
+    level = Poser(poser.sources, options.posing, *known, leaps=poser.leaps, drift=drift)
     again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
     some = {topic: clouds for topic, clouds in again.items() if clouds}
     against = list(poses.list_floor_concerns(some, level, options, ground))

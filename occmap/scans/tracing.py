@@ -18,10 +18,10 @@ from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing import measure_drift
 from occmap.posing.attach import place_logs, tilt
-from occmap.readers import Log, open_log
+from occmap.readers import open_log
 from occmap.report import Note, is_damage, join_names
 from occmap.scans import encode_cells, make_engine, make_grid
-from occmap.scans.logs import count_scans, settle_update
+from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, Tally, refuse_unused
@@ -326,10 +326,15 @@ class Reading:
     """Logs whose scans are read one after the other, and nothing is mapped on the way.
 
     Each log is read for its limits and leaps alone first, so that they hold from its first scan on.
+
+    Raises
+    ------
+    OccmapError
+        As `open_scans` and `open_drive`.
     """
 
-    def __init__(self, logs: Sequence[Log], options: BuildOptions, progress: Progress) -> None:
-        self.options = options
+    def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
+        self.options, logs = options, open_scans(paths, options)
         self.total = sum(count_scans(log, options.selection.topics) for log in logs)
         """Of what progress is told; more may be added to it"""
         self.tally = Tally(lambda scans: progress(scans, self.total))

@@ -16,7 +16,6 @@ from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes
 from occmap.report.results import doubt_agreement
 from occmap.scans import Sample
-from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import MOST_SCANS, Trial, score_map
@@ -223,7 +222,7 @@ def score_by_logs(
     place = find_place(written)
     options = replace(options, resolution=place.resolution)
     sample = Sample[Rays](MOST_SCANS)
-    reading = Reading(open_scans(against.logs, options), options, progress)
+    reading = Reading(against.logs, options, progress)
     for rays in reading.list_rays():
         sample.add(rays)
     tally, remarks = reading.tally, reading.remarks

@@ -11,7 +11,6 @@ from occmap.inspection import inspect, list_advised
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import doubt_agreement
-from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
@@ -116,7 +115,7 @@ def tune(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    reading = Reading(open_scans(paths, options), options, progress)
+    reading = Reading(paths, options, progress)
     logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))

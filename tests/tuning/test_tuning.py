@@ -16,7 +16,6 @@ from occmap.inspection import inspect
 from occmap.options import DEFAULT_UPDATE, OPTIONS, BuildOptions, Selection, choose_model
 from occmap.posing import Deskew, PosingOptions
 from occmap.scans import GOLDEN, Sample
-from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Reading, ignore_progress
 from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import Variant, compare
@@ -269,7 +268,7 @@ def test_halves_that_want_different_times_are_told_and_not_averaged() -> None:
 
 def keep(path: Path, options: BuildOptions) -> tuple[list[search.KeptLog], list[str]]:
     """Read a log as tune does; give what is kept, and the notes."""
-    reading = Reading(open_scans([path], options), options, ignore_progress)
+    reading = Reading([path], options, ignore_progress)
     return search.keep_logs(reading), reading.remarks.notes
 
 
