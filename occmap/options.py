@@ -237,9 +237,11 @@ def compose_build(
         if name not in {*OF_ONE_MAP, "jobs"}
     }
     for name, text in changes.items():
-        # Of transforms to one frame the first counts; those to other frames stay.
-        kept = given.get(name, []) if name == "static_transforms" else []
-        given[name] = [text, *kept]
+        kept = []
+        if name == "static_transforms":  # the transforms to other frames stay beside a new one
+            child = text.split(",")[1]
+            kept = [each for each in given.get(name, []) if each.split(",")[1] != child]
+        given[name] = [*kept, text]
     words = [w for name, texts in given.items() for text in texts for w in (FLAGS[name], text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     # What begins with a dash would be taken for an option.
