@@ -8,7 +8,7 @@ right. Other options are tried on a sample of the scans.
 is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -26,7 +26,7 @@ from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
-from occmap.report import count, join_names, write_counts, write_unused
+from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
@@ -136,12 +136,8 @@ def recommend(
     if not all(it and "no_return" in it[1] for it in advice):  # a map is as right without it
         for _, advised in filter(None, advice):
             advised.pop("no_return", None)
-    needs = defaultdict[str, list[str]](list)
-    for log, each in zip(mapped, advice, strict=True):
-        needs[tell_advice(each)].append(log.path)
-    if len(needs) > 1:
-        differing = "; ".join(f"{join_names(them)}: {need}" for need, them in needs.items())
-        return (), (f"the logs need different options, so check them one by one: {differing}",)
+    if any(each != advice[0] for each in advice):
+        return (), ("the logs need different options: check them one by one",)
     if not advice or advice[0] is None:
         return (), ()
     name, advised = advice[0]
@@ -150,15 +146,6 @@ def recommend(
         command = ("occmap", name, *command[2:-2])
     left = ", ".join(log.path for log in logs if log not in mapped)
     return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
-
-
-def tell_advice(advice: tuple[str, dict[str, str]] | None) -> str:
-    """Write what `advise` names, briefly."""
-    if advice is None:
-        return "no line helps"
-    name, advised = advice
-    words = ["`occmap tune`"] * (name == "tune") + [f"`{it}={advised[it]}`" for it in advised]
-    return ", ".join(words) or "no option"
 
 
 def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
