@@ -188,11 +188,7 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
 
 
 def make_report(
-    options: BuildOptions,
-    tally: Tally,
-    remarks: Remarks,
-    facts: MapFacts,
-    past: Evidence | None = None,
+    options: BuildOptions, tally: Tally, remarks: Remarks, facts: MapFacts, past: Evidence | None
 ) -> Report:
     """Sum up what was done, and what it was added to."""
     resumed = None

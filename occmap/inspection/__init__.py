@@ -338,28 +338,32 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 
 
 def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and add to what is known of it."""
+    """Read the scans of an opened log, and add to what is known of it.
+
+    A part that was read says nothing of a damaged log, so that its topics are not described.
+    """
     poser = posing.poser
     survey, problem = read_log(log, poser, options)
-    seen = list(survey.topics.values())
-    whole = [] if problem else seen  # a part that was read says nothing of a damaged log
-    scans = tuple(describe_topic(log, each, posing, options) for each in whole if each.frames)
+    drive, seen = survey.drive, list(survey.topics.values())
+    described = (describe_topic(log, each, posing, options) for each in seen if each.frames)
+    scans = () if problem else tuple(described)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
-    if not scans and not problem:
+    spoilers += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
+    box, ground = survey.box, list[str]()
+    if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
+        box, ground, against, problem = inspect_ground(log, survey, poser, options)
+        spoilers += against
+    elif not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {lack}"
-    box, ground = survey.box, list[str]()
-    if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
-        box, ground, against, problem = inspect_ground(log, survey, poser, options)
-        spoilers += against
-    limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
+    fixes = list(poses.tell_fixes(log, poser))  # the log and the poser take notes meanwhile
+    notes = *poser.notes, *drive.limits.list_notes(), *drive.list_left(), *fixes
     found = replace(
         known,
         scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
-        notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
+        notes=(*log.notes, *ground, *notes),
         box=box,
         longest=survey.longest,
         problem=problem,

@@ -446,10 +446,3 @@ class Survey(Selector):
         """Count scans, and take note of what their topic has."""
         super().see(some, reason)
         self.topics[some.first.topic].see(some, reason)
-
-    def list_notes(self) -> Iterator[str]:
-        """Say which clouds are left out, and where only some of very many topics are sampled."""
-        yield from self.drive.list_left()
-        if len(self.topics) > SAMPLED_TOPICS:
-            some = f"{SAMPLED_TOPICS} of {len(self.topics):,} topics with scans"
-            yield f"the mount and the agreement are estimated for {some}"
