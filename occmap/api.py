@@ -1,7 +1,7 @@
 """What a notebook or a program calls: the commands as functions, and the map that they give."""
 
 from base64 import b64encode
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from html import escape
 from pathlib import Path
@@ -152,7 +152,7 @@ def build_map(*logs: AnyPaths, outputs: AnyPaths = (), **options: Any) -> Map:
         the map would be too large, or an output cannot be written.
     """
     files: Paths = read_value("outputs", Paths, outputs)
-    (paths, notes), chosen = read_request(logs, options, "build_map", (), files)
+    (paths, notes), chosen = read_request(logs, options, "build_map", files)
     made = build(paths, chosen, files)
     report = replace(made.report, notes=(*notes, *made.report.notes))
     return Map.of(made._replace(report=report), chosen.writing, list_input_files(paths, chosen))
@@ -416,21 +416,22 @@ def read_log(path: AnyPath) -> Log:
 
 
 def read_request(
-    logs: Sequence[AnyPaths],
-    options: Mapping[str, Any],
-    call: str,
-    of_one_map: Container[str] = OF_ONE_MAP,
-    outputs: Sequence[Path] = (),
+    logs: Sequence[AnyPaths], options: Mapping[str, Any], call: str, outputs: Paths | None = None
 ) -> tuple[Inputs, BuildOptions]:
     """Find the recordings that a caller means, and make the options of maps of them.
+
+    Parameters
+    ----------
+    outputs
+        Of a build; None: no single map is made.
 
     Raises
     ------
     UsageError
         No log is given, or an option is unknown, out of its range, or among those of one map.
     """
-    chosen = read_options(BuildOptions, options, call, of_one_map)
-    others = [*outputs, *chosen.posing.files]
+    chosen = read_options(BuildOptions, options, call, OF_ONE_MAP if outputs is None else ())
+    others = [*(outputs or ()), *chosen.posing.files]
     return find_inputs(list_paths(logs, call), chosen.reading, others), chosen
 
 

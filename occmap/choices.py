@@ -18,10 +18,10 @@ from functools import cache
 from numbers import Real
 from pathlib import Path
 from types import NoneType
-from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
+from typing import Any, NamedTuple, Self, TypeVar, cast, get_args, get_type_hints
 
 from occmap.errors import UsageError
-from occmap.plugins import suggest
+from occmap.plugins import guess
 from occmap.report import count
 from occmap.types import Pose, PoseSample
 
@@ -38,19 +38,10 @@ class Form(NamedTuple):
     """Makes a value of what was given or typed; raises TypeError, ValueError or UsageError"""
     text: str
     """What to type; Python may have it as text, too, or as a tuple of what stands between commas"""
-    write: Callable[[Any], str] | None = None
-    """Writes a value as it is typed; None: as `write_value` does"""
-
-
-def write_value(value: Any) -> str:
-    """Write a value, or one item of several, as it is typed."""
-    if isinstance(value, Pose):
-        return format_mount(value)
-    if isinstance(value, PoseSample):
-        return format_static(value.parent, value.child, value.pose)
-    if isinstance(value, tuple):
-        return _join(value)
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
+    write: Callable[[Any], str] = lambda value: (
+        f"{value:.12g}" if isinstance(value, float) else str(value)
+    )
+    """Writes a value as it is typed"""
 
 
 def format_mount(pose: Pose) -> str:
@@ -185,7 +176,9 @@ FORMS: dict[Any, Form] = {
 }
 """How values look by their type, where an option does not say it"""
 MOUNT = Form(
-    _read_mount, "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159"
+    _read_mount,
+    "x,y,yaw or x,y,yaw,roll,pitch in metres and radians, such as 0.1,0,3.14159",
+    format_mount,
 )
 PLACE = Form(
     _read_place, "x,y,yaw or x,y,yaw,z in metres and radians, such as 12.5,-3,1.5708", format_place
@@ -200,22 +193,25 @@ def _read_drift(value: Any) -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]
     return {str(log): (tuple(stamps), tuple(added)) for log, (stamps, added) in value.items()}
 
 
-GLOBE = Form(
-    lambda value: _read_numbers(value, 3), "latitude,longitude,yaw in degrees, such as 52.5,13.4,30"
+def _make_form(size: int, text: str, angles: slice = slice(0)) -> Form:
+    """Make the form of so many numbers, some of which may be angles in radians."""
+    return Form(lambda value: _read_numbers(value, size, angles=angles), text, _join)
+
+
+TRANSFORM = Form(
+    _read_transform,
+    "parent,child,x,y,z,roll,pitch,yaw in metres and radians",
+    lambda it: format_static(it.parent, it.child, it.pose),
 )
-TRANSFORM = Form(_read_transform, "parent,child,x,y,z,roll,pitch,yaw in metres and radians")
-TILT = Form(lambda value: _read_numbers(value, 2), "roll,pitch in degrees, such as 2.5,-1")
 DRIFT = Form(_read_drift, '"off"', lambda _drift: "off")
-SECTOR = Form(
-    lambda value: _read_numbers(value, 2, angles=slice(None)),
-    "from,to in radians, counter-clockwise, such as 2.5,-2.5",
-)
+GLOBE = _make_form(3, "latitude,longitude,yaw in degrees, such as 52.5,13.4,30")
+TILT = _make_form(2, "roll,pitch in degrees, such as 2.5,-1")
+SECTOR = _make_form(2, "from,to in radians, counter-clockwise, such as 2.5,-2.5", slice(None))
 
 
 def make_box_form(example: str) -> Form:
     """Make the form of a box of four numbers."""
-    text = f"x_min,y_min,x_max,y_max in metres, such as {example}"
-    return Form(lambda value: _read_numbers(value, 4), text)
+    return _make_form(4, f"x_min,y_min,x_max,y_max in metres, such as {example}")
 
 
 def find_form(kind: Any) -> Form:
@@ -232,8 +228,8 @@ ABOVE_ZERO = math.ulp(0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Option:
-    """All that is known of an option: of the field that declares it, and of what it declares."""
+class Parameter:
+    """Something that is given by name, to a function or on the command line, and how it is read."""
 
     name: str
     kind: Any
@@ -242,27 +238,16 @@ class Option:
     """It takes several values"""
     takes_none: bool
     form: Form
-    """What a value looks like, or each of several; where it is not declared, as usual for a type"""
-    default: Any = None
-    """MISSING: it has to be given"""
-    help: str = ""
-    """What it does; "" where a command declares it by itself"""
-    unit: str = ""
-    """Of the value, as a person calls it"""
-    metavar: str = ""
-    """Stands for the value on the command line; where it is not declared, its unit"""
-    flag: str = ""
-    """How it is typed; declared without dashes, or like its name, without the unit"""
-    section: str = ""
-    """The heading of the help that it stands under; where it is not declared, that of its group"""
-    bounds: tuple[float, float] = UNBOUNDED
-    """The least and the largest value; nan is never within them"""
+    """What a value looks like, or each of several"""
     none: tuple[str, str] = ("", "")
-    """How None is typed and what it does, where it is a value of the option and not its default"""
+    """How None is typed and what it does, where it is a value of an option and not its default"""
 
     @classmethod
-    def of(cls, name: str, hint: Any, form: Form | None = None, **declared: Any) -> "Option":
-        """Tell from its type what an option takes: values of one kind, several of them, or None."""
+    def of(cls, name: str, hint: Any, form: Form | None = None, **declared: Any) -> Self:
+        """Tell from its type what it takes: values of one kind, several of them, or None.
+
+        A form that is not given is that which is usual for the type.
+        """
         takes_none = NoneType in get_args(hint)
         kind = next(it for it in get_args(hint) if it is not NoneType) if takes_none else hint
         is_many = get_args(kind)[1:] == (Ellipsis,)
@@ -271,7 +256,7 @@ class Option:
         return cls(name=name, **taken, form=form or find_form(kind), **declared)
 
     def read(self, value: Any) -> Any:
-        """Make the value of the option of what was given or typed; raises UsageError."""
+        """Make its value of what was given or typed; raises UsageError."""
         if value is None and self.takes_none:
             return None
         if not self.is_many:
@@ -287,8 +272,8 @@ class Option:
         Raises
         ------
         UsageError
-            It is not of the option's type: there are too many or too few numbers, an angle is in
-            degrees, and so on.
+            It is not of the type: there are too many or too few numbers, an angle is in degrees,
+            and so on.
         """
         if self.kind in {Pose, PoseSample} and isinstance(value, self.kind):
             return value
@@ -309,11 +294,30 @@ class Option:
         none = f", or {self.none[0]}, {self.none[1]}" if self.none[1] else ""
         return f"give {'a list, each item ' * is_list}{self.form.text}{none}"
 
+
+@dataclass(frozen=True, kw_only=True)
+class Option(Parameter):
+    """All that is known of an option of a command, which a field of a dataclass declares."""
+
+    default: Any
+    """MISSING: it has to be given"""
+    help: str
+    """What it does; "" where a command declares it by itself"""
+    unit: str
+    """Of the value, as a person calls it; "" where it has none"""
+    metavar: str
+    """Stands for the value on the command line"""
+    flag: str
+    """How it is typed"""
+    section: str
+    """The heading of the help that it stands under"""
+    bounds: tuple[float, float]
+    """The least and the largest value; nan is never within them"""
+
     def write(self, value: Any) -> list[str]:
         """Write its value as it is typed, once for each of several."""
         several = value if self.is_many else [value]
-        write = self.form.write or write_value
-        return [self.none[0] if each is None else write(each) for each in several]
+        return [self.none[0] if each is None else self.form.write(each) for each in several]
 
     def describe(self) -> str:
         """Write its name, default, unit or form, and help, as a text for Python has it."""
@@ -323,10 +327,16 @@ class Option:
 
 
 def option(default: Any, text: str = "", **declared: Any) -> Any:
-    """Declare an option as a field of a dataclass; `declared` are fields of `Option`.
+    """Declare an option as a field of a dataclass, or a group of options that is one.
 
-    What is not declared the field says, or the group that it is in. A default that is a function
-    is called for each set of options.
+    A default that is a function is called for each set of options.
+
+    Parameters
+    ----------
+    declared
+        Fields of `Option` that are not as usual; a flag without dashes. Usual are the form of the
+        type, the unit as the metavar, the name without its unit as the flag, and the section of the
+        group.
     """
     metadata = {"option": {"help": text, **declared}}
     if callable(default):
@@ -345,16 +355,21 @@ def list_options(kind: Any, section: str = "") -> dict[str, Option]:
     found: dict[str, Option] = {}
     for each in fields(kind):
         name, hint = each.name, find_hints(kind)[each.name]
-        declared = {"section": section, **each.metadata.get("option", {})}
+        declared = each.metadata.get("option", {})
         if is_dataclass(hint):
-            found |= list_options(hint, declared["section"])
+            found |= list_options(hint, declared.get("section", section))
             continue
-        make = each.default_factory
-        declared["default"] = each.default if make is MISSING else make()
-        declared.setdefault("metavar", declared.get("unit", "").upper())
-        plain = name.removesuffix("_s").replace("_", "-")
-        declared["flag"] = f"--{declared.get('flag', plain)}"
-        found[name] = Option.of(name, hint, **declared)
+        make, plain = each.default_factory, name.removesuffix("_s").replace("_", "-")
+        usual = {
+            "default": each.default if make is MISSING else make(),
+            "help": "",
+            "unit": "",
+            "metavar": declared.get("unit", "").upper(),
+            "section": section,
+            "bounds": UNBOUNDED,
+        }
+        flag = f"--{declared.get('flag', plain)}"
+        found[name] = Option.of(name, hint, **{**usual, **declared, "flag": flag})
     return found
 
 
@@ -376,7 +391,7 @@ def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> An
     form
         What a value looks like, or each of several; None: as usual for the type.
     """
-    return Option.of(name, hint, form).read(value)
+    return Parameter.of(name, hint, form).read(value)
 
 
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:
@@ -430,7 +445,7 @@ def read_options(
     known = {name: it for name, it in list_options(kind).items() if name not in of_a_build}
     for name in given:
         if name not in known:
-            fix = suggest(name, sorted(known), f"help(occmap.{call})")
+            fix = guess(name, known) or f"see help(occmap.{call})"
             fix = "build_map takes it" if name in of_a_build else fix
             raise UsageError(f"{call} has no option {name!r}", fix=fix)
     values = {

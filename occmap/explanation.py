@@ -21,7 +21,6 @@ from occmap.evidence.manifest import BuildRecord
 from occmap.grid import Lattice, tiles
 from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid, find_unit, unite
 from occmap.options import OPTIONS, BuildOptions
-from occmap.readers import open_log
 from occmap.report import HIDDEN, Count, Printed, Share, count, join_names, printed_as
 from occmap.scans import plan_grid
 from occmap.scans.tracing import Progress, Reading, ignore_progress
@@ -350,7 +349,7 @@ def find_sightings(
     used = 0
     for use in uses:
         spec = plan_grid(use.options)
-        reading = Reading([open_log(use.log, use.options.reading)], use.options, progress)
+        reading = Reading([use.log], use.options, progress)
         (drive,) = reading.list_drives()
         for posed in drive.read(reading.tally):
             rays, _ = interpret(posed, use.options.returns)

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from occmap import writers
 from occmap.cells import Evidence, Manifest
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions, list_misfit, measure_steady
@@ -24,14 +25,6 @@ from occmap.store import Blocks, open_saved, read_all
 from occmap.store.merging import refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
-from occmap.writers import (
-    Product,
-    check_outputs,
-    want_evidence,
-    want_journey,
-    want_whole,
-    write_outputs,
-)
 from occmap.writers.atomic import hold_alone
 
 
@@ -55,7 +48,7 @@ def build(
         A log cannot be read, has no scans or no poses, the map would be too large, or an output
         cannot be written.
     """
-    check_outputs(outputs, list_input_files(paths, options), options.writing)
+    writers.check_outputs(outputs, list_input_files(paths, options), options.writing)
     with hold_alone(options.resume or options.resume_if_there, outputs):
         past, options, fitted = open_past(
             paths, options, lambda options: observe(paths, options, Keep(), progress)
@@ -69,9 +62,9 @@ def build(
 
         manifest = plan_manifest(options, past.manifest if past else None)
         with tally.time("render"):
-            grid, facts = paint_seen(paths, seen, manifest, want_whole(outputs))
+            grid, facts = paint_seen(paths, seen, manifest, writers.want_whole(outputs))
         with tally.time("write"):  # to hash the logs takes time
-            wants_evidence = want_evidence(outputs)
+            wants_evidence = writers.want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
             is_compared = past or len(set(map(measure_files, paths))) < len(paths)
             is_told = wants_evidence or is_compared
@@ -90,8 +83,8 @@ def build(
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
         with tally.time("write"):
             way = Journey(tuple(tally.trajectories), tuple(tally.shown)) if keep.journey else None
-            product = Product(grid, lambda: evidence, way, report, check)
-            files = write_outputs(outputs, product, options.writing)
+            product = writers.Product(grid, lambda: evidence, way, report, check)
+            files = writers.write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
         return Build(grid, report, seen.tiles, evidence if wants_evidence else None)
 
@@ -149,7 +142,7 @@ def choose_keep(
     MapError
         The file of the ground cannot be read, or has none.
     """
-    slices = options.min_passes is not None or want_evidence(outputs)
+    slices = options.min_passes is not None or writers.want_evidence(outputs)
     path = options.clouds.file
     below = past if path is None else read_all(open_saved(path))
     ground = below.ground if below else None
@@ -159,7 +152,7 @@ def choose_keep(
         builds = below.manifest.builds
         level = builds[0]["options"]["posing"].get("level") if builds else None
         options = replace(options, posing=replace(options.posing, level=level and tuple(level)))
-    return options, Keep(slices, want_journey(outputs), ground)
+    return options, Keep(slices, writers.want_journey(outputs), ground)
 
 
 def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]]:
@@ -197,11 +190,7 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
 
 
 def make_report(
-    options: BuildOptions,
-    tally: Tally,
-    remarks: Remarks,
-    facts: MapFacts,
-    past: Evidence | None = None,
+    options: BuildOptions, tally: Tally, remarks: Remarks, facts: MapFacts, past: Evidence | None
 ) -> Report:
     """Sum up what was done, and what it was added to."""
     resumed = None

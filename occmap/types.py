@@ -329,6 +329,11 @@ class PosedScans:
     origin: Float64 | None = None
     """(S, 3) m, where the sensor was, if its clouds are in another frame than its own"""
 
+    @property
+    def stamp_ns(self) -> Int64:
+        """(S,) of its scans."""
+        return self.batch.stamp_ns
+
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices."""
         origin = None if self.origin is None else self.origin[scans]

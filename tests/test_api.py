@@ -563,7 +563,7 @@ def test_score_gives_what_the_command_prints(halves: Path, tmp_path: Path) -> No
         ({"logs": DRIVE, "resolution": 0.1}, "score has no option 'resolution'"),
         ({"logs": DRIVE, "occupied_tresh": 0.1}, "did you mean 'occupied_thresh'"),
         ({"logs": [3]}, "`logs` is 3; give a list, each item a path"),
-        ({"logs": DRIVE, "qqqqq": 1}, "no option 'qqqqq'; there are base_frame, deskew, "),
+        ({"logs": DRIVE, "qqqqq": 1}, "no option 'qqqqq'; see help(occmap.score)"),
     ],
 )
 def test_score_names_what_it_cannot_use(given: dict[str, Any], found: str, halves: Path) -> None:

@@ -203,7 +203,6 @@ def test_the_log_itself_tells_whether_no_return_is_open_space(
         both = inspect([Path(found.logs[0].path), other], BuildOptions())
         assert both.command[:4] == ("occmap", "build", found.logs[0].path, str(other))
         assert "--no-return" not in both.command
-        assert f"`no_return=clear` suits only {found.logs[0].path}:" in both.warnings[-1]
 
 
 @pytest.mark.parametrize(
@@ -237,8 +236,6 @@ def test_logs_that_need_different_options_get_no_line(
     seen = inspect([right, other], BuildOptions())
     assert not seen.command
     assert "one by one" in seen.warnings[-1]
-    need = "`sensor_pose=" if turn == math.pi else "`occmap tune`"
-    assert f"{right}: no option; {other}: {need}" in seen.warnings[-1]
 
 
 @pytest.mark.parametrize(("roll", "tilt"), [(math.pi, 0.0), (0.2, 0.2)])
@@ -328,22 +325,6 @@ def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
     for found in texts:
         whole = " ".join(found)
         assert {words: words in whole for words in expected} == expected
-
-
-@pytest.mark.parametrize(("frozen", "still"), [(True, False), (True, True), (False, False)])
-def test_poses_that_stop_while_scans_change_are_told(
-    frozen: bool, still: bool, tmp_path: Path
-) -> None:
-    """From the 20th scan on, a second each, the poses stop, and maybe the robot does, too."""
-    drive = Drive()
-    stop = [min(index, 20) for index in range(SCANS)]
-    poses = [drive.pose(stop[index] if frozen else index) for index in range(SCANS)]
-    seen = [drive.ranges(stop[index] if still else index) for index in range(SCANS)]
-    log = tmp_path / "log.csv"
-    shape = {"angle_min": 0.0, "angle_increment": math.tau / BEAMS, "range_max": 30.0}
-    write_scans(log, range(SCANS), seen, poses, **shape)
-    told = [text for text in look(log).warnings if "stand still for 19 s, 20.000 s" in text]
-    assert len(told) == (frozen and not still)
 
 
 def test_stamps_that_jump_back_and_drift() -> None:

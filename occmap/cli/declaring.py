@@ -30,7 +30,6 @@ from occmap.report import Printed
 from occmap.report.limits import Failed, Limit, Measures, list_failed, parse_bound, parse_limit
 from occmap.types import Update
 
-SHORT_EQUALS = re.compile("-[a-z]=")
 LIMIT_BROKEN = 3
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
 ALL = "occmap.all_options"
@@ -42,13 +41,13 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
 
     name = "value"
 
-    def __init__(self, known: choices.Option) -> None:
+    def __init__(self, known: choices.Parameter) -> None:
         self.known = known
 
     @classmethod
     def of(cls, kind: Any, name: str = "", form: choices.Form | None = None) -> "Value":
         """Make one of a type; without a name, errors have that of the parameter."""
-        return cls(choices.Option.of(name, kind, form))
+        return cls(choices.Parameter.of(name, kind, form))
 
     def convert(self, value: Any, param: click.Parameter | None, _: click.Context | None) -> Any:
         """Read what was typed, or what a file of options states; raises UsageError."""
@@ -90,7 +89,7 @@ class Command(click.Command):
     """The options that --help lists, where it leaves the others to --help-all; none: all"""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Fill in the number that --align may lack; raises UsageError for `-o=map.pgm`.
+        """Fill in the number that --align may lack.
 
         click has options without a value, too, but they take a log that follows for the number, and
         refuse a negative one. A negative number gets a space before it: no option begins with one.
@@ -99,9 +98,6 @@ class Command(click.Command):
         for word, following in zip_longest(args, args[1:], fillvalue=""):
             if word == "--":  # what follows is no option
                 return super().parse_args(ctx, words + args[args.index("--") :])
-            if SHORT_EQUALS.match(word):  # it would be a file called `=map.pgm`
-                fix = f"write {word[:2]} {word[3:]}"
-                raise UsageError("a short option takes no =", where=word, fix=fix)
             is_negative = word.startswith("-") and NUMBER.fullmatch(word)
             words.append(f" {word}" if is_negative else word)
             if word == flag and following != bare and not NUMBER.fullmatch(following):
@@ -284,8 +280,8 @@ class ConfigOption(CliOption):
             flags = {flag: each for each in options if each.expose_value for flag in each.opts}
             own = {flag[2:]: each for flag, each in flags.items() if flag.startswith("--")}
             known = read_config(path, ctx.command.name or "", own)
-            stated = {name: it for name, it in known.items() if name in own}
-            taken = {name: it for name, it in stated.items() if own[name].name not in opts}
+            mine = {name: it for name, it in known.items() if name in own}
+            taken = {name: it for name, it in mine.items() if own[name].name not in opts}
             for name in BESIDE.intersection(taken):
                 beside = str(path.parent / str(taken[name]))
                 # A topic in it may follow, as of poses.
@@ -296,11 +292,8 @@ class ConfigOption(CliOption):
                 for name, value in taken.items()
             }
             told = [f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items()]
-            nothing = "all of it is typed, too"
-            if not stated:
-                others = f", but of others: {', '.join(known)}" if known else ""
-                nothing = f"no option of this command{others}"
-            ctx.ensure_object(Console).announced.append(f"{path}: {', '.join(told) or nothing}")
+            told = told or ["nothing in it is for this command, or all is typed, too"]
+            ctx.ensure_object(Console).announced.append(f"{path}: {', '.join(told)}")
         return super().handle_parse_result(ctx, opts, args)
 
 

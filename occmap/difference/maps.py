@@ -18,7 +18,6 @@ import numpy as np
 from occmap.cells import Box, CellBox, CellClass, Decision
 from occmap.errors import MapError, UsageError, refuse_unreadable
 from occmap.evidence import read_model
-from occmap.evidence.manifest import list_inputs
 from occmap.report import count
 from occmap.store import identify, open_saved
 from occmap.store.painting import open_map
@@ -81,8 +80,6 @@ class ClassMap:
     """Names what was observed, by `Manifest.identify`; None where an image does not say"""
     align: str = ""
     """By what it is turned (degrees), as it says itself; "" where it is not, or does not say"""
-    inputs: frozenset[str] = frozenset()
-    """The SHA-256 of the files that it was made of, where it says so"""
     notes: tuple[str, ...] = ()
     """What a user should know of it"""
 
@@ -172,11 +169,8 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     saved = open_saved(path)
     made, _ = open_map(saved, read_model(saved)).paint_all()
     classes = replace(made, decision=thresholds.decide(made.decision)).classes
-    inputs = (entry["sha256"] for build in saved.manifest.builds for entry in list_inputs(build))
     place, turn = Place(made.resolution, *made.origin), str(saved.manifest.align or "")
-    return ClassMap(
-        path, classes, place, evidence=identify(saved), align=turn, inputs=frozenset(inputs)
-    )
+    return ClassMap(path, classes, place, evidence=identify(saved), align=turn)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

@@ -207,7 +207,8 @@ class Fleet:
                     finish_store(store, manifest, records, crew.setting.keep.ground)
         remarks.notes += [*unaligned, *manifests.list_doubts(manifest)]
         remarks.notes += list_notes(paths, options, [output], tally, facts)
-        return replace(pipeline.make_report(options, tally, remarks, facts), files=(str(output),))
+        report = pipeline.make_report(options, tally, remarks, facts, None)
+        return replace(report, files=(str(output),))
 
     @contextmanager
     def work(

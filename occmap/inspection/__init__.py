@@ -8,7 +8,7 @@ right. Other options are tried on a sample of the scans.
 is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -21,12 +21,12 @@ from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
-from occmap.inspection.survey import BEYOND, Survey, TopicSurvey, find_frozen, stack_sample
+from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Log, Role, open_log
-from occmap.report import count, join_names, write_counts, write_unused
+from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
@@ -40,8 +40,6 @@ SHARE_OF_NOTE = 0.05
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 ASK_TUNE = "try `occmap tune`"
-CLEAR = "no_return"
-"""The one option that is advised though a map is as right without it"""
 
 
 def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
@@ -134,38 +132,20 @@ def recommend(
     """
     # Those with poses, or with an option that gives some.
     mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
-    advice, remarks = [advise(log) for log in mapped], list[str]()
+    advice = [advise(log) for log in mapped]
+    if not all(it and "no_return" in it[1] for it in advice):  # a map is as right without it
+        for _, advised in filter(None, advice):
+            advised.pop("no_return", None)
     if any(each != advice[0] for each in advice):
-        clearing = [log for log, it in zip(mapped, advice, strict=True) if it and CLEAR in it[1]]
-        advice = [
-            it and (it[0], {key: it[1][key] for key in it[1] if key != CLEAR}) for it in advice
-        ]
-        names = join_names(log.path for log in clearing)
-        remarks.append(f"`no_return=clear` suits only {names}: the line does without it")
-    needs = defaultdict[str, list[str]](list)
-    for log, each in zip(mapped, advice, strict=True):
-        needs[tell_advice(each)].append(log.path)
-    if len(needs) > 1:
-        differing = "; ".join(f"{join_names(them)}: {need}" for need, them in needs.items())
-        return (), (f"the logs need different options, so check them one by one: {differing}",)
+        return (), ("the logs need different options: check them one by one",)
     if not advice or advice[0] is None:
         return (), ()
     name, advised = advice[0]
     command = compose_build([log.path for log in mapped], options, advised)
     if name == "tune":
         command = ("occmap", name, *command[2:-2])
-    if left := ", ".join(log.path for log in logs if log not in mapped):
-        remarks.append(f"the line leaves out what cannot be mapped: {left}")
-    return command, tuple(remarks)
-
-
-def tell_advice(advice: tuple[str, dict[str, str]] | None) -> str:
-    """Write what `advise` names, briefly."""
-    if advice is None:
-        return "no line helps"
-    name, advised = advice
-    words = ["`occmap tune`"] * (name == "tune") + [f"`{it}={advised[it]}`" for it in advised]
-    return ", ".join(words) or "no option"
+    left = ", ".join(log.path for log in logs if log not in mapped)
+    return command, (f"the line leaves out what cannot be mapped: {left}",) if left else ()
 
 
 def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
@@ -291,12 +271,6 @@ def list_oddities(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
     lost = topic.poses.dropped
     if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         yield Concern(f"scans without a pose: {write_counts(lost)}")
-    if topic.frozen_s:
-        start, end = topic.frozen_s
-        since = start - topic.times.start_ns / 1e9
-        found = f"the poses stand still for {end - start:.3g} s, {since:.3f} s after the first scan"
-        why = "did odometry stop? map the rest by `start_s` and `end_s`, or give other poses"
-        yield Concern(f"{found}, and the scans change all the same: {why}")
     if not topic.poses.stated:  # else the stamps do not matter
         yield from list_clock_faults(topic)
     if not topic.is_of_clouds:
@@ -364,28 +338,32 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 
 
 def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and add to what is known of it."""
+    """Read the scans of an opened log, and add to what is known of it.
+
+    A part that was read says nothing of a damaged log, so that its topics are not described.
+    """
     poser = posing.poser
     survey, problem = read_log(log, poser, options)
-    seen = list(survey.topics.values())
-    whole = [] if problem else seen  # a part that was read says nothing of a damaged log
-    scans = tuple(describe_topic(log, each, posing, options) for each in whole if each.frames)
+    drive, seen = survey.drive, list(survey.topics.values())
+    described = (describe_topic(log, each, posing, options) for each in seen if each.frames)
+    scans = () if problem else tuple(described)
     spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    spoilers += ((topic, Concern(text, None)) for topic, text in survey.drive.list_doubts())
-    if not scans and not problem:
+    spoilers += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
+    box, ground = survey.box, list[str]()
+    if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
+        box, ground, against, problem = inspect_ground(log, survey, poser, options)
+        spoilers += against
+    elif not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {lack}"
-    box, ground = survey.box, list[str]()
-    if not problem and any(topic.is_of_clouds and topic.poses.posed for topic in scans):
-        box, ground, against, problem = inspect_ground(log, survey, poser, options)
-        spoilers += against
-    limits, fixes = survey.drive.limits.list_notes(), list(poses.tell_fixes(log, poser))
+    fixes = list(poses.tell_fixes(log, poser))  # the log and the poser take notes meanwhile
+    notes = *poser.notes, *drive.limits.list_notes(), *drive.list_left(), *fixes
     found = replace(
         known,
         scans=() if problem else scans,
         coverage=tuple(poses.list_coverage(poser.sources)),
-        notes=(*log.notes, *ground, *poser.notes, *limits, *survey.list_notes(), *fixes),
+        notes=(*log.notes, *ground, *notes),
         box=box,
         longest=survey.longest,
         problem=problem,
@@ -410,15 +388,15 @@ def inspect_ground(
         ground, notes, options = find_ground([survey.drive], options, None)
     except OccmapError as error:
         problem = str(error.placed(log.path))
-    # It has seen no cloud, but knows the chains, and what leaps away.
-    drift = options.posing.find_drift(log.path)
-    level = replace(poser, options=options.posing, courses={}, drift=drift)
+    # By the options of the ground; it has seen no cloud, but knows the chains and what leaps away.
+    drift, known = options.posing.find_drift(log.path), (poser.fixed, poser.chains)
+    level = Poser(poser.sources, options.posing, *known, leaps=poser.leaps, drift=drift)
     again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
     some = {topic: clouds for topic, clouds in again.items() if clouds}
     against = list(poses.list_floor_concerns(some, level, options, ground))
     if ground is not None:
         box = poses.enclose_clouds(log, level, options, ground)
-        against += poses.list_other_concerns(some, level, options, ground, is_right=not against)
+        against += poses.list_other_concerns(some, options, ground, is_right=not against)
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
 
@@ -448,7 +426,6 @@ def describe_topic(
     ranked = topic.shapes.most_common()
     tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
-    stacked = stack_sample(topic.sample.parts, options.returns)
     found = ScanFindings(
         topic=topic.stream.topic,
         type=topic.stream.type,
@@ -458,12 +435,11 @@ def describe_topic(
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
-        ranges=topic.census.sum_up(topic.sample.parts, stacked, options.returns),
+        ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=poses.sum_up_poses(topic, posing),
         mount=poses.describe_mount(topic, posing, options),
         agreement=estimate_agreement(topic.sample.parts, options),
-        frozen_s=find_frozen(stacked),
     )
     better = poses.find_better(log, posing, topic, found, options)
     if better and better.name == "stamps":

@@ -202,8 +202,6 @@ class ScanFindings:
     null where they make no map"""
     hint: str = field(default="", metadata=HIDDEN)
     """What to try where these are few, and nothing else that was found may be why"""
-    frozen_s: tuple[float, float] | None = field(default=None, metadata=HIDDEN)
-    """When poses stood still though scans changed (s, as stamps are); None: never"""
     better: Better | None = field(default=None, metadata=HIDDEN)
 
     @property

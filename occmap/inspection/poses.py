@@ -319,11 +319,7 @@ keeps its range less well than a beam does (m)"""
 
 
 def list_other_concerns(
-    some: Mapping[str, Sequence[PosedScans]],
-    poser: Poser,
-    options: BuildOptions,
-    ground: Ground,
-    is_right: bool,
+    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground, is_right: bool
 ) -> Iterator[tuple[str, Concern]]:
     """List what else some clouds show: the robot, and that they contradict each other.
 
@@ -347,26 +343,8 @@ def list_other_concerns(
         with suppress(MapError):  # it gets too large, which is a problem by itself
             for posed in clouds:
                 engine.add(posed)
-            steady = measure_steady(engine.finish())
-            told = *list_contradictions(steady, {}), *list_smeared(clouds[0], poser, steady)
-            yield from ((topic, Concern(text)) for text in told)
-
-
-SMEARED, QUICK_DEG = 0.7, 30.0
-"""Of clouds that turn by so much in a second, on average, a smaller share of the hits is steady
-where the points lie as they were measured; 0.88 are where a driver laid them straight."""
-
-
-def list_smeared(posed: PosedScans, poser: Poser, steady: float) -> Iterator[str]:
-    """Say if walls look smeared by quick turns, as points have no times and share one pose."""
-    track = poser.courses[posed.batch.topic, posed.batch.frame].build()
-    turn = math.degrees(track.step_rad.sum() / max(track.interval_s.sum(), 1e-9))
-    if posed.batch.ranges.shape[1] == 1 and turn > QUICK_DEG and steady < SMEARED:
-        yield (
-            f"points have no times, the sensor turns by {turn:.0f} deg in a second, and only "
-            f"{steady:.0%} of the hits lie in cells that mostly were hit: walls may be smeared; "
-            "record the times of points, or clouds that are laid straight (deskewed)"
-        )
+            for text in list_contradictions(measure_steady(engine.finish()), {}):
+                yield topic, Concern(text)
 
 
 def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:

@@ -22,8 +22,8 @@ from occmap.inspection.findings import RangeFindings, Repeated, ScanShape, Speci
 from occmap.posing import Stamps
 from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.readers import Stream
-from occmap.scans import encode_cells
-from occmap.scans.stream import Drive, Selector, TopicSample
+from occmap.scans import TopicSample, encode_cells
+from occmap.scans.stream import Drive, Selector
 from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, Tally
 from occmap.sensor import ReturnOptions, bands
 from occmap.sensor.models import get_parameter
@@ -105,9 +105,7 @@ class RangeCensus:
         self.smallest = min(self.smallest, float(measured.min(initial=np.inf)))
         self.largest = max(self.largest, float(measured.max(initial=-np.inf)))
 
-    def sum_up(
-        self, sample: Sequence[PosedScans], stacked: "Stacked", options: ReturnOptions
-    ) -> RangeFindings:
+    def sum_up(self, sample: Sequence[PosedScans], options: ReturnOptions) -> RangeFindings:
         """Sum up; a sample of the scans shows which values repeat, and what no return means.
 
         Beams without return are to clear space if the log states the limit up to which, if their
@@ -127,7 +125,7 @@ class RangeCensus:
         beyond = 0 if measured else sum(n for (name, _), n in self.counts.items() if name == BEYOND)
         is_limit = math.isfinite(self.limit) and not beyond
         suggested = "clear" if is_open and not is_code and is_limit else "ignore"
-        bodies = (find_body(rows, it) for it, rows in stacked.items())
+        bodies = (find_body(rows, it) for it, rows in stack_sample(sample, options).items())
         return RangeFindings(
             total=self.total,
             measured=measured,
@@ -242,12 +240,10 @@ OWN_MARGIN_M = 0.05
 
 Form: TypeAlias = tuple[float, float, int]
 """Bearing of the first beam, the angle from one to the next (rad), and how many there are"""
-Stacked: TypeAlias = dict[Form, Float64]
-"""A sample of scans by their form, as `stack_scans` makes them"""
 
 
-def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked:
-    """Stack the scans of a sample by their form."""
+def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> dict[Form, Float64]:
+    """Stack the scans of a sample by their form, as `stack_scans` makes them."""
     seen: defaultdict[Form, list[Float64]] = defaultdict(list)
     for part in parts:
         batch, (kind, reach, _) = part.batch, sensor.classify(part.batch, options)
@@ -258,10 +254,9 @@ def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Stacked
 
 
 def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
-    """(S, 13 + B) the stamps (s), poses and ranges (S, B) of scans."""
+    """(S, 12 + B) the positions, rotations and ranges (S, B) of scans."""
     position, rotation = posed.at_first_beam
-    poses = position, rotation.reshape(-1, 9)
-    return np.column_stack([posed.batch.stamp_ns / 1e9, *poses, ranges])
+    return np.column_stack([position, rotation.reshape(-1, 9), ranges])
 
 
 def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | None:
@@ -276,9 +271,9 @@ def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | 
     spread
         Parts of the robot keep their range so well (m).
     """
-    _, first = np.unique(np.floor(rows[:, 1:3] / PLACE_M), axis=0, return_index=True)
-    place, turn = rows[first, 1:3], rows[first, 4:13].reshape(-1, 3, 3)[:, :2, :2]
-    ranges, ways = rows[first, 13:], sensor.tabulate_bearings(*form)
+    _, first = np.unique(np.floor(rows[:, :2] / PLACE_M), axis=0, return_index=True)
+    place, turn = rows[first, :2], rows[first, 3:12].reshape(-1, 3, 3)[:, :2, :2]
+    ranges, ways = rows[first, 12:], sensor.tabulate_bearings(*form)
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)
@@ -295,40 +290,6 @@ def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | 
     low, high = every.min(axis=0) - OWN_MARGIN_M, every.max(axis=0) + OWN_MARGIN_M
     x_min, y_min, x_max, y_max = np.round([*low, *high], 2).tolist()
     return x_min, y_min, x_max, y_max
-
-
-FROZEN_S = 5.0
-FROZEN_STEP = 1e-6
-"""Poses that are held differ by less (m, or parts of a rotation); a robot that stands does, too."""
-CHANGED_M, CHANGED_PART, CHANGED_SHARE = 0.2, 0.05, 0.4
-"""In seven real logs people change 3% of the beams by so much, at most, while the robot stands."""
-LEAST_KNOWN = 0.1
-"""Of the beams, so many must hit something before and after"""
-
-
-def find_frozen(stacked: Stacked) -> tuple[float, float] | None:
-    """Find when poses stood still, though scans changed as of a robot that drives.
-
-    Returns
-    -------
-    start, end or None
-        The longest such time (s, as stamps are), if it takes some seconds.
-    """
-    found = []
-    for rows in stacked.values():
-        scans = rows[np.argsort(rows[:, 0], kind="stable")]
-        moves = np.abs(np.diff(scans[:, 1:13], axis=0)).max(axis=1) > FROZEN_STEP
-        for still in np.split(scans, np.flatnonzero(moves) + 1):
-            (start, end), ranges = still[[0, -1], 0].tolist(), still[:, 13:]
-            if end - start < FROZEN_S:
-                continue
-            usual = np.median(ranges, axis=0)
-            known = (ranges < NO_HIT_M) & (usual < NO_HIT_M)
-            least = np.maximum(CHANGED_M, CHANGED_PART * usual)
-            changed = known & (np.abs(ranges - usual) > least)
-            if changed.sum() > CHANGED_SHARE * max(known.sum(), LEAST_KNOWN * known.size):
-                found.append((start, end))
-    return max(found, key=lambda times: times[1] - times[0], default=None)
 
 
 SAMPLED_TOPICS = 100
@@ -402,8 +363,8 @@ class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
     stream: Stream
-    sample: TopicSample
     is_sampled: bool
+    sample: TopicSample = field(default_factory=TopicSample)
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
     shapes: Counter[ScanShape] = field(default_factory=Counter)
@@ -441,7 +402,7 @@ class Survey(Selector):
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
         self.topics = {
-            topic: TopicSurvey(streams[topic], TopicSample(drive, topic), place < SAMPLED_TOPICS)
+            topic: TopicSurvey(streams[topic], place < SAMPLED_TOPICS)
             for place, topic in enumerate(drive.topics)
         }
         self._behind = options.hit_offset * options.resolution
@@ -485,10 +446,3 @@ class Survey(Selector):
         """Count scans, and take note of what their topic has."""
         super().see(some, reason)
         self.topics[some.first.topic].see(some, reason)
-
-    def list_notes(self) -> Iterator[str]:
-        """Say which clouds are left out, and where only some of very many topics are sampled."""
-        yield from self.drive.list_left()
-        if len(self.topics) > SAMPLED_TOPICS:
-            some = f"{SAMPLED_TOPICS} of {len(self.topics):,} topics with scans"
-            yield f"the mount and the agreement are estimated for {some}"

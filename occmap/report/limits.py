@@ -31,8 +31,7 @@ SHARE = "%"
 COUNT = ""
 """The unit of what is counted."""
 
-FORM = 'write NAME, one of < <= > >= == != and a number, such as "{} > {}"'
-EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*([<>=!]+)\s*([^\s%]+\s*%?)\s*")
+EXPRESSION = re.compile(r"\s*([^\s<>=!]+)\s*(<=?|>=?|==|!=)\s*([^\s<>=!%]+\s*%?)\s*")
 
 
 class Measure(NamedTuple):
@@ -104,17 +103,16 @@ def parse_limit(text: str, measures: Sequence[Measure]) -> Limit:
     UsageError
         It is of another form, names none of the measures, or has a number that makes no sense.
     """
-    where = f"`limits` {text!r}"
-    found = EXPRESSION.fullmatch(text)
-    if found is None or found[2] not in SIGNS:
-        first = measures[0]
-        example = FORM.format(first.name, "5%" if first.unit == SHARE else "5")
-        raise UsageError("is not a limit", where=where, fix=example)
-    name, by_name = found[1], {measure.name: measure for measure in measures}
+    where, by_name = f"`limits` {text!r}", {measure.name: measure for measure in measures}
+    if not (found := EXPRESSION.fullmatch(text)):
+        example = f"{measures[0].name} > {'5%' if measures[0].unit == SHARE else '5'}"
+        fix = f'write NAME, one of {" ".join(SIGNS)} and a number, such as "{example}"'
+        raise UsageError("is not a limit", where=where, fix=fix)
+    name, sign, number = found.groups()
     if name not in by_name:
         fix = f"{guess(name, by_name)} there are {', '.join(by_name)}".strip()
         raise UsageError(f"no measure is called {name!r}", where=where, fix=fix)
-    return Limit(by_name[name], found[2], parse_bound(found[3], by_name[name], where))
+    return Limit(by_name[name], sign, parse_bound(number, by_name[name], where))
 
 
 def parse_bound(text: str, measure: Measure, where: str) -> float:

@@ -15,7 +15,7 @@ from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
-from occmap.scans.tally import NOT_ASKED_FOR, LeftOut, ScanCounts, Tally, advise_on_dropped
+from occmap.scans.tally import NOT_ASKED_FOR, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
 from occmap.types import Int64, Trajectory, Update
@@ -265,8 +265,6 @@ def tell_beams(report: Report) -> Iterator[Row]:
 
 MOST_DROPPED = 0.5
 """Where more of the scans that were asked for are not used, hardly anybody wants the map"""
-LONGEST_LOG_S = 1e8
-"""Three years: a time that is later is a date."""
 LEAST_OBSTACLES = 0.001
 """Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
@@ -286,9 +284,6 @@ def list_notes(
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
-    end_s = options.selection.end_s
-    if end_s < math.inf and (end_s > LONGEST_LOG_S or str(LeftOut.TIME) not in tally.dropped):
-        yield f"`end_s={end_s:.12g}` leaves nothing out: it is in seconds after the first scan"
     if tally.scans.dropped_share > MOST_DROPPED:
         lost = {why: tally.dropped[why] for why in tally.dropped if why not in NOT_ASKED_FOR}
         yield f"most scans are left out: {write_counts(lost)}; {advise_on_dropped(lost)}"
@@ -388,15 +383,15 @@ def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
     """Say that the user's edits hold no shape, or that some change no cell of a map."""
     if writing.edits and not writing.shapes:
         yield f"{writing.edits}: holds no shape, so it edits nothing"
-    low_x, low_y, high_x, high_y = facts.extent
+    map_low, map_high = np.reshape(facts.extent, (2, 2))
     vain = []
     for shape in writing.shapes:
         low, high = shape.measure(facts.resolution)
-        (x, y), (right, top) = low.round(3).tolist(), high.round(3).tolist()
-        is_outside = x >= high_x or right <= low_x or y >= high_y or top <= low_y
-        first, last = np.ceil(low / facts.resolution - 0.5), np.floor(high / facts.resolution - 0.5)
-        if is_outside or (first > last).any():
-            vain.append((x, y, right, top))
+        # The first and the last cell of the map whose middle may be inside
+        first = np.ceil(np.maximum(low, map_low) / facts.resolution - 0.5)
+        last = np.floor(np.minimum(high, map_high) / facts.resolution - 0.5)
+        if (first > last).any():
+            vain.append([*low.round(3), *high.round(3)])
     if vain:
         lie = f"{count(len(vain), 'shape')} outside of the map, or between the middles of cells"
         at = "at" if len(vain) == 1 else "the first at"

@@ -5,9 +5,10 @@ are the engine for rays, and the empty grids, for an update and a model; and wha
 is judged by.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from occmap.grid.tiles import WINDOW_CELLS, GridSpec, TileGrid, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor import interpret
 from occmap.sensor.models import CountingModel, RadialModel
-from occmap.types import Float64, Int64, PosedScans
+from occmap.types import Float64, Int64, PosedScans, Rays, ScanBatch
 
 if TYPE_CHECKING:
     from occmap.grid.engine import GridEngine
@@ -46,6 +47,66 @@ def plan_grid(options: BuildOptions) -> GridSpec:
         radial = tabulate(model.free, model.hit, model.depth(options.resolution))
     reach = options.jump, options.border_gap, options.hit_offset
     return GridSpec(options.update, Lattice(options.resolution), *reach, radial)
+
+
+SAMPLED_SCANS, SAMPLED_CLOUDS = 600, 80
+"""Of each topic of a log so many scans, or clouds, are kept at most, and half of that at least"""
+SAMPLED_BEAMS = 1 << 19
+"""Of large scans fewer are kept: this bounds the memory"""
+Taken = TypeVar("Taken", Rays, ScanBatch, PosedScans)
+GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+class Sample(Generic[Taken]):
+    """Scans spread evenly over all that came, of which no more than so many are kept.
+
+    The fractions of the multiples of the golden ratio lie evenly between 0 and 1, and so do those
+    below a limit among all. Every n-th scan could be of one laser only, where lasers take turns.
+    """
+
+    def __init__(self, most: int = SAMPLED_SCANS) -> None:
+        self.seen = self.scans = 0
+        """How many scans came, and how many of them are kept"""
+        self._most, self._limit = most, 1.0
+        self._kept: list[tuple[Float64, Taken]] = []
+        """The fractions of scans, and the scans"""
+
+    @property
+    def parts(self) -> list[Taken]:
+        """The scans that are kept."""
+        return [part for _, part in self._kept]
+
+    def add(self, part: Taken) -> None:
+        """Take scans that come after all others; where there are too many, half of them go."""
+        numbers = self.seen + np.arange(len(part.stamp_ns), dtype=np.float64)
+        self.seen += len(numbers)
+        self._keep_low([(np.asarray(numbers * GOLDEN % 1, np.float64), part)])
+        while self.scans > self._most:
+            self._limit /= 2
+            kept, self._kept, self.scans = self._kept, [], 0
+            self._keep_low(kept)
+
+    def _keep_low(self, parts: Sequence[tuple[Float64, Taken]]) -> None:
+        for fraction, part in parts:
+            low = fraction < self._limit
+            if low.any():
+                self._kept.append((fraction[low], part.take(low)))
+                self.scans += int(np.count_nonzero(low))
+
+    def list_notes(self, what: str = "scans") -> Iterator[str]:
+        """Say how many are kept, where not all are."""
+        if self.scans < self.seen:
+            yield f"{self.scans:,} of {self.seen:,} {what} are asked, spread over the logs"
+
+
+class TopicSample(Sample[PosedScans]):
+    """Posed scans of one topic, by which it is judged how they fit each other."""
+
+    def add(self, part: PosedScans) -> None:
+        """Take scans that come after all others, as any sample does."""
+        by_size = SAMPLED_BEAMS // max(part.batch.ranges.shape[1], 1)
+        self._most = min(self._most, SAMPLED_CLOUDS if part.batch.clouds else by_size)
+        super().add(part)
 
 
 MOST_CELLS = 10**8

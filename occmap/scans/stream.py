@@ -13,7 +13,8 @@ from occmap.options import BuildOptions, Selection
 from occmap.posing import Stamps
 from occmap.posing.attach import Poser
 from occmap.readers import Echo, Log, ReaderOptions, Role, read_recorded
-from occmap.scans.logs import choose_topics, count_scans
+from occmap.scans import TopicSample
+from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
 from occmap.sensor.bands import RangeLimits
@@ -241,7 +242,7 @@ class Drive:
     def sample(self) -> list[PosedScans]:
         """Pose some of the scans that a build uses, spread evenly over the log."""
         for _ in self.rounds():  # the second time without scans that leap away
-            samples = {topic: TopicSample(self, topic) for topic in self.topics}
+            samples = {topic: TopicSample() for topic in self.topics}
             for posed in self.read(Tally()):
                 samples[posed.batch.topic].add(posed)
         return [part for sample in samples.values() for part in sample.parts]
@@ -324,38 +325,3 @@ class Drive:
             *told,
             *self.limits.list_notes(),
         ]
-
-
-SAMPLED_SCANS, SAMPLED_CLOUDS = 300, 40
-"""About so many scans, or clouds, of each topic are kept, spread evenly over the log."""
-MAX_SAMPLE_BEAMS = 1 << 19
-"""No more scans are kept once their beams are so many: this bounds the memory."""
-
-
-class TopicSample:
-    """Takes every n-th scan of one topic that a drive reads; n follows from how many it has.
-
-    Of a part of a log every scan is taken: how many lie between two times is not known before they
-    are read.
-    """
-
-    def __init__(self, drive: Drive, topic: str) -> None:
-        self.parts: list[PosedScans] = []
-        selection = drive.options.selection
-        is_part = math.isfinite(selection.start_s) or math.isfinite(selection.end_s)
-        self._expected = 0 if is_part else count_scans(drive.log, [topic]) // selection.stride
-        self._seen = 0
-        self._beams = 0
-
-    def add(self, posed: PosedScans) -> None:
-        """Take scans of a batch."""
-        scans, beams = posed.batch.ranges.shape
-        most = SAMPLED_SCANS
-        if posed.batch.clouds is not None:  # which have no beams, and take more memory
-            most, beams = SAMPLED_CLOUDS, MAX_SAMPLE_BEAMS // (2 * SAMPLED_CLOUDS)
-        every = max(self._expected // most, 1)
-        rows = np.arange(-self._seen % every, scans, every)
-        self._seen += scans
-        if len(rows) and self._beams < MAX_SAMPLE_BEAMS:
-            self._beams += len(rows) * beams
-            self.parts.append(posed.take(rows))

@@ -18,10 +18,10 @@ from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing import measure_drift
 from occmap.posing.attach import place_logs, tilt
-from occmap.readers import Log, open_log
+from occmap.readers import open_log
 from occmap.report import Note, is_damage, join_names
 from occmap.scans import encode_cells, make_engine, make_grid
-from occmap.scans.logs import count_scans, settle_update
+from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
 from occmap.scans.tally import SHOWN_SCANS, Tally, refuse_unused
@@ -326,10 +326,15 @@ class Reading:
     """Logs whose scans are read one after the other, and nothing is mapped on the way.
 
     Each log is read for its limits and leaps alone first, so that they hold from its first scan on.
+
+    Raises
+    ------
+    OccmapError
+        As `open_scans` and `open_drive`.
     """
 
-    def __init__(self, logs: Sequence[Log], options: BuildOptions, progress: Progress) -> None:
-        self.options = options
+    def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
+        self.options, logs = options, open_scans(paths, options)
         self.total = sum(count_scans(log, options.selection.topics) for log in logs)
         """Of what progress is told; more may be added to it"""
         self.tally = Tally(lambda scans: progress(scans, self.total))
@@ -408,34 +413,30 @@ def observe(
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
     remarks = Remarks([str(log.path) for log in logs])
-    ground, known = keep.ground, dict[Path, Drive]()
-    if options.update is Update.CLOUD:
+    drives = (open_drive(log, options) for log in logs)
+    if options.update is Update.CLOUD:  # which are read twice, by the same poses
         with tally.time("poses"):
-            known = {log.path: open_drive(log, options) for log in logs}
+            known = list(drives)
         with tally.time("ground"):
-            ground, found, options = find_ground(known.values(), options, ground)
+            ground, found, options = find_ground(known, options, keep.ground)
+        keep, drives = keep._replace(ground=ground), (drive.renew(options) for drive in known)
         remarks.notes += found
     tiles = make_grid(options)
     slices: list[Slices] = []
-    begin = partial(choose_engine, options, keep._replace(ground=ground))
-    for log, scans in zip(logs, counts, strict=True):
+    begin = partial(choose_engine, options, keep)
+    for drive, scans in zip(tally.time_each("poses", drives), counts, strict=True):
         of_log = Tally(tally.tell, keep.choose_shown(scans * len(logs)))
-        with of_log.time("poses"):
-            drive = (  # of what is known, poses are let go once they are traced
-                known.pop(log.path).renew(options)
-                if log.path in known
-                else open_drive(log, options)
-            )
         engine = trace_drive(drive, begin, of_log)
         of_log.count_points(engine.points)
         tally.add(of_log)
         with tally.time("fold"):
             misfit = add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
-        remarks.note(log.path, log.notes, [*drive.list_notes(ground), *misfit])
+        log_notes = drive.list_notes(keep.ground)
+        remarks.note(drive.log.path, drive.log.notes, [*log_notes, *misfit])
     with tally.time("fold"):
         kept = (unite(slices),) if keep.slices else ()
-        return Observed(tiles, kept, tally, remarks, ground, options)
+        return Observed(tiles, kept, tally, remarks, keep.ground, options)
 
 
 def add_seen(tiles: TileGrid, seen: TileGrid, drive: Drive) -> list[str]:

@@ -5,16 +5,17 @@
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from occmap.cells import OccupancyMap
 from occmap.report import Count, Finite, Share
+from occmap.scans import Sample
 from occmap.threads import Threads
-from occmap.types import Float64, Kind, Rays, ScanBatch
+from occmap.types import Float64, Kind, Rays
 
 NOISE = 2.0
 """Standard errors: a difference that is not larger may be chance."""
@@ -183,52 +184,6 @@ def estimate_error(part: Float64, whole: Float64) -> float:
         return math.inf
     rest = part - math.fsum(part) / total * whole
     return math.sqrt(scans / (scans - 1) * math.fsum(rest**2)) / total
-
-
-Taken = TypeVar("Taken", Rays, ScanBatch)
-GOLDEN = (math.sqrt(5) - 1) / 2
-
-
-class Sample(Generic[Taken]):
-    """Scans spread evenly over all that came, of which no more than so many are kept.
-
-    The fractions of the multiples of the golden ratio lie evenly between 0 and 1, and so do those
-    below a limit among all. Every n-th scan could be of one laser only, where lasers take turns.
-    """
-
-    def __init__(self, most: int) -> None:
-        self.seen = self.scans = 0
-        """How many scans came, and how many of them are kept"""
-        self._most, self._limit = most, 1.0
-        self._kept: list[tuple[Float64, Taken]] = []
-        """The fractions of scans, and the scans"""
-
-    @property
-    def parts(self) -> list[Taken]:
-        """The scans that are kept."""
-        return [part for _, part in self._kept]
-
-    def add(self, part: Taken) -> None:
-        """Take scans that come after all others; where there are too many, half of them go."""
-        numbers = self.seen + np.arange(len(part.stamp_ns), dtype=np.float64)
-        self.seen += len(numbers)
-        self._keep_low([(np.asarray(numbers * GOLDEN % 1, np.float64), part)])
-        while self.scans > self._most:
-            self._limit /= 2
-            kept, self._kept, self.scans = self._kept, [], 0
-            self._keep_low(kept)
-
-    def _keep_low(self, parts: Sequence[tuple[Float64, Taken]]) -> None:
-        for fraction, part in parts:
-            low = fraction < self._limit
-            if low.any():
-                self._kept.append((fraction[low], part.take(low)))
-                self.scans += int(np.count_nonzero(low))
-
-    def list_notes(self, what: str = "scans") -> Iterator[str]:
-        """Say how many are kept, where not all are."""
-        if self.scans < self.seen:
-            yield f"{self.scans:,} of {self.seen:,} {what} are asked, spread over the logs"
 
 
 class HoldOut:

@@ -22,7 +22,6 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model, compose_b
 from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Noted, Share, count, printed_as
 from occmap.report.results import name_frames
 from occmap.scans import make_engine
-from occmap.scans.logs import open_scans
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, Remarks, ignore_progress
 from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, score_map
@@ -261,7 +260,7 @@ def compare(
     OccmapError
         As `build`, no held-out beam measured a range, or logs are mapped in different frames.
     """
-    reading = Reading(open_scans(paths, options), options, progress)
+    reading = Reading(paths, options, progress)
     hold_out = HoldOut()
     shared = {  # by the variants that need the same
         each.evidence: SharedEvidence(replace(options, update=each.update, model=each.model))

@@ -1,7 +1,7 @@
 """How good a written map is, whatever made it: asked of recordings, or of the truth."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,15 +11,14 @@ from occmap.cells import CellClass, Decision, OccupancyMap
 from occmap.choices import check_bounds, option
 from occmap.difference.maps import ClassMap, Place, load_map
 from occmap.errors import MapError, require
-from occmap.evidence.manifest import describe_files
 from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
-from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes, join_names
+from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes
 from occmap.report.results import doubt_agreement
-from occmap.scans.logs import open_scans
+from occmap.scans import Sample
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
-from occmap.scoring import MOST_SCANS, Sample, Trial, score_map
+from occmap.scoring import MOST_SCANS, Trial, score_map
 from occmap.scoring.matching import REACH_M, STAY, Match, Transform, Walls, find_match, list_hits
 from occmap.types import IDENTITY, Bool, Float32, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
@@ -173,8 +172,8 @@ def score(
         refuse_input(picture, [each.image for each in (written, true) if each and each.image])
     by_logs, by_truth, notes = None, None, [*written.notes, *(true.notes if true else ())]
     if against.logs:
-        by_logs, told = score_by_logs(written, against.logs, options, against.fit, progress)
-        notes += [*told, *list_own(written, against.logs)]
+        by_logs, told = score_by_logs(written, against, options, progress)
+        notes += told
     if true:
         found = AS_THEY_LIE
         if against.fit:
@@ -198,18 +197,6 @@ def score(
     )
 
 
-def list_own(written: ClassMap, logs: Sequence[Path]) -> Iterator[str]:
-    """Say which logs a map was made of, where it keeps their hashes."""
-    own = [
-        str(log)
-        for log in logs
-        if written.inputs and any(it["sha256"] in written.inputs for it in describe_files(log))
-    ]
-    if own:
-        names = join_names(own)
-        yield f"{written.path} was made of {names}, so what these say is better than it should be"
-
-
 def find_place(written: ClassMap) -> Place:
     """Where a map lies; raises MapError where it does not say, or has no walls."""
     if written.place is None:
@@ -221,20 +208,11 @@ def find_place(written: ClassMap) -> Place:
 
 
 def score_by_logs(
-    written: ClassMap,
-    paths: Sequence[Path],
-    options: BuildOptions,
-    is_fitted: bool,
-    progress: Progress = ignore_progress,
+    written: ClassMap, against: Against, options: BuildOptions, progress: Progress
 ) -> tuple[LogScore, list[str]]:
     """Ask recordings how good a map is; return what they say, and notes on them.
 
     At most 4,000 scans are asked, spread over all of them.
-
-    Parameters
-    ----------
-    is_fitted
-        Move the recordings by the transform by which their hits fit the map best.
 
     Raises
     ------
@@ -244,7 +222,7 @@ def score_by_logs(
     place = find_place(written)
     options = replace(options, resolution=place.resolution)
     sample = Sample[Rays](MOST_SCANS)
-    reading = Reading(open_scans(paths, options), options, progress)
+    reading = Reading(against.logs, options, progress)
     for rays in reading.list_rays():
         sample.add(rays)
     tally, remarks = reading.tally, reading.remarks
@@ -254,14 +232,14 @@ def score_by_logs(
         where = ", ".join(remarks.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place)
-    found = find_match(hits, walls) if is_fitted else AS_THEY_LIE
+    found = find_match(hits, walls) if against.fit else AS_THEY_LIE
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
         remarks.notes.append(f"{doubt}: try again with a first `transform`")
     seen = [move_rays(rays, moved) for rays in sample.parts]
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
-    if not is_fitted and (doubt := doubt_agreement(agreement)):
+    if not against.fit and (doubt := doubt_agreement(agreement)):
         remarks.notes.append(
             f"{doubt} or beside one: if the logs have another frame, `fit` may find it"
         )
@@ -275,7 +253,7 @@ def score_by_logs(
         agreement=agreement,
         stops_in_occupied=occupied,
         stops_in_free=free,
-        transform=moved.after(options.posing.transform or IDENTITY) if is_fitted else STAY,
+        transform=moved.after(options.posing.transform or IDENTITY) if against.fit else STAY,
     )
     return score, remarks.notes
 

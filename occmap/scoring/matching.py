@@ -210,7 +210,7 @@ def find_match(points: Float64, walls: Walls) -> Match:
     (share, best), *others = sorted(zip(shares, refined, strict=True), reverse=True)
     rival = next((share for share, other in others if _are_apart(other, best)), 0.0)
     found = search.turn_about_zero(search.refine(best, range(ROUGH + 1, HALVINGS + 1)))
-    shift = float(np.abs(found.move(walls.pivot) - walls.pivot).max())
+    shift = float(np.abs(found.move(walls.pivot) - walls.pivot).max())  # of the first look
     is_far = shift > REACH_M - STEP_M / 2 or abs(found.yaw) > REACH_RAD - STEP_RAD / 2
     return Match(found, share, rival, is_far)
 
@@ -219,7 +219,8 @@ class _Search(NamedTuple):
     """A search for the place of points, which is a turn about their middle and then a shift.
 
     About their own middle a small turn leaves most points nearly where they are, so that the best
-    shift hardly depends on it, and one can be refined after the other.
+    shift hardly depends on it, and a place can be refined in small steps. The first look is by
+    turns about the pivot of the walls instead, where the drives of both maps may have begun.
     """
 
     points: Float64
@@ -244,17 +245,20 @@ class _Search(NamedTuple):
         near = np.exp(-0.5 * (away / max(width, self.walls.place.resolution)) ** 2)
         return np.asarray(near.mean(axis=1), np.float64)
 
+    def swing(self, yaw: float) -> Float64:
+        """(2,) how far a turn about the pivot takes the middle of the points along (m)."""
+        arm = self.middle - self.walls.pivot
+        return Transform(0.0, 0.0, yaw).move(arm) - arm
+
     def list_peaks(self) -> list[Transform]:
         """List the places on a coarse grid that none beside them beats, the best ones first.
 
-        The grid is of turns about the pivot, where the drives of both maps may have begun, and of
-        shifts. Such a turn takes the middle of the points along on a circle about the pivot.
+        The grid is of turns about the pivot and, after each, of shifts.
         """
         steps = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M).tolist()
         shifts = np.array(list(product(steps, steps)))
         turns = np.arange(-REACH_RAD, REACH_RAD + STEP_RAD / 2, STEP_RAD).tolist()
-        arm = self.middle - self.walls.pivot
-        swung = [shifts + (Transform(0.0, 0.0, yaw).move(arm) - arm) for yaw in turns]
+        swung = [shifts + self.swing(yaw) for yaw in turns]
         by_turn = zip(turns, swung, strict=True)
         shares = np.stack([self.measure_shares(*each, STEP_M, 500) for each in by_turn], axis=1)
         grid = shares.reshape(len(steps), len(steps), len(turns))

@@ -11,7 +11,6 @@ from occmap.inspection import inspect, list_advised
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import doubt_agreement
-from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import Gain, Trial
 from occmap.scoring.compare import FEW_SCANS, HeldOutScans, Scored
@@ -116,14 +115,11 @@ def tune(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    reading = Reading(open_scans(paths, options), options, progress)
+    reading = Reading(paths, options, progress)
     logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))
     findings, unsearched = search_all(scorer)
-    while scorer.is_at_edge(findings["together"].correction) and (wider := scorer.widen()):
-        scorer = wider
-        findings, unsearched = search_all(scorer)
     best, before = findings["together"].correction, scorer.score(Correction())
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
@@ -219,7 +215,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
         return [], [], ["the sensor hardly moves: neither time nor mount shows in these scans"]
-    timed, notes = [replace(search.TIME, reach=scorer.reach_s)], list[str]()
+    timed, notes = [search.TIME], list[str]()
     if all(log.stated for log in scorer.logs):
         timed = []
         notes.append("the poses stand beside the scans: there is no time offset to search")

@@ -18,12 +18,12 @@ from occmap.options import BuildOptions, compose_build
 from occmap.posing import Deskew, PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.chain import MAX_TURN_S, Transforms
-from occmap.scans import make_engine, mounts
+from occmap.scans import Sample, make_engine, mounts
 from occmap.scans.logs import choose_topics
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Reading
-from occmap.scoring import SMALL, Gain, HoldOut, Sample, Trial, score_map
+from occmap.scoring import SMALL, Gain, HoldOut, Trial, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
 from occmap.threads import Threads
@@ -33,8 +33,8 @@ MOST_SCANS, MOST_OF_ALL = 1000, 4000
 """Scans of a log, and of all: more tell little more, and each is traced over thirty times."""
 USUAL_SCORINGS = 35
 """About how many maps a search scores, for the progress bar"""
-FIRST_REACH_S, LAST_REACH_S = 0.5, 2.0
-"""No larger time offset is tried, either way; twice as large ones where the best is near that."""
+REACH_S = 0.5
+"""No larger time offset is tried, either way."""
 ALIKE = 1e-3
 """Mounts that differ by less (m, rad) count as one: no map shows the difference."""
 
@@ -101,9 +101,9 @@ def keep_logs(reading: Reading) -> list[KeptLog]:
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
         remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
-    kept = [drop_outer(log, reading.options.posing, FIRST_REACH_S) for log in kept]
+    kept = [drop_outer(log, reading.options.posing) for log in kept]
     if not any(log.scans for log in kept):
-        reach = f"{FIRST_REACH_S:g} s"
+        reach = f"{REACH_S:g} s"
         found = f"no scan has a pose both {reach} before its time and {reach} after it"
         raise PoseError(found, where=", ".join(remarks.logs), fix="give a longer log")
     return kept
@@ -119,11 +119,11 @@ def keep_log(drive: Drive, most: int, tally: Tally) -> KeptLog:
     return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts), has_others)
 
 
-def drop_outer(log: KeptLog, options: PosingOptions, reach_s: float) -> KeptLog:
+def drop_outer(log: KeptLog, options: PosingOptions) -> KeptLog:
     """Drop the scans without a pose at some offset, so that all maps are of the same scans."""
     if log.may_deskew(options):
         options = replace(options, deskew=Deskew.ON)
-    for offset in (-reach_s, reach_s):
+    for offset in (-REACH_S, REACH_S):
         shifted = replace(options, time_offset_s=options.time_offset_s + offset)
         log = replace(log, batches=tuple(posed.batch for posed in log.pose(shifted)))
     return log
@@ -200,7 +200,7 @@ class Knob:
     """No larger correction is tried, either way"""
 
 
-TIME = Knob("time_s", (0.16, 0.08, 0.04, 0.02, 0.01), FIRST_REACH_S)
+TIME = Knob("time_s", (0.16, 0.08, 0.04, 0.02, 0.01), REACH_S)
 QUARTER_DEG = round(math.radians(0.25), 9)  # as corrections are: steps back end at 0
 YAW = Knob("yaw", tuple(n * QUARTER_DEG for n in (8, 4, 2, 1)), math.radians(20))
 X = Knob("x", (0.04, 0.02, 0.01, 0.005), 0.5)
@@ -217,21 +217,11 @@ class Scorer:
     """The sensor's pose as it is now"""
     advance: Callable[[], None]
     """Called for each correction"""
-    reach_s: float = FIRST_REACH_S
-    """No larger time offset is tried"""
     tried: dict[Correction, Trial] = field(default_factory=dict)
 
     def is_at_edge(self, correction: Correction) -> bool:
         """Whether a larger time offset, which is not tried, may well be better."""
-        return abs(correction.time_s) > self.reach_s - TIME.steps[1]
-
-    def widen(self) -> Self | None:
-        """Try offsets twice as large; None: too large, or too few scans have poses at all."""
-        logs = [drop_outer(log, self.options.posing, 2 * self.reach_s) for log in self.logs]
-        left, scans = (sum(log.scans for log in some) for some in (logs, self.logs))
-        if self.reach_s >= LAST_REACH_S or 2 * left < scans:
-            return None
-        return replace(self, logs=logs, reach_s=2 * self.reach_s, tried={})
+        return abs(correction.time_s) > REACH_S - TIME.steps[1]
 
     def score(self, correction: Correction) -> Trial:
         """Score maps of the scans posed with a correction, all logs together."""

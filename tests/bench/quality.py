@@ -29,7 +29,6 @@ from occmap.grid.tiles import MAX_CELLS, TileGrid
 from occmap.jit import kernel
 from occmap.options import BuildOptions
 from occmap.posing import PosingOptions
-from occmap.scans.logs import open_scans
 from occmap.scans.tracing import Reading, ignore_progress
 from occmap.scoring import HoldOut, Score, estimate_error, score_map
 from occmap.scoring.compare import SharedEvidence, refuse_unscored
@@ -91,9 +90,7 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     posing = replace(recording.posing, deskew=options.posing.deskew)
     options = replace(options, posing=posing)
     kept = Scans()
-    for rays in Reading(
-        open_scans([recording.path], options), options, ignore_progress
-    ).list_rays():
+    for rays in Reading([recording.path], options, ignore_progress).list_rays():
         kept.add(rays)
     refuse_unscored([str(recording.path)], kept.hold_out.sample.scans, kept.hold_out.hits)
     return kept

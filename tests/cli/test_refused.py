@@ -29,7 +29,6 @@ REFUSED = [
     (f"build none.csv -o {'n' * 251}.pgm", 1, ": cannot be written (File name too long)"),
     ("build none.csv -o -.zarr", 2, "a folder, which stdout cannot take"),
     ("build log.csv -o - -o -.png", 2, "stdout takes one map and nothing else"),
-    ("build log.csv -o=m.pgm", 2, "-o=m.pgm: a short option takes no =; write -o m.pgm"),
     ("build none.csv -o m.pgm -o m.pgm", 2, "m.pgm: would be written twice"),
     ("build log.csv -o m.pgm --resolution 0", 2, "a resolution of 0.0 m is not possible"),
     ("build log.csv -o m.pgm --extent 0,0,1e9,1", 2, "reaches too far; give numbers up to 1e+08"),

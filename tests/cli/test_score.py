@@ -29,15 +29,6 @@ def test_a_map_is_held_against_recordings_and_the_plan(made: Path, tmp_path: Pat
     assert np.asarray(Image.open(picture)).shape[2] == 3
 
 
-def test_evidence_knows_the_logs_that_it_was_made_of(tmp_path: Path) -> None:
-    saved, copy = tmp_path / "m.npz", tmp_path / "copy.mcap"
-    copy.write_bytes(DRIVE.read_bytes())
-    assert occmap("build", DRIVE, "-o", saved).code == 0
-    words = ["score", saved, "--log", copy, "--log", SAMPLE_LOGS / "drive.bag", "--log", DRIVE]
-    (note,) = [note for note in ask(*words)["notes"] if "was made of" in note]
-    assert note.startswith(f"{saved} was made of {copy}, {DRIVE}, ")
-
-
 def test_a_map_that_lies_elsewhere_is_moved(made: Path, tmp_path: Path) -> None:
     moved = tmp_path / "moved.pgm"
     occmap("build", DRIVE, "--transform", "0.5,0.3,-0.1", "-o", moved)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.runner import ask, occmap, spawn
+from tests.cli.runner import occmap, spawn
 from tests.samples import SAMPLE_LOGS, write_csv
 
 DRIVE = SAMPLE_LOGS / "drive.csv"
@@ -101,19 +101,3 @@ def test_the_recordings_of_a_folder_are_built_as_one() -> None:
     assert told.json["scans"]["used"] == 6
     for said in (told, *(occmap(f"{command} day") for command in ("check", "tune", "compare"))):
         assert f"note: {note}\n" in said.err
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("--end 1700000000", "1700000000"),
-        ("--start 1 --end 1700000000", "1700000000"),
-        ("--end 1e3", "1000"),
-        ("--end 50", None),
-        ("--start 1", None),
-    ],
-)
-def test_an_end_that_leaves_nothing_out_is_said(words: str, told: str | None) -> None:
-    notes = ask(f"build {DRIVE} -o m.pgm {words}")["notes"]
-    said = [note.partition(" leaves nothing out")[0] for note in notes if "leaves" in note]
-    assert said == ([f"--end {told}"] if told else [])

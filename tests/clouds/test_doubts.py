@@ -7,22 +7,10 @@ import numpy as np
 import pytest
 
 from occmap.evidence import list_contradictions, measure_steady
-from occmap.inspection.poses import list_smeared, see_around
+from occmap.inspection.poses import see_around
 from occmap.options import BuildOptions
-from occmap.posing import PosingOptions
-from occmap.posing.attach import Poser
-from occmap.posing.course import Course
-from occmap.posing.sources import gather
 from tests.cli.runner import ask, occmap
-from tests.clouds.simulation import (
-    HALL,
-    Room,
-    drive,
-    drive_turning,
-    find_ground,
-    turn,
-    write_leaning,
-)
+from tests.clouds.simulation import HALL, Room, drive, find_ground, turn, write_leaning
 from tests.grid.scans import make_grid
 
 TURNED = ("--sensor-pose", "0,0,3.14")
@@ -83,22 +71,6 @@ def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path
     }
     (model,) = models
     assert model.endswith("cut=0.2,spread=0.0,ceiling=1.0,doubt=0.0,repeat_from=8.0")
-
-
-@pytest.mark.parametrize(
-    ("degrees", "steady", "is_told"), [(60, 0.5, True), (60, 0.9, False), (10, 0.5, False)]
-)
-def test_unsteady_clouds_without_times_that_turn_quickly_are_told(
-    degrees: float, steady: float, is_told: bool
-) -> None:
-    clouds, options = drive_turning(degrees=degrees), PosingOptions()
-    poser = Poser(gather([], options), options)
-    batch = clouds[0].batch
-    course = poser.courses[batch.topic, batch.frame] = Course()
-    for posed in clouds:
-        course.see(posed, posed.batch.stamp_ns)
-    told = list(list_smeared(clouds[0], poser, steady))
-    assert [f"{degrees} deg" in text for text in told] == [True] * is_told
 
 
 def test_a_low_ceiling_is_not_taken_for_the_robot() -> None:

@@ -108,9 +108,7 @@ TWICE = [DRIVES[0], DRIVES[4], DRIVES[0]]
 """One log is given twice"""
 
 
-EVERY_SCAN = Selection(end_s=1e6)
-"""It leaves nothing out, which is a note"""
-RADIAL = BuildOptions(update=Update.BEAM, model=QuadraticModel(), selection=EVERY_SCAN, jobs=1)
+RADIAL = BuildOptions(update=Update.BEAM, model=QuadraticModel(), jobs=1)
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,10 @@ from occmap.errors import MapError, UsageError
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
+from occmap.scans.tracing import ignore_progress
 from occmap.scoring import ReliabilityBin, matching, score_map
 from occmap.scoring.compare import combine, compare
-from occmap.scoring.maps import LogScore, score_by_logs, score_by_truth
+from occmap.scoring.maps import Against, LogScore, score_by_logs, score_by_truth
 from occmap.scoring.matching import STAY, Transform, Walls, find_match
 from occmap.tuning import tune
 from occmap.types import Kind, Pose
@@ -44,7 +45,7 @@ def ask(
 ) -> tuple[LogScore, list[str]]:
     """Score a map by logs, of the drive unless others are named."""
     options = BuildOptions(posing=PosingOptions(**posing))
-    return score_by_logs(asked, logs or [DRIVE], options, is_fitted=fitted)
+    return score_by_logs(asked, Against(logs or (DRIVE,), fit=fitted), options, ignore_progress)
 
 
 def load_built(path: Path, **posing: Any) -> ClassMap:
