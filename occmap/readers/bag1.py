@@ -74,7 +74,6 @@ class Bag1Source(RecordSource):
     head = re.compile(rb"(?=..\x00{2}..\x00{2}[a-z_]+=)", re.DOTALL)
     """A header starts with its length, and that of its first field."""
     unit = "connection"
-    is_unmistakable = True
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
         head = block[at : at + _LONGEST_HEADER]

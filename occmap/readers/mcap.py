@@ -32,12 +32,6 @@ _SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_H
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
-_CHUNK_HEAD = re.compile(
-    rb".{25}(?!\x00{8})(.{8}).{4}(?:\x00{4}\1|\x03\x00{3}lz4|\x04\x00{3}zstd)", re.DOTALL
-)
-"""How a chunk begins, whatever its opcode: times, size, checksum and compression; without one, the
-length of its records is their size."""
-_LONGEST_CHUNK_HEAD = 49
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_HEAD = 1 << 10
@@ -70,8 +64,8 @@ class McapSource(RecordSource):
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
-        head = block[at : at + _LONGEST_CHUNK_HEAD]
-        if len(head) >= _LONG:
+        head = block[at : at + _LONG]
+        if len(head) == _LONG:
             opcode, length, key, _, record_ns = _unpack_message_head(head)
             start, end = at + _MESSAGE_DATA, at + _SHORT + length
             if opcode == _MESSAGE and start <= end:
@@ -84,8 +78,7 @@ class McapSource(RecordSource):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:
             return None
-        is_chunk = _CHUNK_HEAD.match(head[: end - at]) is not None
-        return records.CHUNK if is_chunk else _KINDS.get(opcode, records.OTHER), 0, at, at, end
+        return _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; quickly if all are messages, as they are in most.
@@ -116,8 +109,6 @@ class McapSource(RecordSource):
         except self.errors:
             self._note(position, "has no head that can be read")
             return b""
-        if record[0] != Opcode.CHUNK:
-            self._note(position, "is marked as another kind of record, and is used")
         data = record[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
