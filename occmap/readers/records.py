@@ -279,7 +279,8 @@ class RecordSource(ABC):
     def _split(self, block: Bytes, at: int) -> Iterator[bytes]:
         """Give the records from a position on; raises ValueError where one is damaged."""
         while at < len(block):
-            if not (record := self._parse(block, at)):
+            record = self._parse(block, at)
+            if record is None or record[4] > len(block):
                 raise ValueError(f"no record is at byte {at}")
             yield bytes(block[at : record[4]])
             at = record[4]
