@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
-from itertools import chain, combinations, product
+from itertools import chain, combinations
 from os.path import commonprefix
 from typing import Self, TypeAlias
 
@@ -194,9 +194,9 @@ def find_space(topic: str) -> Space:
 def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
     """Find the transforms that belong to other robots than scans on some topics do.
 
-    Scans go by the namespace of transforms that their topic shares most with. Of another one that
-    moves one of the same frames otherwise nothing counts. The root is there for all: of it only the
-    transforms that the scans' own namespace has, too, do not count.
+    Scans go by the namespace of transforms that their topic shares most with. One that moves the
+    same frames in another way is another robot's, and nothing in it counts. But the root is there
+    for all robots: of it only the transforms that the scans' own namespace has, too, do not count.
 
     Raises
     ------
@@ -216,18 +216,13 @@ def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
             found = f"{homes[one]} and {homes[other]} go by transforms that contradict each other"
             fix = f"map one robot at a time, as with `topics={homes[one]}`, and merge their `.npz`"
             raise PoseError(found, fix=fix)
-    pairs = product(homes, moved)
-    others = {space for home, space in pairs if _contradict(moved[home], moved[space])}
-    own = {name for home in homes for name in moved[home]}
-    placed = {edge.child for edge, space in tf if space not in others}
-
-    def is_stranger(edge: Edge, space: Space) -> bool:
-        if (edge.parent, edge.child) in own:
-            return True
-        # The root is there for all, and what is fixed may be the only word on where a sensor sits.
-        return bool(space) and (not edge.track.static or edge.child in placed)
-
-    return [edge for edge, space in tf if space in others and is_stranger(edge, space)]
+    own = {name: track for home in homes for name, track in moved[home].items()}
+    others = {space for space in moved if _contradict(own, moved[space])}
+    return [
+        edge
+        for edge, space in tf
+        if space in others and (space or (edge.parent, edge.child) in own)
+    ]
 
 
 def _contradict(one: Moved, other: Moved) -> bool:
