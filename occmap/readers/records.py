@@ -16,7 +16,7 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
@@ -148,10 +148,7 @@ class RecordSource(ABC):
         """Make channels of the records that describe them; of one number, the first counts."""
         found: dict[int, Channel] = {}
         for key, other in self._describe(descriptions):
-            known = found.setdefault(key, other)
-            if astuple(known) != astuple(other):
-                text = f"{self.unit} {key} is described in two ways: it is taken for {known.topic}"
-                self.notes.add_damage(text)
+            found.setdefault(key, other)
         return found
 
     def _sum_up(self, file: FileBytes) -> Summary:

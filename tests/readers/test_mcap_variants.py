@@ -208,7 +208,6 @@ def test_a_summary_that_is_damaged_is_told_of(tmp_path: Path, has: set[str]) -> 
         ({"chunks", *COUNTED}, (Opcode.STATISTICS, 0), (9, "<Q", len(LOG) + 5), "statistics"),
         (set(), (Opcode.CHANNEL, 1), (11, "<H", 0), "type of the messages on /tf is not stated"),
         (set(), (Opcode.SCHEMA, 1), (0, "B", Opcode.FOOTER), ""),
-        (BARE, (Opcode.CHANNEL, 1), (9, "<H", 1), "channel 1 is described in two ways: it is tak"),
     ],
 )
 def test_a_record_that_says_something_else_is_told_of_and_takes_no_scan(
