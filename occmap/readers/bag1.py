@@ -103,7 +103,8 @@ class Bag1Source(RecordSource):
             self._note(position, problem)
         return block
 
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
+        found: dict[int, Channel] = {}
         for record, position in descriptions.items():
             try:
                 header = parse_header(record)
@@ -117,7 +118,8 @@ class Bag1Source(RecordSource):
                 encoding="ros1",
                 definition=fields.text(b"message_definition"),
             )
-            yield header.number(b"conn"), described
+            found.setdefault(header.number(b"conn"), described)
+        return found
 
     def _read_summary(self, file: FileBytes) -> Summary:
         """Read the index at the end, which is there if the bag was closed."""
@@ -135,11 +137,20 @@ class Bag1Source(RecordSource):
                 chunks += 1
                 for key, messages in _INFO_ENTRY.iter_unpack(record[header.size :]):
                     summary.counts[key] += messages
-        summary.channels = self._name_channels(descriptions)
+        summary.channels = self._describe(descriptions)
         announced = bag.number(b"conn_count"), bag.number(b"chunk_count")
         if announced != (len(summary.channels), chunks) or summary.counts.keys() - summary.channels:
             raise ValueError("it has not what the start of the bag says")
         return summary
+
+    def _split(self, block: Bytes, at: int) -> Iterator[bytes]:
+        """Give the records from a position on; raises ValueError where one is damaged."""
+        while at < len(block):
+            record = self._parse(block, at)
+            if record is None or record[4] > len(block):
+                raise ValueError(f"no record is at byte {at}")
+            yield bytes(block[at : record[4]])
+            at = record[4]
 
 
 def parse_header(block: Buffer) -> Header:

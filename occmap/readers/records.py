@@ -141,15 +141,8 @@ class RecordSource(ABC):
         """Decompress the chunk at a position, and note what is wrong with it."""
 
     @abstractmethod
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
-        """Make channels of the records that describe them, and give them with their numbers."""
-
-    def _name_channels(self, descriptions: Descriptions) -> dict[int, Channel]:
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
         """Make channels of the records that describe them; of one number, the first counts."""
-        found: dict[int, Channel] = {}
-        for key, other in self._describe(descriptions):
-            found.setdefault(key, other)
-        return found
 
     def _sum_up(self, file: FileBytes) -> Summary:
         """Find the channels, and count their messages: from the end of the file, or from all of it.
@@ -173,7 +166,7 @@ class RecordSource(ABC):
                     descriptions.setdefault(bytes(block[start:end]), position)
         if problem and not self.notes:
             self.notes.add_damage(f"{problem}: what should be in it is not known")
-        summary.channels |= self._name_channels(descriptions)
+        summary.channels |= self._describe(descriptions)
         summary.counts = Counter({**held, **summary.counts})
         return summary
 
@@ -272,15 +265,6 @@ class RecordSource(ABC):
         """Note what is wrong with a chunk, unless it is clear since the file ends within it."""
         if position != self._cut_at:
             self.notes.add_damage(f"the chunk at byte {position} {problem}")
-
-    def _split(self, block: Bytes, at: int) -> Iterator[bytes]:
-        """Give the records from a position on; raises ValueError where one is damaged."""
-        while at < len(block):
-            record = self._parse(block, at)
-            if record is None or record[4] > len(block):
-                raise ValueError(f"no record is at byte {at}")
-            yield bytes(block[at : record[4]])
-            at = record[4]
 
 
 def _cut(record: Record, until: int) -> Record:
