@@ -142,8 +142,8 @@ OTHER_WORDS = frozenset({
 # fmt: on
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose; all else
 is counted together, since the lines of a damaged file may begin in any way."""
-KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
-"""How a line begins; a longer word is cut."""
+KEYWORD = re.compile(rb"[^\S\n]*((?!#)\S{1,64})")
+"""How a line begins that is no comment; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
 """By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
 
@@ -190,7 +190,7 @@ class CarmenLog(TextLog):
         self._lacks_time: bool | None = None
         """Whether its first scan states no time: then those of the same kind state none, too"""
         self._words: Counter[str] = Counter()
-        """How many lines begin with each keyword; # stands for every comment"""
+        """How many lines begin with each keyword"""
         for some in self._survey(self._survey_block):
             self._count_scans(some)
         self._words = +self._words  # drops keywords of which no line was a scan
@@ -201,11 +201,10 @@ class CarmenLog(TextLog):
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
             self.notes.add(text)
             roles[word] = Role.OTHER
-        words = ((word, n) for word, n in self._words.items() if word != "#")
+        words = self._words.items()
         self.streams = [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
-        others = [n for word, n in self._words.items() if word not in LINES]
-        if others:
-            self.notes.add(f"{count(sum(others), 'line')} without scan or pose passed over")
+        if others := sum(n for word, n in words if word not in LINES):
+            self.notes.add(f"{count(others, 'line')} without scan or pose passed over")
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """The odometry."""
@@ -249,8 +248,8 @@ class CarmenLog(TextLog):
         for word, rows in lines.items():
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
-            elif word:
-                is_known = word in LINES or word in OTHER_WORDS or word == "#"
+            else:
+                is_known = word in LINES or word in OTHER_WORDS
                 self._words[word if is_known else "other"] += len(rows)
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
@@ -275,15 +274,11 @@ def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:
-    """Find the lines of each keyword: `#` for every comment, "" for a line of blanks."""
+    """Find the lines of each keyword, but for comments and lines of blanks."""
     found: defaultdict[bytes, list[int]] = defaultdict(list)
     is_filled = np.frombuffer(block.text, np.uint8)[block.starts[:-1]] != ord("\n")
     starts = block.starts.tolist()
     for row in np.flatnonzero(is_filled).tolist():
         if word := KEYWORD.match(block.text, starts[row]):
             found[word[1]].append(row)
-    lines: defaultdict[str, list[int]] = defaultdict(list)
-    for letters, rows in found.items():
-        text = letters.decode("utf-8", "replace")
-        lines["#" if text[:1] == "#" else text] += rows
-    return lines
+    return {letters.decode("latin-1"): rows for letters, rows in found.items()}
