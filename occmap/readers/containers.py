@@ -106,9 +106,7 @@ def inflate(data: Buffer, compression: str, size: int) -> tuple[Buffer, str]:
         return data, "" if len(data) == size else f"holds {len(data)} bytes instead of {size}"
     if compression not in _OPENERS:
         return b"", f"is compressed with {compression[:20]!r}, which occmap does not know"
-    if size > MAX_INFLATED:
-        return b"", f"announces {size} bytes, more than any recorder writes in one block"
-    if size > max(_LARGEST_READ, MAX_RATIO * len(data)):
+    if size > min(MAX_INFLATED, max(_LARGEST_READ, MAX_RATIO * len(data))):
         return b"", f"announces {size} bytes in {len(data)}, as only a bomb does"
     pieces = []
     left = size

@@ -245,16 +245,13 @@ class TextLog(Log, ABC):
             if faults and not malformed:
                 first = block.number + min(faults), faults[min(faults)]
             malformed += len(faults)
-        if malformed:
-            self._tell_malformed(malformed, total, *first)
-
-    def _tell_malformed(self, malformed: int, total: int, number: int, fault: str) -> None:
-        """Note that some lines are malformed, of which the first is told; refuse a log of such."""
-        if malformed == total:
+        number, fault = first
+        if 0 < malformed < total:
+            found = f"{malformed} of {total} lines are malformed and left out"
+            self.notes.add_damage(f"{found}, the first is line {number}: {fault}")
+        elif malformed:
             many = f" ({malformed:,} of {total:,} lines are malformed)" if malformed > 1 else ""
             raise LogError(fault + many, where=f"{self.path}:{number}", fix=self.fix)
-        found = f"{malformed} of {total} lines are malformed and left out"
-        self.notes.add_damage(f"{found}, the first is line {number}: {fault}")
 
     def _parse_block(
         self, block: Block, lines: Mapping[str, Sequence[int]], faults: dict[int, str]
