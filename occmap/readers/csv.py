@@ -93,7 +93,7 @@ def read_value(name: str, text: str) -> Any:
     try:
         value = parse_number(text)
     except ValueError as error:
-        raise ValueError(f"{name} is {error}") from None
+        raise ValueError(f"{name}: {error}") from None
     if name in FINITE_NAMES and not math.isfinite(value):
         raise ValueError(f"{name} is {value}, which is not an angle or a time")
     if name in LIMITS and math.isnan(value):
@@ -173,16 +173,18 @@ class CsvLog(TextLog):
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
         self._is_posed = "x" in {*self._names, *comments}
-        stated = {name: line for name, line in comments.items() if name not in self._names}
-        constants = {name: _read_constant(path, name, line) for name, line in stated.items()}
-        self._constants: dict[str, Any] = DEFAULTS | constants
+        self._constants: dict[str, Any] = DEFAULTS | {
+            name: _read_constant(path, name, line)
+            for name, line in comments.items()
+            if name not in self._names
+        }
         """The value of each of `NAMES` that has one for all rows"""
         self._columns = {name: at for at, name in enumerate(self._names) if name in NAMES}
         """The cell of each of `NAMES` that is a column"""
         self._kinds = np.array([_find_kind(name) for name in self._names])
         if is_ns:
             self._kinds[self._kinds == decimals.SECONDS] = decimals.NANOSECONDS
-        self._places = [_name_place(name) for name in self._names]
+        self._places = [f"{name}: " for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
         rows = sum(some.scans for some in self._survey(self.pick_scans))
@@ -245,13 +247,6 @@ def _find_kind(name: str) -> int:
     if _is_beam(name):
         return decimals.RANGE + int(name[1:])
     return MEASURED.get(name, decimals.SAME if name in NAMES else decimals.OTHER)
-
-
-def _name_place(name: str) -> str:
-    """Begin a sentence about a cell."""
-    if name == "stamp":
-        return "stamp: "
-    return f"column {name} is " if _is_beam(name) else f"{name} is "
 
 
 def _read_constant(path: Path, name: str, line: Line) -> Any:
