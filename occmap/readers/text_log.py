@@ -168,6 +168,7 @@ class Pattern(NamedTuple):
         record_ns = words.times[self.columns["record"]] if "record" in self.columns else stamp_ns
         record_ns = np.where(record_ns, record_ns, stamp_ns)
         increments = take("time_increment")
+        increments[~np.isfinite(increments)] = 0  # it says nothing, and the scan is none the worse
         pose = None if self.scan.pose is None else stack_planar(*map(take, POSE_NAMES))
         first = self.scan._replace(
             stamp_ns=int(stamp_ns[0]),
@@ -288,10 +289,6 @@ class TextLog(Log, ABC):
             words, found = parse_words(block.text, block.starts[rest], *pattern[:3])
             alike = rest[words.alike].tolist()
             rest = np.delete(rest, words.alike)
-            at = pattern.columns.get("time_increment")
-            increments = np.zeros(0) if at is None else words.numbers[at]
-            for line in np.flatnonzero(~np.isfinite(increments)).tolist():
-                found.setdefault(line, f"time_increment is {increments[line]}, which is not a time")
             faults |= {alike[line]: fault for line, fault in found.items()}
             yaw = words.numbers[pattern.columns["yaw"]] if "yaw" in pattern.columns else ()
             if doubt := suspect_degrees(yaw):

@@ -130,6 +130,12 @@ def test_comments_with_numbers_that_mean_nothing_are_noted(tmp_path: Path) -> No
     assert log.notes == [Note("comments that are not used: max_range, zero")]
 
 
+@pytest.mark.parametrize("time", ["nan", "inf", ""])
+def test_a_row_without_a_time_between_beams_is_read(tmp_path: Path, time: str) -> None:
+    (scan,) = read_text(tmp_path, WHOLE.replace(",0.001,", f",{time},"))
+    expect_equal(scan, FULL._replace(time_increment=0.0))
+
+
 def test_another_topic_has_no_scans(tmp_path: Path) -> None:
     assert list(open_csv(tmp_path, WHOLE).scans(["/scan"])) == []
 
@@ -179,8 +185,6 @@ def test_what_is_no_log_of_scans_is_refused_with_its_line(
         (",0.25,", ",wide,", "angle_increment: 'wide' where a number belongs"),
         (",-1.5,", ",,", "angle_min: '' where a number belongs"),
         (",-1.5,", ",inf,", "angle_min is inf, which is not an angle or a time"),
-        (",0.001,", ",nan,", "time_increment is nan, which is not a time"),
-        (",0.001,", ",inf,", "time_increment is inf, which is not a time"),
         (",8,", ",nan,", "range_max is nan, which is not a limit"),
         (",1,2,", ",1,north,", "y: 'north' where a number belongs"),
         ("1700000000.123456789", "noon", "stamp: 'noon' is not a time in seconds"),
