@@ -10,11 +10,10 @@ left, z up, yaw counter-clockwise.
 
 import math
 import operator
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import wraps
-from typing import Any, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Annotated, Any, NamedTuple, Self, TypeAlias, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,32 +66,6 @@ UNKNOWN_POSE = Pose(*[math.nan] * 7)
 """The pose of a scan that has none, in a log that states poses beside its scans."""
 
 
-UNSTATED: Any = None
-"""The time of a record in a format that holds one time only: the stamp stands for it"""
-Made = TypeVar("Made", bound=NamedTuple)
-
-
-def checked(*checks: Callable[[Any], Any]) -> Callable[[type[Made]], type[Made]]:
-    """Let a recorded value check its fields as it is made; `_replace` takes them as they are.
-
-    Its first field is the stamp, and the last one is when it was recorded.
-    """
-
-    def decorate(kind: type[Made]) -> type[Made]:
-        make = kind.__new__
-
-        @wraps(make)
-        def make_checked(cls: Any, *values: Any, **named: Any) -> Any:
-            made = make(cls, *values, **named)
-            fields = made if made[-1] is not UNSTATED else (*made[:-1], made[0])
-            return tuple.__new__(cls, map(operator.call, checks, fields))
-
-        kind.__new__ = make_checked  # type: ignore[method-assign]
-        return kind
-
-    return decorate
-
-
 def as_pose(pose: Any) -> Pose:
     """Convert the seven numbers of a pose to floats; raises DamageError."""
     if not isinstance(pose, Pose):
@@ -106,10 +79,35 @@ def as_stated_pose(pose: Any) -> Pose | None:
     return None if pose is None else as_pose(pose)
 
 
-@checked(
-    *(as_stamp, as_text, as_number, as_number, as_ranges),
-    *(as_number, as_number, as_number, as_stated_pose, as_text, as_stamp),
-)
+Stamp: TypeAlias = Annotated[int, as_stamp]
+Text: TypeAlias = Annotated[str, as_text]
+Number: TypeAlias = Annotated[float, as_number]
+"""What the fields of a recorded value are, with what checks and converts them"""
+UNSTATED: Any = None
+"""The time of a record in a format that holds one time only: the stamp stands for it"""
+Made = TypeVar("Made", bound=NamedTuple)
+
+
+def checked(kind: type[Made]) -> type[Made]:
+    """Let a recorded value check its fields as it is made, by what stands beside their types.
+
+    A NamedTuple may not say itself how it is made, so that is put in its place here; `_replace`
+    takes fields as they are. The first one is the stamp, and the last one is when it was recorded.
+    """
+    checks = [hint.__metadata__[0] for hint in get_type_hints(kind, include_extras=True).values()]
+    make = kind.__new__
+
+    @wraps(make)
+    def make_checked(cls: Any, *values: Any, **named: Any) -> Any:
+        made = make(cls, *values, **named)
+        fields = made if made[-1] is not UNSTATED else (*made[:-1], made[0])
+        return tuple.__new__(cls, map(operator.call, checks, fields))
+
+    kind.__new__ = make_checked  # type: ignore[method-assign]
+    return kind
+
+
+@checked
 class Scan(NamedTuple):
     """One turn of a laser as it was recorded: no value is interpreted yet.
 
@@ -121,24 +119,24 @@ class Scan(NamedTuple):
         A value is not of its type: a number, text, a time that fits 64 bits, or ranges in one row.
     """
 
-    stamp_ns: int
-    frame: str
-    angle_min: float
+    stamp_ns: Stamp
+    frame: Text
+    angle_min: Number
     """Bearing of the first beam in `frame` (rad)."""
-    angle_increment: float
+    angle_increment: Number
     """From one beam to the next (rad); negative for a clockwise or upside-down driver."""
-    ranges: Float32
+    ranges: Annotated[Float32, as_ranges]
     """(B,) m, with whatever the driver wrote where nothing came back; they are copied."""
-    range_min: float
-    range_max: float
+    range_min: Number
+    range_max: Number
     """Limits of the sensor (m); 0 and inf where the log states none."""
-    time_increment: float = 0.0
+    time_increment: Number = 0.0
     """Between beams (s)."""
-    pose: Pose | None = None
+    pose: Annotated[Pose | None, as_stated_pose] = None
     """The sensor in the map frame; None: the log does not state poses beside its scans."""
-    topic: str = ""
+    topic: Text = ""
     """The stream in its log that the scan came from."""
-    record_ns: int = UNSTATED
+    record_ns: Stamp = UNSTATED
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
     @property
@@ -235,7 +233,7 @@ class Moments(NamedTuple):
     """False: they only count the scans, whose times are not known"""
 
 
-@checked(as_stamp, as_text, as_text, as_pose, bool, as_text, as_stamp)
+@checked
 class PoseSample(NamedTuple):
     """Where frame `child` was in frame `parent` at one moment, from any kind of source.
 
@@ -245,15 +243,15 @@ class PoseSample(NamedTuple):
         A value is not of its type: a number, text, or a time that fits 64 bits.
     """
 
-    stamp_ns: int
-    parent: str
-    child: str
+    stamp_ns: Stamp
+    parent: Text
+    child: Text
     """"" where the source does not name what moved (PoseStamped, Path, a TUM file)."""
-    pose: Pose
-    static: bool = False
+    pose: Annotated[Pose, as_pose]
+    static: Annotated[bool, bool] = False
     """True: it holds at all times, and the stamp means nothing."""
-    topic: str = ""
-    record_ns: int = UNSTATED
+    topic: Text = ""
+    record_ns: Stamp = UNSTATED
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
 

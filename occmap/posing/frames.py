@@ -7,8 +7,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property, lru_cache
-from itertools import chain, combinations, product
+from functools import cached_property
+from itertools import chain, combinations
 from os.path import commonprefix
 from typing import Self, TypeAlias
 
@@ -22,8 +22,6 @@ STILL_NAMES = (*FIXED_NAMES, "world", "camera_init")
 """Frames that are no sensor's: FAST-LIO and its kin write clouds in such a one"""
 MOST_ABOVE = 100
 """Frames above another that are looked at: those of a robot are some ten deep."""
-MOST_TARGETS = 4
-"""Frames whose distances to all others are kept; few are asked for again."""
 
 
 class Source(IntEnum):
@@ -70,7 +68,6 @@ class FrameTree:
             self._up[edge.child].append(edge)
             self._down[edge.parent].append(edge)
         self.frames: tuple[str, ...] = tuple(sorted(self._up.keys() | self._down.keys()))
-        self._measure = lru_cache(MOST_TARGETS)(self._count_steps)
 
     def __contains__(self, frame: str) -> bool:
         return frame in self._up or frame in self._down
@@ -113,17 +110,22 @@ class FrameTree:
 
         Of equally short ways the one that climbs from `lower` is preferred, then names decide.
         """
-        distances = self._measure(upper)
-        if lower not in distances:
-            return None
+        down: dict[str, Edge] = {}  # from each frame above `lower`, the step on the way to it
+        queue = [lower]
+        for frame in queue:  # it grows meanwhile
+            if frame == upper:
+                break
+            for step in chain(self._up.get(frame, ()), map(Edge.invert, self._down.get(frame, ()))):
+                if step.parent != lower and step.parent not in down:
+                    down[step.parent] = step
+                    queue.append(step.parent)
         path: list[Edge] = []
-        while lower != upper:
-            near = distances[lower] - 1
-            # One after the other, as a body may have thousands of frames below it.
-            steps = chain(self._up.get(lower, ()), map(Edge.invert, self._down.get(lower, ())))
-            path.append(next(step for step in steps if distances[step.parent] == near))
-            lower = path[-1].parent
-        return path[::-1]
+        while upper != lower:
+            if upper not in down:
+                return None
+            path.append(down[upper])
+            upper = path[-1].child
+        return path
 
     def choose_fixed(self, frame: str) -> str:
         """Choose the frame to map in: `map`, else `odom`, else the root above a scan's frame.
@@ -161,19 +163,6 @@ class FrameTree:
         moving = find_moving(self.find_path(root, frame) or [])
         return moving[-1].child if moving else root
 
-    def _count_steps(self, upper: str) -> dict[str, int]:
-        """Count the steps from a frame to each that is connected with it."""
-        distances = {upper: 0} if upper in self else {}
-        queue = list(distances)
-        for frame in queue:  # it grows meanwhile
-            below = (edge.child for edge in self._down.get(frame, ()))
-            above = (edge.parent for edge in self._up.get(frame, ()))
-            for other in (*below, *above):
-                if other not in distances:
-                    distances[other] = distances[frame] + 1
-                    queue.append(other)
-        return distances
-
 
 def last_part(frame: str) -> str:
     """Strip the namespace: the last part of `robot1/odom` is `odom`."""
@@ -194,9 +183,9 @@ def find_space(topic: str) -> Space:
 def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
     """Find the transforms that belong to other robots than scans on some topics do.
 
-    Scans go by the namespace of transforms that their topic shares most with. Of another one that
-    moves one of the same frames otherwise nothing counts. The root is there for all: of it only the
-    transforms that the scans' own namespace has, too, do not count.
+    Scans go by the namespace of transforms that their topic shares most with. One that moves the
+    same frames in another way is another robot's, and nothing in it counts. But the root is there
+    for all robots: of it only the transforms that the scans' own namespace has, too, do not count.
 
     Raises
     ------
@@ -216,18 +205,13 @@ def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:
             found = f"{homes[one]} and {homes[other]} go by transforms that contradict each other"
             fix = f"map one robot at a time, as with `topics={homes[one]}`, and merge their `.npz`"
             raise PoseError(found, fix=fix)
-    pairs = product(homes, moved)
-    others = {space for home, space in pairs if _contradict(moved[home], moved[space])}
-    own = {name for home in homes for name in moved[home]}
-    placed = {edge.child for edge, space in tf if space not in others}
-
-    def is_stranger(edge: Edge, space: Space) -> bool:
-        if (edge.parent, edge.child) in own:
-            return True
-        # The root is there for all, and what is fixed may be the only word on where a sensor sits.
-        return bool(space) and (not edge.track.static or edge.child in placed)
-
-    return [edge for edge, space in tf if space in others and is_stranger(edge, space)]
+    own = {name: track for home in homes for name, track in moved[home].items()}
+    others = {space for space in moved if _contradict(own, moved[space])}
+    return [
+        edge
+        for edge, space in tf
+        if space in others and (space or (edge.parent, edge.child) in own)
+    ]
 
 
 def _contradict(one: Moved, other: Moved) -> bool:

@@ -143,8 +143,6 @@ class Track:
         _, here, there = np.intersect1d(self.stamp_ns, other.stamp_ns, return_indices=True)
         if fixed := not (self.moves or other.moves):  # it may be sent at any time
             here = there = np.arange(1)
-        elif len(here) == 0 and len(self) == len(other):  # by the recorder's times
-            here = there = np.arange(len(self))
         is_same = np.array_equal(self.position[here], other.position[there])
         is_same &= np.array_equal(self.quaternion[here], other.quaternion[there])
         return is_same and (fixed or 2 * len(here) > min(len(self), len(other)))

@@ -32,7 +32,7 @@ from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
-from occmap.types import IDENTITY, Pose, PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanRun
 from occmap.values import as_float32, parse_number, parse_seconds
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -69,7 +69,6 @@ USUAL_BEAMS = (180, 181, 360, 361)
 """How many beams a line has that is known to imply its angles."""
 UNTIMED = ("FLASER", "RLASER")
 """Lines of scans that may lack their time"""
-FRONT_OFFSET = b"robot_frontlaser_offset"
 _ANGLE_MIN, _INCREMENT, _RANGE_MAX = 2, 4, 5
 """The words of a line that states its angles"""
 
@@ -134,17 +133,6 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
     return Scan(0, kind.frame, angle_min, increment, ranges, *limits, pose=pose, topic=keyword)
 
 
-def parse_front_offset(words: Sequence[bytes]) -> PoseSample | None:
-    """Parse a PARAM line: where the front laser is on the robot, or None where it says no such."""
-    if words[1:2] != [FRONT_OFFSET]:
-        return None
-    offset = parse_number(unquote(b"".join(words[2:3])))
-    if not math.isfinite(offset):
-        raise ValueError("the offset is not a finite number")
-    pose = Pose.planar(offset, 0.0, 0.0)
-    return PoseSample(0, "base_link", FRONT, pose, static=True, topic="PARAM")
-
-
 # fmt: off
 OTHER_WORDS = frozenset({
     "PARAM", "SYNC", "COMMENT", "TRUEPOS", "GLOBALPOS", "NEFF", "SONAR", "BUMPER", "IMU", "LASER3",
@@ -154,8 +142,8 @@ OTHER_WORDS = frozenset({
 # fmt: on
 """Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose; all else
 is counted together, since the lines of a damaged file may begin in any way."""
-KEYWORD = re.compile(rb"[^\S\n]*(\S{0,64})")
-"""How a line begins; a longer word is cut."""
+KEYWORD = re.compile(rb"[^\S\n]*((?!#)\S{1,64})")
+"""How a line begins that is no comment; a longer word is cut."""
 TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
 """By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
 
@@ -202,16 +190,10 @@ class CarmenLog(TextLog):
         self._lacks_time: bool | None = None
         """Whether its first scan states no time: then those of the same kind state none, too"""
         self._words: Counter[str] = Counter()
-        """How many lines begin with each keyword; # stands for every comment"""
-        self._front_offset: PoseSample | None = None
-        stamps: set[int] = set()
+        """How many lines begin with each keyword"""
         for some in self._survey(self._survey_block):
             self._count_scans(some)
-            if len(stamps) < 2:
-                stamps.update(np.atleast_1d(some.stamp_ns).tolist())
         self._words = +self._words  # drops keywords of which no line was a scan
-        if len(stamps) == 1 and sum(self._words[word] for word in POSED) > 1:
-            self.notes.add("all scans have one time: they are taken in their order")
         frames = {word: SCAN_LINES[word].frame for word in self._words if word in SCAN_LINES}
         posed = {frames[word] for word in frames.keys() & POSED}
         roles = {**dict.fromkeys(SCAN_LINES, Role.SCAN), "ODOM": Role.POSE}
@@ -219,14 +201,13 @@ class CarmenLog(TextLog):
             text = f"{word} repeats scans that the log holds with their pose; it is left out"
             self.notes.add(text)
             roles[word] = Role.OTHER
-        words = ((word, n) for word, n in self._words.items() if word != "#")
+        words = self._words.items()
         self.streams = [Stream(word, word, n, roles.get(word, Role.OTHER)) for word, n in words]
-        self._note_other_lines()
+        if others := sum(n for word, n in words if word not in LINES):
+            self.notes.add(f"{count(others, 'line')} without scan or pose passed over")
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
-        """Give the front laser's offset, where a PARAM states it, then the odometry."""
-        if self._front_offset is not None:
-            yield self._front_offset
+        """The odometry."""
         if self._words["ODOM"]:
             yield from map(make_poses, self._parse_all(pick_odometry))
 
@@ -262,20 +243,14 @@ class CarmenLog(TextLog):
         return Pattern(b" ", kinds, [""] * len(words), columns, {"time_increment": 0.0}, scan)
 
     def _survey_block(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the lines of scans; count all others, and find the offset of the front laser."""
+        """Find the lines of scans; count all others."""
         lines = sort_lines(block)
         for word, rows in lines.items():
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
-            elif word:
-                is_known = word in LINES or word in OTHER_WORDS or word == "#"
+            else:
+                is_known = word in LINES or word in OTHER_WORDS
                 self._words[word if is_known else "other"] += len(rows)
-        for row in () if self._front_offset else lines.get("PARAM", ()):
-            try:
-                found = parse_front_offset(block.get_line(row).raw.split())
-                self._front_offset = self._front_offset or found
-            except ValueError as error:
-                self.notes.add_damage(f"line {block.number + row} is not used: {error}")
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
     def _count_scans(self, some: Scan | ScanRun) -> None:
@@ -284,17 +259,6 @@ class CarmenLog(TextLog):
         if beams and not SCAN_LINES[topic].before and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
             self.notes.add(f"{topic} states no angles: {beams} beams are read as {spacing}")
-
-    def _note_other_lines(self) -> None:
-        others = Counter({word: n for word, n in self._words.items() if word not in LINES})
-        if others:
-            top = ", ".join(
-                count(n, "comment") if word == "#" else f"{n:,} {word}"
-                for word, n in others.most_common(5)
-            )
-            more = ", ..." if len(others) > 5 else ""
-            lines = count(others.total(), "line")
-            self.notes.add(f"{lines} without scan or pose passed over: {top}{more}")
 
 
 def pick_odometry(block: Block) -> Mapping[str, Sequence[int]]:
@@ -310,15 +274,11 @@ def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:
-    """Find the lines of each keyword: `#` for every comment, "" for a line of blanks."""
+    """Find the lines of each keyword, but for comments and lines of blanks."""
     found: defaultdict[bytes, list[int]] = defaultdict(list)
     is_filled = np.frombuffer(block.text, np.uint8)[block.starts[:-1]] != ord("\n")
     starts = block.starts.tolist()
     for row in np.flatnonzero(is_filled).tolist():
         if word := KEYWORD.match(block.text, starts[row]):
             found[word[1]].append(row)
-    lines: defaultdict[str, list[int]] = defaultdict(list)
-    for letters, rows in found.items():
-        text = letters.decode("utf-8", "replace")
-        lines["#" if text[:1] == "#" else text] += rows
-    return lines
+    return {letters.decode("latin-1"): rows for letters, rows in found.items()}

@@ -93,7 +93,7 @@ def read_value(name: str, text: str) -> Any:
     try:
         value = parse_number(text)
     except ValueError as error:
-        raise ValueError(f"{name} is {error}") from None
+        raise ValueError(f"{name}: {error}") from None
     if name in FINITE_NAMES and not math.isfinite(value):
         raise ValueError(f"{name} is {value}, which is not an angle or a time")
     if name in LIMITS and math.isnan(value):
@@ -172,17 +172,19 @@ class CsvLog(TextLog):
         self._names, is_ns = split_names(header.text)
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
-        self._stated = {*self._names, *comments}
-        stated = {name: line for name, line in comments.items() if name not in self._names}
-        constants = {name: _read_constant(path, name, line) for name, line in stated.items()}
-        self._constants: dict[str, Any] = DEFAULTS | constants
+        self._is_posed = "x" in {*self._names, *comments}
+        self._constants: dict[str, Any] = DEFAULTS | {
+            name: _read_constant(path, name, line)
+            for name, line in comments.items()
+            if name not in self._names
+        }
         """The value of each of `NAMES` that has one for all rows"""
         self._columns = {name: at for at, name in enumerate(self._names) if name in NAMES}
         """The cell of each of `NAMES` that is a column"""
         self._kinds = np.array([_find_kind(name) for name in self._names])
         if is_ns:
             self._kinds[self._kinds == decimals.SECONDS] = decimals.NANOSECONDS
-        self._places = [_name_place(name) for name in self._names]
+        self._places = [f"{name}: " for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
         rows = sum(some.scans for some in self._survey(self.pick_scans))
@@ -192,8 +194,9 @@ class CsvLog(TextLog):
         """Find the header, and the comments near it that state constants."""
         headings: list[Line] = []
         for block in read_blocks(self.path, self.notes):
-            rows, more = _sort_lines(block)
-            headings += more
+            rows = _list_rows(block)
+            others = map(block.get_line, np.setdiff1d(np.arange(len(block)), rows).tolist())
+            headings += [line for line in others if line.raw.strip()]
             if rows:
                 named = [(*split_comment(line.text), line) for line in headings]
                 unused = [name for name, value, _ in named if _is_unknown(name, value)]
@@ -210,21 +213,8 @@ class CsvLog(TextLog):
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the rows behind the header; refuse a constant that comes too late for those before.
-
-        Raises
-        ------
-        LogError
-            A comment states what neither a column nor a comment at the top of the file states.
-        """
-        rows, comments = _sort_lines(block)
-        for line in comments:
-            name, _ = split_comment(line.text)
-            if name in NAMES and name not in self._stated:
-                found = f"the comment states {name} for all rows, too far behind the header"
-                fix = "move it to the top of the file"
-                raise LogError(found, where=f"{self.path}:{line.number}", fix=fix)
-        rows = [row for row in rows if row > self._header_line - block.number]
+        """Find the rows behind the header."""
+        rows = [row for row in _list_rows(block) if row > self._header_line - block.number]
         return {TOPIC: rows} if rows else {}
 
     def find_pattern(self, line: Line) -> Pattern:
@@ -238,23 +228,18 @@ class CsvLog(TextLog):
                 stated[name] = read_value(name, unquote(cells[at]))
         shape = {name: stated[name] for name in ("frame", "angle_min", "angle_increment", *LIMITS)}
         stamp_ns, ranges = int(stated.get("stamp", 0)), np.zeros(0, np.float32)
-        pose = IDENTITY if "x" in self._stated else None
+        pose = IDENTITY if self._is_posed else None
         scan = Scan(stamp_ns, ranges=ranges, pose=pose, topic=TOPIC, **shape)
         return Pattern(b",", self._kinds, self._places, self._columns, stated, scan)
 
 
-def _sort_lines(block: Block) -> tuple[list[int], list[Line]]:
-    """Tell rows, by their indices, from the lines that are comments or blank; give the comments."""
+def _list_rows(block: Block) -> list[int]:
+    """List the lines, by their indices, that are neither comments nor blank."""
     first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
     is_row = first > ord("#")  # blanks and line ends are below it
-    comments = []
     for row in np.flatnonzero(~is_row & (first != ord("\n"))).tolist():
-        line = block.get_line(row)
-        start = line.raw.lstrip()[:1]
-        is_row[row] = start not in {b"", b"#"}
-        if start == b"#":
-            comments.append(line)
-    return np.flatnonzero(is_row).tolist(), comments
+        is_row[row] = block.get_line(row).raw.lstrip()[:1] not in {b"", b"#"}
+    return np.flatnonzero(is_row).tolist()
 
 
 def _find_kind(name: str) -> int:
@@ -262,13 +247,6 @@ def _find_kind(name: str) -> int:
     if _is_beam(name):
         return decimals.RANGE + int(name[1:])
     return MEASURED.get(name, decimals.SAME if name in NAMES else decimals.OTHER)
-
-
-def _name_place(name: str) -> str:
-    """Begin a sentence about a cell."""
-    if name == "stamp":
-        return "stamp: "
-    return f"column {name} is " if _is_beam(name) else f"{name} is "
 
 
 def _read_constant(path: Path, name: str, line: Line) -> Any:

@@ -18,10 +18,6 @@ _STAMP_NAMES = (("sec", "nanosec"), ("sec", "nsec"), ("seconds", "nanos"))
 """The parts of a time as rosbags, Foxglove's JSON and protobuf name them."""
 
 
-class MissingFieldError(DamageError):
-    """A message lacks a field, or its definition does."""
-
-
 def look(message: Any, path: str) -> Any:
     """Look for a field of a decoded message by its dotted name; None where it is absent."""
     for name in path.split("."):
@@ -33,7 +29,7 @@ def get(message: Any, path: str) -> Any:
     """Get a field likewise."""
     value = look(message, path)
     if value is None:
-        raise MissingFieldError(f"has no {path}")
+        raise DamageError(f"has no {path}")
     return value
 
 
@@ -57,7 +53,7 @@ def get_stamp(message: Any, path: str) -> int:
         seconds, nanoseconds = (look(stamp, name) for name in names)
         if nanoseconds is not None:
             return as_stamp(as_stamp(seconds) * 1_000_000_000 + as_stamp(nanoseconds))
-    raise MissingFieldError(f"has no {path}")
+    raise DamageError(f"has no {path}")
 
 
 def get_frame(message: Any, path: str) -> str:

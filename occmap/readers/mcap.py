@@ -6,7 +6,7 @@ https://mcap.dev/spec says what their records are.
 import re
 import struct
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -15,7 +15,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import ChunkIndex, Footer, Schema, Statistics
+from mcap.records import ChunkIndex, Footer, McapRecord, Schema, Statistics
+from mcap.stream_reader import StreamReader
 
 from occmap.readers import Probe, records
 from occmap.readers.containers import Buffer, Channel, inflate
@@ -32,12 +33,6 @@ _SHORT, _LONG, _unpack_message_head = _HEAD.size, _MESSAGE_HEAD.size, _MESSAGE_H
 _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
-_CHUNK_HEAD = re.compile(
-    rb".{25}(?!\x00{8})(.{8}).{4}(?:\x00{4}\1|\x03\x00{3}lz4|\x04\x00{3}zstd)", re.DOTALL
-)
-"""How a chunk begins, whatever its opcode: times, size, checksum and compression; without one, the
-length of its records is their size."""
-_LONGEST_CHUNK_HEAD = 49
 _LONGEST_PADDING = 64
 """Bytes that a writer may add after the fields of a chunk."""
 _MOST_HEAD = 1 << 10
@@ -70,8 +65,8 @@ class McapSource(RecordSource):
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
-        head = block[at : at + _LONGEST_CHUNK_HEAD]
-        if len(head) >= _LONG:
+        head = block[at : at + _LONG]
+        if len(head) == _LONG:
             opcode, length, key, _, record_ns = _unpack_message_head(head)
             start, end = at + _MESSAGE_DATA, at + _SHORT + length
             if opcode == _MESSAGE and start <= end:
@@ -84,8 +79,7 @@ class McapSource(RecordSource):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES:
             return None
-        is_chunk = _CHUNK_HEAD.match(head[: end - at]) is not None
-        return records.CHUNK if is_chunk else _KINDS.get(opcode, records.OTHER), 0, at, at, end
+        return _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; quickly if all are messages, as they are in most.
@@ -116,8 +110,6 @@ class McapSource(RecordSource):
         except self.errors:
             self._note(position, "has no head that can be read")
             return b""
-        if record[0] != Opcode.CHUNK:
-            self._note(position, "is marked as another kind of record, and is used")
         data = record[_HEAD.size + stream.count :]
         block, problem = inflate(data[:length], compression, size)
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
@@ -131,29 +123,14 @@ class McapSource(RecordSource):
             self._note(position, problem)
         return block
 
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
-        schemas: dict[int, Schema] = {}
-        channels: list[McapChannel] = []
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
+        found: list[McapRecord] = []
         for record, position in descriptions.items():
             try:
-                if record[0] == Opcode.CHANNEL:
-                    channels.append(McapChannel.read(_open_body(record)))
-                    continue
-                schema = Schema.read(_open_body(record))
-                schemas.setdefault(schema.id, schema)
+                found.append(next(_parse_records(record)))
             except self.errors:
                 self._note(position, "holds a channel that cannot be read")
-        for channel in channels:  # only now, as a schema may come after its channel after damage
-            schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
-            is_text = schema.encoding in {"ros1msg", "ros2msg"}
-            described = Channel(
-                topic=channel.topic,
-                type=schema.name,
-                encoding=channel.message_encoding,
-                definition=schema.data.decode(errors="replace") if is_text else "",
-                descriptors=schema.data if schema.encoding == "protobuf" else b"",
-            )
-            yield channel.id, described
+        return _make_channels(found)
 
     def _read_summary(self, file: FileBytes) -> Summary:
         """Read the records at the end of the file, which may have none."""
@@ -165,33 +142,46 @@ class McapSource(RecordSource):
             raise ValueError("the footer is damaged")
         footer = Footer.read(_open_body(tail))
         start = footer.summary_start or end
-        section = file[min(start, end) : end]
+        section = bytes(file[min(start, end) : len(file)])
         # The checksum covers the footer, too, up to the checksum itself.
-        crc = zlib.crc32(tail[: _HEAD.size + _FOOTER_BODY - 4], zlib.crc32(section))
+        crc = zlib.crc32(section[: -4 - len(self.magic)])
         if start > end or footer.summary_crc not in {0, crc}:
             raise ValueError("its checksum is another")
-        return self._gather(self._split(section, 0), is_checked=footer.summary_crc != 0)
-
-    def _gather(self, section: Iterable[bytes], *, is_checked: bool) -> Summary:
-        """Gather what the records of the summary say; an index of chunks must be checked."""
-        summary, statistics = Summary(), None
-        descriptions: Descriptions = {}
-        for record in section:
-            if record[0] in {Opcode.SCHEMA, Opcode.CHANNEL}:
-                descriptions[record] = 0
-            elif record[0] == Opcode.CHUNK_INDEX and is_checked:
-                index = ChunkIndex.read(_open_body(record))
-                summary.chunks[index.chunk_start_offset] = index.message_index_offsets
-            elif record[0] == Opcode.STATISTICS:
-                statistics = Statistics.read(_open_body(record))
-        summary.channels = self._name_channels(descriptions)
-        if statistics is not None:
-            summary.counts.update(statistics.channel_message_counts)
-            if summary.counts.total() != statistics.message_count:
-                raise ValueError("its statistics contradict each other")
-            described = {key for key, channel in summary.channels.items() if channel.type}
-            summary.is_whole = summary.counts.keys() <= described
+        summary, found = Summary(), list(_parse_records(section))
+        summary.channels = _make_channels(found)
+        for record in found:
+            if isinstance(record, ChunkIndex) and footer.summary_crc:
+                summary.chunks[record.chunk_start_offset] = record.message_index_offsets
+            elif isinstance(record, Statistics):
+                summary.counts.update(record.channel_message_counts)
+                if summary.counts.total() != record.message_count:
+                    raise ValueError("its statistics contradict each other")
+                described = {key for key, channel in summary.channels.items() if channel.type}
+                summary.is_whole = summary.counts.keys() <= described
         return summary
+
+
+def _parse_records(data: bytes) -> Iterator[McapRecord]:
+    """Parse records up to the footer."""
+    return StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records
+
+
+def _make_channels(records: Sequence[McapRecord]) -> dict[int, Channel]:
+    """Make the channels among some records; after damage, a schema may come behind its channel."""
+    schemas = {each.id: each for each in reversed(records) if isinstance(each, Schema)}
+    found: dict[int, Channel] = {}
+    for channel in (each for each in records if isinstance(each, McapChannel)):
+        schema = schemas.get(channel.schema_id, Schema(0, b"", "", ""))
+        is_text = schema.encoding in {"ros1msg", "ros2msg"}
+        described = Channel(
+            topic=channel.topic,
+            type=schema.name,
+            encoding=channel.message_encoding,
+            definition=schema.data.decode(errors="replace") if is_text else "",
+            descriptors=schema.data if schema.encoding == "protobuf" else b"",
+        )
+        found.setdefault(channel.id, described)
+    return found
 
 
 def _open_body(record: bytes) -> ReadDataStream:

@@ -16,10 +16,11 @@ import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
-from typing import BinaryIO, ClassVar, NoReturn, TypeAlias
+from typing import BinaryIO, ClassVar, TypeAlias
 
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import NoteList
@@ -29,9 +30,8 @@ from occmap.report import count
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
 and for any other."""
-_ANY, _IN_CHUNKS, _AROUND = range(OTHER, 1 << 32), range(DESCRIPTION, 1 << 32), (CHUNK, OTHER)
-"""All kinds of records, those that lie in chunks (or in the open if a recorder makes none, or died
-before it closed one), and those that lie around these"""
+_ANY = range(OTHER, 1 << 32)
+"""Every kind of record"""
 _WINDOW = 1 << 20
 _LONGEST_MATCH = 64
 """Bytes that `head` looks at, at most."""
@@ -90,8 +90,6 @@ class RecordSource(ABC):
     """What a record may begin with, as a look-ahead: the matches of damaged bytes may overlap"""
     unit: ClassVar[str] = "channel"
     """What the format calls a channel"""
-    is_unmistakable: ClassVar[bool] = False
-    """Whether nothing else begins like a record; otherwise only two in a row are records"""
     errors: ClassVar[tuple[type[Exception], ...]]
     """What is raised where a record is not well formed"""
 
@@ -143,18 +141,8 @@ class RecordSource(ABC):
         """Decompress the chunk at a position, and note what is wrong with it."""
 
     @abstractmethod
-    def _describe(self, descriptions: Descriptions) -> Iterator[tuple[int, Channel]]:
-        """Make channels of the records that describe them, and give them with their numbers."""
-
-    def _name_channels(self, descriptions: Descriptions) -> dict[int, Channel]:
+    def _describe(self, descriptions: Descriptions) -> dict[int, Channel]:
         """Make channels of the records that describe them; of one number, the first counts."""
-        found: dict[int, Channel] = {}
-        for key, other in self._describe(descriptions):
-            known = found.setdefault(key, other)
-            if astuple(known) != astuple(other):
-                text = f"{self.unit} {key} is described in two ways: it is taken for {known.topic}"
-                self.notes.add_damage(text)
-        return found
 
     def _sum_up(self, file: FileBytes) -> Summary:
         """Find the channels, and count their messages: from the end of the file, or from all of it.
@@ -178,7 +166,7 @@ class RecordSource(ABC):
                     descriptions.setdefault(bytes(block[start:end]), position)
         if problem and not self.notes:
             self.notes.add_damage(f"{problem}: what should be in it is not known")
-        summary.channels |= self._name_channels(descriptions)
+        summary.channels |= self._describe(descriptions)
         summary.counts = Counter({**held, **summary.counts})
         return summary
 
@@ -189,7 +177,7 @@ class RecordSource(ABC):
 
         It is a chunk, but for some that are skipped, or the file itself for a record in the open.
         """
-        for record in self._walk(file, len(self.magic), _ANY, partial(self._tell, file)):
+        for record in self._walk(file, len(self.magic), partial(self._tell, file)):
             kind, _, position, _, end = record
             if kind != CHUNK:
                 yield position, file, (record,)
@@ -200,41 +188,31 @@ class RecordSource(ABC):
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; note where it is damaged."""
         damaged: list[int] = []
-        records = list(self._walk(block, 0, _IN_CHUNKS, lambda at, _: damaged.append(at)))
+        records = list(self._walk(block, 0, lambda at, _: damaged.append(at)))
         if damaged:
             more = f" and in {len(damaged) - 1} more of its places" if len(damaged) > 1 else ""
             self._note(position, f"is damaged at byte {min(damaged)}{more}")
         return records
 
     def _walk(
-        self,
-        block: Bytes,
-        at: int,
-        kinds: Container[int],
-        tell: Callable[[int, int | None], object],
+        self, block: Bytes, at: int, tell: Callable[[int, Record | None], object]
     ) -> Iterator[Record]:
         """Give the records of a file or a chunk one by one, from a position on.
 
-        Each begins where the one before ends, so that its end is all that the walk knows of its
-        place. Where none begins there, either the length of the one before is wrong, or what
-        follows it is damaged. So the next one is looked for from behind the start of the one
-        before, which ends there at the latest. `tell` takes the place of the damage and that of the
-        next record.
+        Each begins where the one before ends. Where none does, either the length of the one before
+        is wrong, or what follows it is damaged. So the next one is looked for from behind the start
+        of the one before, which ends there at the latest. `tell` takes the place of the damage, and
+        the record behind it.
         """
-        size, parse = len(block), self._parse
+        size = len(block)
         record: Record = OTHER, 0, at, at, at  # of no bytes, so that each has one before it
         while (end := record[4]) != size:
-            following = parse(block, end)
-            # The length of a chunk that seems to be cut is looked at in the next round.
-            if (
-                following is None
-                or following[0] not in kinds
-                or (following[4] > size and following[0] != CHUNK)
-            ):
-                following = self._find_following(block, record, kinds)
-                place = following[2] if following else None
-                until = size if place is None else place
-                tell(end if end <= until else record[2], place)
+            following = self._parse(block, end)
+            # A chunk may end beyond the file: if its length is wrong, others are found behind it.
+            if following is None or (following[4] > size and following[0] != CHUNK):
+                following = self._find_next(block, record)
+                until = following[2] if following else size
+                tell(end if end <= until else record[2], following)
                 record = _cut(record, until)
             yield record
             if following is None:
@@ -242,39 +220,39 @@ class RecordSource(ABC):
             record = following
         yield record
 
-    def _find_following(self, block: Bytes, record: Record, kinds: Container[int]) -> Record | None:
-        """Find the next record behind the start of one."""
+    def _find_next(self, block: Bytes, record: Record) -> Record | None:
+        """Find the next record behind one whose length may be wrong."""
         kind, _, begin, _, end = record
         if kind != CHUNK:
-            return self._find(block, begin + 1, len(block), kinds)
-        # What lies in a chunk does not follow it, so what does is of the kinds around chunks. But
-        # before that may lie the messages of another chunk, which lost its head.
-        found = self._find(block, begin + 1, len(block), _AROUND)
-        until = found[2] if found else len(block)
-        return self._find(block, end, until, _IN_CHUNKS) or found
+            return self._find(block, begin + 1)
+        # What begins within a chunk lies in it, unless it is of the kinds that stand around chunks.
+        # Behind its end, messages may have lost the head of their own chunk.
+        found = self._find(block, begin + 1, (CHUNK, OTHER)), self._find(block, end)
+        return min(filter(None, found), key=itemgetter(2), default=None)
 
-    def _find(self, block: Bytes, at: int, until: int, kinds: Container[int]) -> Record | None:
-        """Find where records of some kinds go on, which end at a position at the latest."""
-        while at < until:
+    def _find(self, block: Bytes, at: int, kinds: Container[int] = _ANY) -> Record | None:
+        """Find the first record of some kinds from a position on; it leads to another, or the end.
+
+        Anything may look like a record, but not like two of them in a row.
+        """
+        while at < len(block):
             for match in self.head.finditer(block[at : at + _WINDOW]):
                 record = self._parse(block, at + match.start())
-                if record is None or record[0] not in kinds or record[4] > until:
-                    continue
-                if self.is_unmistakable or self._leads_on(block, record[4], until):
+                if record and record[0] in kinds and self._leads_on(block, record[4]):
                     return record
             at += _WINDOW - _LONGEST_MATCH
         return None
 
-    def _leads_on(self, block: Bytes, at: int, until: int) -> bool:
-        """Say whether a record, or the end, is at a position."""
+    def _leads_on(self, block: Bytes, at: int) -> bool:
+        """Say whether a whole record, or the end, is at a position."""
         record = self._parse(block, at)
-        return at == until if record is None else record[4] <= until
+        return record[4] <= len(block) if record else at == len(block)
 
-    def _tell(self, file: FileBytes, at: int, following: int | None) -> None:
+    def _tell(self, file: FileBytes, at: int, following: Record | None) -> None:
         """Note that a file is damaged at a byte, and where it is read on."""
         record, size = self._parse(file, at), len(file)
-        if following is not None:
-            text = f"damaged at byte {at}, read on from byte {following}"
+        if following:
+            text = f"damaged at byte {at}, read on from byte {following[2]}"
         elif record is None:
             text = f"from byte {at} on, the last {count(size - at, 'byte')} hold no whole record"
         else:
@@ -288,18 +266,8 @@ class RecordSource(ABC):
         if position != self._cut_at:
             self.notes.add_damage(f"the chunk at byte {position} {problem}")
 
-    def _split(self, block: Bytes, at: int) -> Iterator[bytes]:
-        """Give the records from a position on; raises ValueError where one is damaged."""
-        for _, _, begin, _, end in self._walk(block, at, _ANY, _refuse):
-            if begin < end:
-                yield bytes(block[begin:end])
-
 
 def _cut(record: Record, until: int) -> Record:
     """Let a record end at a position at the latest."""
     kind, record_ns, begin, start, end = record
     return kind, record_ns, begin, min(start, until), min(end, until)
-
-
-def _refuse(at: int, _following: int | None) -> NoReturn:
-    raise ValueError(f"no record is at byte {at}")

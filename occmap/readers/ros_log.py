@@ -23,7 +23,6 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, Log, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, RawMessage, Source
-from occmap.readers.fields import MissingFieldError
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
@@ -204,7 +203,7 @@ class RosLog(Log):
 class _ChannelReader:
     """Reads the messages of a channel by the log's own definition of their type.
 
-    Where that cannot be understood, or lacks a field, the standard definition stands in.
+    Where that cannot be understood, the standard definition stands in.
     """
 
     def __init__(self, channel: Channel, kind: MessageType, convert: Convert) -> None:
@@ -212,21 +211,14 @@ class _ChannelReader:
         self.uses_standard = False
         self.first_fault = ""
         self._channel, self._convert, self._many = channel, convert, kind.many
-        self._make_parser = kind.parser or PARSERS[channel.encoding]
+        make_parser = kind.parser or PARSERS[channel.encoding]
         try:
-            self._parser = self._make_parser(channel)
+            self._parser = make_parser(channel)
         except LogError:
-            if not self._use_standard():
+            if not channel.definition:
                 raise
-
-    def _use_standard(self) -> bool:
-        """Read by the standard definition from here on; say whether there is another one."""
-        if not self._channel.definition or self.uses_standard:
-            return False
-        with suppress(LogError):
-            self._parser = self._make_parser(replace(self._channel, definition=""))
+            self._parser = make_parser(replace(channel, definition=""))
             self.uses_standard = True
-        return self.uses_standard
 
     @property
     def stacks(self) -> bool:
@@ -248,8 +240,6 @@ class _ChannelReader:
         try:
             return self.decode(data, record_ns)
         except DamageError as error:
-            if isinstance(error, MissingFieldError) and self._use_standard():
-                return self.read(data, record_ns)
             self.failures += 1
             self.first_fault = self.first_fault or str(error)
         return ()

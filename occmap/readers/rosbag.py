@@ -97,14 +97,13 @@ class Bag2Source:
     def _find_files(self, names: Sequence[str]) -> list[Path]:
         """Find the storage files that the metadata names, or those that are there."""
         present = list_storage(self.path)
-        named = [self.path / name for name in names]
-        missing = ", ".join(file.name for file in named if not file.is_file())
-        text = f"{METADATA} names files that are missing: {missing}"
-        if missing and not present:
-            raise LogError(text, where=self.path, fix="copy them into this folder, too")
-        if missing:
+        there = [self.path / name for name in names if (self.path / name).is_file()]
+        if len(there) < len(names):
+            missing = ", ".join(name for name in names if self.path / name not in there)
+            text = f"{METADATA} names files that are missing: {missing}"
+            if not present:
+                raise LogError(text, where=self.path, fix="copy them into this folder, too")
             self.notes.add_damage(text)
-        there = [file for file in named if file.is_file()]
         if not there:
             refuse_mixed(self.path, present)
             return present

@@ -22,7 +22,7 @@ _ERRORS = (apsw.Error, UnicodeDecodeError)
 """What the library raises on damaged files; texts in them may be anything."""
 _LOCKLESS = "win32-none" if os.name == "nt" else "unix-none"
 """SQLite's way to open files without a lock"""
-_MOST_BYTES = 1 << 30
+_MOST_BYTES = 1 << 28
 """The largest value that is read; no message is near it."""
 _LEAST_ID, _GREATEST_ID = -(2**63), 2**63 - 1
 """The ids that a row can have"""
@@ -44,7 +44,7 @@ class SqliteSource:
         self._has_wal = self._wal.is_file() and self._wal.stat().st_size > 0
         try:
             with closing(self._connect()) as database:
-                topics = _read_topics(database, _list_tables(database))
+                topics = _read_topics(database)
                 counts = self._count_messages(database, topics)
             self._note_state()
         except _ERRORS as error:
@@ -136,6 +136,7 @@ class SqliteSource:
         )
         database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)  # of the write-ahead log
         database.limit(apsw.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
+        database.config(apsw.SQLITE_DBCONFIG_ENABLE_VIEW, 0)  # one may go on for ever
         # SQLite refuses a file that is shorter than its header says, unless told to try.
         database.execute("PRAGMA writable_schema = ON; PRAGMA trusted_schema = OFF")
         # With this, SQLite keeps the index of a write-ahead log in memory, not in a file.
@@ -143,29 +144,11 @@ class SqliteSource:
         return database
 
 
-def _list_tables(database: apsw.Connection) -> set[str]:
-    """List the real tables: views, virtual tables and generated columns run code.
-
-    Raises
-    ------
-    apsw.SQLError
-        A table that a bag has is missing, or is something else.
-    """
-    query = (
-        "SELECT name FROM sqlite_schema WHERE type = 'table' AND rootpage"
-        " AND NOT (SELECT total(hidden) FROM pragma_table_xinfo(sqlite_schema.name))"
-    )
-    tables = {name for (name,) in database.execute(query)}
-    if missing := {"topics", "messages"} - tables:
-        raise apsw.SQLError(f"no such table: {max(missing)}")
-    return tables
-
-
-def _read_topics(database: apsw.Connection, tables: Collection[str]) -> dict[int, Channel]:
+def _read_topics(database: apsw.Connection) -> dict[int, Channel]:
     """Read the topics and their types; recorders before ROS 2 Iron stored no definitions."""
     definitions: dict[str, str] = {}
     columns = ("topic_type", "encoding", "encoded_message_definition")
-    if "message_definitions" in tables:
+    with suppress(apsw.SQLError):
         rows = _read_texts(database, "message_definitions", columns)
         definitions = {kind: text for kind, form, text in rows if form == "ros2msg"}
     fields = ("name", "type", "serialization_format", "ifnull(CAST(id AS INTEGER), -1)")

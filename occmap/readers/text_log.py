@@ -168,6 +168,7 @@ class Pattern(NamedTuple):
         record_ns = words.times[self.columns["record"]] if "record" in self.columns else stamp_ns
         record_ns = np.where(record_ns, record_ns, stamp_ns)
         increments = take("time_increment")
+        increments[~np.isfinite(increments)] = 0  # it says nothing, and the scan is none the worse
         pose = None if self.scan.pose is None else stack_planar(*map(take, POSE_NAMES))
         first = self.scan._replace(
             stamp_ns=int(stamp_ns[0]),
@@ -245,16 +246,13 @@ class TextLog(Log, ABC):
             if faults and not malformed:
                 first = block.number + min(faults), faults[min(faults)]
             malformed += len(faults)
-        if malformed:
-            self._tell_malformed(malformed, total, *first)
-
-    def _tell_malformed(self, malformed: int, total: int, number: int, fault: str) -> None:
-        """Note that some lines are malformed, of which the first is told; refuse a log of such."""
-        if malformed == total:
+        number, fault = first
+        if 0 < malformed < total:
+            found = f"{malformed} of {total} lines are malformed and left out"
+            self.notes.add_damage(f"{found}, the first is line {number}: {fault}")
+        elif malformed:
             many = f" ({malformed:,} of {total:,} lines are malformed)" if malformed > 1 else ""
             raise LogError(fault + many, where=f"{self.path}:{number}", fix=self.fix)
-        found = f"{malformed} of {total} lines are malformed and left out"
-        self.notes.add_damage(f"{found}, the first is line {number}: {fault}")
 
     def _parse_block(
         self, block: Block, lines: Mapping[str, Sequence[int]], faults: dict[int, str]
@@ -291,10 +289,6 @@ class TextLog(Log, ABC):
             words, found = parse_words(block.text, block.starts[rest], *pattern[:3])
             alike = rest[words.alike].tolist()
             rest = np.delete(rest, words.alike)
-            at = pattern.columns.get("time_increment")
-            increments = np.zeros(0) if at is None else words.numbers[at]
-            for line in np.flatnonzero(~np.isfinite(increments)).tolist():
-                found.setdefault(line, f"time_increment is {increments[line]}, which is not a time")
             faults |= {alike[line]: fault for line, fault in found.items()}
             yaw = words.numbers[pattern.columns["yaw"]] if "yaw" in pattern.columns else ()
             if doubt := suspect_degrees(yaw):

@@ -13,9 +13,10 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
-from typing import NamedTuple, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from occmap.cells import Box
 from occmap.choices import ABOVE_ZERO, SECTOR, check_bounds, make_box_form, option
@@ -25,6 +26,7 @@ from occmap.values import as_float32
 
 Sector: TypeAlias = tuple[float, float]
 """From one bearing counter-clockwise to another (rad)."""
+Places: TypeAlias = NDArray[np.floating[Any]]
 
 EDGE_RAD = 1e-6
 """A beam on the edge of a sector is inside, whatever its bearing was rounded to."""
@@ -201,8 +203,9 @@ def find_own(batch: ScanBatch, options: ReturnOptions) -> Bool | None:
     own = np.broadcast_to(find_inside(bearings, options.ignore_sectors), batch.ranges.shape)
     if options.footprint is None:
         return own
-    ways = tabulate_bearings(batch.angle_min, batch.angle_increment, beams)
-    return own | mask_box(batch.ranges, ways, options.footprint)
+    with np.errstate(invalid="ignore"):  # infinity times 0
+        x, y = tabulate_bearings(batch.angle_min, batch.angle_increment, beams)
+        return own | find_within(batch.ranges * x, batch.ranges * y, options.footprint)
 
 
 def find_inside(bearings: Float64, sectors: tuple[Sector, ...]) -> Bool:
@@ -214,16 +217,11 @@ def find_inside(bearings: Float64, sectors: tuple[Sector, ...]) -> Bool:
     return inside
 
 
-def mask_box(ranges: Float32, bearing: Float64, box: Box) -> Bool:
-    """(S, B): which ranges, along bearings (2, B), end in the box."""
-    # Slab by slab: a ray that misses the box enters it behind where it leaves it.
-    tiny = float(np.finfo(np.float32).tiny)
-    along = np.where(np.abs(bearing) < tiny, tiny, bearing)
-    corners = np.array(box).reshape(2, 2, 1)
-    low, high = corners / along
-    near = np.maximum(np.minimum(low, high).max(axis=0), 0)
-    far = np.maximum(low, high).min(axis=0)
-    return np.asarray((ranges >= as_float32(near)) & (ranges <= as_float32(far)))
+def find_within(x: Places, y: Places, box: Box) -> Bool:
+    """Which places, of any shape, lie in a box or on its edge."""
+    x_min, y_min, x_max, y_max = as_float32(box)  # rounded as ranges are, and so are places
+    x, y = as_float32(x), as_float32(y)
+    return np.asarray((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
 
 
 def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
@@ -240,8 +238,7 @@ def drop_own_points(posed: PosedScans, options: ReturnOptions) -> PosedScans:
         bearings: Float64 = np.arctan2(y, x)
         own = find_inside(bearings, options.ignore_sectors)
         if options.footprint is not None:
-            x_min, y_min, x_max, y_max = options.footprint
-            own |= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+            own |= find_within(x, y, options.footprint)
         points[own] = 0
         clouds.append(cloud._replace(points=points))
     return replace(posed, batch=replace(posed.batch, clouds=tuple(clouds)))

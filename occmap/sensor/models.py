@@ -11,7 +11,7 @@ begins, and O rises to 1 at the measured range r and falls again. The depth of a
 either side of r. Where both are 0 a beam says nothing. Its functions are tabulated for the kernels.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -286,16 +286,16 @@ def list_parameters(model: Any) -> list[str]:
 
 def describe_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without values that change nothing."""
-    pairs = ((name, getattr(model, name)) for name in list_parameters(model))
-    kept = (f"{name}={value}" for name, value in pairs if NEUTRAL.get(name) != value)
+    kept = (
+        f"{name}={value}" for name, value in asdict(model).items() if NEUTRAL.get(name) != value
+    )
     return f"{model.name}:{','.join(kept)}"
 
 
 def shorten_model(model: Any) -> str:
     """Write a model as `parse_model` reads it, without parameters that are at their defaults."""
-    usual = type(model)()
-    pairs = ((name, getattr(model, name)) for name in list_parameters(model))
-    changed = [f"{name}={value:g}" for name, value in pairs if value != getattr(usual, name)]
+    usual = asdict(type(model)())
+    changed = [f"{name}={value:g}" for name, value in asdict(model).items() if value != usual[name]]
     return f"{model.name}:{','.join(changed)}" if changed else str(model.name)
 
 

@@ -74,10 +74,9 @@ def test_old_transforms_are_read(path: Path) -> None:
         # Of equal length, so that no record needs to be written anew.
         (b"MSG: std_msgs/Header", b"MSG: roslib/Header\n ", []),
         (b"float32 angle_min", b"flaot32 angle_min", ["LaserScan on /scan"]),
-        (b"float32 angle_min", b"float32 angle_mim", ["LaserScan on /scan"]),
         (b"TransformStamped[] ", b"TransformStomped[] ", ["TFMessage on /tf_static", "on /tf"]),
     ],
-    ids=["old package", "scan", "field", "transforms"],
+    ids=["old package", "scan", "transforms"],
 )
 def test_where_a_definition_is_old_or_damaged_the_standard_one_is_used(
     path: Path, sound: bytes, changed: bytes, damaged: list[str]

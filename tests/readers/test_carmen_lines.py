@@ -205,29 +205,3 @@ def test_odometry_moves_the_base_in_odom(tmp_path: Path) -> None:
 def test_malformed_odometry_is_damage(tmp_path: Path, line: str) -> None:
     with pytest.raises(ValueError, match=r"short|2 numbers before"):
         read_odometry(tmp_path, line)
-
-
-@pytest.mark.parametrize(
-    ("line", "offset"),
-    [
-        ("PARAM robot_frontlaser_offset -0.04 1 merci 1", -0.04),
-        ("PARAM robot_rearlaser_offset 0.1 1 merci 1", None),
-        ("PARAM", None),
-    ],
-)
-def test_front_offset(line: str, offset: float | None) -> None:
-    found = list(open_lines(line, line).poses())
-    pose = Pose(offset or 0, 0, 0, 0, 0, 0, 1)
-    sample = PoseSample(0, "base_link", "front_laser", pose, static=True, topic="PARAM")
-    assert found == ([] if offset is None else [sample])
-
-
-@pytest.mark.parametrize("value", ["", " far", " nan"])
-def test_a_front_offset_that_is_no_number_is_damage(value: str) -> None:
-    bad = f"PARAM robot_frontlaser_offset{value}"
-    log = open_lines("PARAM robot_length 0.4 1 merci 1", bad, bad)
-    assert list(log.poses()) == []
-    third, fourth = (note.text for note in log.notes if note.damage)
-    assert third.startswith("line 3 ")
-    assert fourth.startswith("line 4 ")
-    assert "number" in third
