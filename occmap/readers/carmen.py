@@ -311,14 +311,15 @@ def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:
     """Find the lines of each keyword: `#` for every comment, "" for a line of blanks."""
-    found: defaultdict[bytes, list[int]] = defaultdict(list)
-    is_filled = np.frombuffer(block.text, np.uint8)[block.starts[:-1]] != ord("\n")
-    starts = block.starts.tolist()
-    for row in np.flatnonzero(is_filled).tolist():
-        if word := KEYWORD.match(block.text, starts[row]):
-            found[word[1]].append(row)
+    text = np.frombuffer(block.text, np.uint8)
+    filled = np.flatnonzero(text[block.starts[:-1]] != ord("\n"))
+    words = np.empty(len(filled), np.int64)
+    decimals.hash_words(text, block.starts[filled], words)
+    order = np.argsort(words, kind="stable")
+    groups = np.split(filled[order], np.flatnonzero(np.diff(words[order])) + 1)
     lines: defaultdict[str, list[int]] = defaultdict(list)
-    for letters, rows in found.items():
-        text = letters.decode("utf-8", "replace")
-        lines["#" if text[:1] == "#" else text] += rows
+    for rows in filter(None, sorted(map(np.ndarray.tolist, groups))):  # by the first of each
+        word = KEYWORD.match(block.text, block.starts[rows[0]])
+        keyword = word[1].decode("utf-8", "replace") if word else ""
+        lines["#" if keyword[:1] == "#" else keyword] += rows
     return lines
