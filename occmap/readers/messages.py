@@ -299,7 +299,7 @@ class Fields(NamedTuple):
         start, end = self.places.get(first), self.places.get(last or first)
         if not start or not end or (end.end - start.start) % start.kind.itemsize:
             raise DamageError(f"has no numbers {first}")
-        return np.ascontiguousarray(self.rows[:, start.start : end.end]).view(start.kind)
+        return np.require(self.rows[:, start.start : end.end].view(start.kind), None, "A")
 
     def read_stamps(self, name: str) -> Int64:
         """Read times (M,) in ns; raises DamageError."""

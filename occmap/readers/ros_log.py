@@ -22,7 +22,7 @@ import numpy as np
 from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, Log, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
-from occmap.readers.containers import Buffer, Channel, RawMessage, Source
+from occmap.readers.containers import Buffer, Channel, Source
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import PARSERS
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
@@ -152,6 +152,7 @@ class RosLog(Log):
             found: list[tuple[int, Any]] = []
             for (channel, _), held in groups.items():
                 reader = readers[channel]
+                reader.messages += len(held)
                 is_run = len(groups) == 1 and len(held) >= SHORTEST_RUN
                 together, left = reader.read_together(held)
                 for each in together:
@@ -169,21 +170,17 @@ class RosLog(Log):
         """
         groups, size = defaultdict[tuple[Channel, int], list[_Held]](list), 0
         most = STACK_BYTES if any(each.stacks for each in readers.values()) else 0
-        for number, (channel, record_ns, data) in enumerate(self._messages(readers)):
-            groups[channel, len(data)].append((number, record_ns, bytes(data) if most else data))
-            size += len(data) + MESSAGE_BYTES
-            if size >= most:
-                yield groups
-                groups, size = defaultdict(list), 0
+        with refuse_unreadable(self.path):  # a disk that fails is an error with the log's name
+            messages = self._source.messages(readers) if readers else ()
+            for number, (channel, record_ns, data) in enumerate(messages):
+                length = len(data)
+                held = number, record_ns, bytes(data) if most else data
+                groups[channel, length].append(held)
+                size += length + MESSAGE_BYTES
+                if size >= most:
+                    yield groups
+                    groups, size = defaultdict(list), 0
         yield groups
-
-    def _messages(self, readers: "_Readers") -> Iterator[RawMessage]:
-        """Give raw messages, and count them; a disk that fails is an error with the log's name."""
-        if readers:
-            with refuse_unreadable(self.path):
-                for message in self._source.messages(readers):
-                    readers[message[0]].messages += 1
-                    yield message
 
     def _note_damage(self, readers: "_Readers") -> None:
         """Say what of the messages was lost or damaged."""

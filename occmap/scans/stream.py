@@ -277,7 +277,8 @@ class Drive:
         limited = map(self.limits.apply, stack(chosen, stamps))
         for batch in tally.time_each("read", limited):
             selector.see_batch(batch)
-            self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
+            if self._middle_m[batch.topic] > FAR_M:
+                self._middle_m[batch.topic] = min(self._middle_m[batch.topic], find_middle(batch))
             if oddity := find_oddity(batch):
                 self._odd[batch.topic, oddity] = None
             for posed in tally.time_each("pose", self.poser.attach(batch)):

@@ -179,7 +179,8 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
         hit &= ~own
     # Most beams hit: only the few others are looked at more closely.
     others = np.flatnonzero(~hit)
-    few = ranges.ravel()[others]
+    reach = ranges.copy()
+    few = reach.ravel()[others]
     robot = np.zeros(few.size, np.bool_) if own is None else own.ravel()[others]
     close = (few < nearest) & ~robot
     none = (few >= no_return) & ~close & ~robot
@@ -187,7 +188,7 @@ def classify(batch: ScanBatch, options: ReturnOptions) -> tuple[UInt8, Float32, 
     beyond = ~(close | none | robot | missing)
     clears = options.no_return is NoReturn.CLEAR and np.isfinite(free_reach)
     free = beyond | none if clears else beyond
-    kind, reach = hit.view(np.uint8) * np.uint8(Kind.HIT), ranges.copy()
+    kind = hit.view(np.uint8) * np.uint8(Kind.HIT)
     kind.ravel()[others] = free * np.uint8(Kind.FREE)
     reach.ravel()[others] = np.where(free, free_reach, np.float32(0))
     counts = map(int, map(np.count_nonzero, (beyond, none, close, missing, robot)))
