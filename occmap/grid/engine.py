@@ -107,7 +107,7 @@ class DenseWindow(Window):
 
     def make_field(self, beams: Beams, corner: Int64) -> Field:
         """What kernels that fill polygons write to, by its lower-left corner (2,)."""
-        return Field(corner, self.cells, self.changes.numbers, self.find_clipped(beams))
+        return Field(corner, self.cells.reshape(-1), self.changes, self.find_clipped(beams))
 
     def read(self) -> dict[Key, Tile]:
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels import spans
+from occmap.grid.kernels.lines import Changes
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel, step
@@ -43,9 +44,9 @@ class Field(NamedTuple):
     corner: Int64
     """(2,) x and y of the window's corner (lattice units from the anchor)"""
     cells: Int64
-    """(H, W + PAD) what single cells got"""
-    runs: Int32
-    """H x (W + PAD), flat: changes along rows of how often cells were plainly inside"""
+    """H x (W + PAD), flat: what single cells got"""
+    changes: Changes
+    """How often cells were plainly inside, along rows alone"""
     clipped: bool | None
     """None: no beam reaches beyond the window, so that the border costs fewer comparisons"""
 
@@ -75,7 +76,7 @@ def trace_polygons(beams: Beams, limits: tuple[float, int], field: Field, mark: 
     mark
         Scans count from `mark` + 1, and none above it is there yet.
     """
-    (scans, count), rows = beams.rays.kind.shape, len(field.cells)
+    (scans, count), rows = beams.rays.kind.shape, field.changes.rows
     links, listed, crossings = np.empty(count, np.uint8), np.empty(count, np.int32), 4 * rows
     outline, done = spans.make_outline(3 * count + 4), 0
     while done < scans:
@@ -89,8 +90,7 @@ def trace_scans(
     beams: Beams, done: int, limits: tuple[float, int], field: Field, mark: int, room: Room
 ) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
-    limits_inside, runs = room.inside.limits, field.runs
-    rows, cols = field.cells.shape[0], field.cells.shape[1] - PAD
+    limits_inside, (runs, rows, cols) = room.inside.limits, field.changes
     scans: int = beams.rays.kind.shape[0]
     for s in range(done, scans):
         size = _link_beams(beams, s, limits, room.links, room.listed)
@@ -239,14 +239,12 @@ def _note_cell(at_row: int, at_col: int, inside: spans.Spans, mark: int, field: 
 
     What it gets is chosen without a branch: whether neighbours share a cell is a coin toss.
     """
-    border, row, col = field.cells, np.uint64(at_row), np.uint64(at_col)
-    if field.clipped is not None:
-        rows, cols = np.uint64(border.shape[0]), np.uint64(border.shape[1] - PAD)
-        if row >= rows or col >= cols:
-            return
-    cell = border[row, col]
-    place = np.int32(at_row * border.shape[1] + at_col)
-    is_inside = spans.count_begun(inside, row, place) & 1
+    border, (_, rows, cols) = field.cells, field.changes
+    if field.clipped is not None and not (0 <= at_row < rows and 0 <= at_col < cols):
+        return
+    place = np.int32(at_row * (cols + PAD) + at_col)
+    cell = border[np.uint64(place)]
+    is_inside = spans.count_begun(inside, np.uint64(at_row), place) & 1
     is_new = (cell >> SCAN_SHIFT) != mark
     hit = (cell & COUNTED) + ONE_HIT - is_inside
-    border[row, col] = hit | (mark << SCAN_SHIFT) if is_new else cell
+    border[np.uint64(place)] = hit | (mark << SCAN_SHIFT) if is_new else cell

@@ -6,7 +6,8 @@ bearing.
 Clipped at p_min, such a model says the same about all cells up to some share of the range. These
 are added as spans, as in `polygon`; only the cells beyond are visited. Thousands of them are
 listed, and go through one short loop after the other: where a loop has no branch, a processor works
-on several cells at once.
+on several cells at once. Nearly all get what the model says of free cells, which takes no root; the
+others are listed once more.
 """
 
 from typing import NamedTuple
@@ -24,12 +25,14 @@ from occmap.types import Bool, Float64, Int32, Int64, UInt8
 class Listed(NamedTuple):
     """Cells to visit, each (N,): room for `MANY`, and for one more row."""
 
-    rows: Int32
-    cols: Int32
     places: Int32
-    """Which of the steps of a turn a cell lies in, and then which of the entries it gets"""
-    limits: Float64
-    """(2 N,) those of the beam that covers the cell"""
+    """A column + the row times the window's stride"""
+    bearings: Int32
+    """Which of the steps of a turn a cell lies in"""
+    beyond: Int32
+    """Which of these cells are not before the end of the beam that covers them"""
+    squares: Float64
+    """Squared distance from the sensor (lattice units)"""
 
 
 BEARINGS = 1 << 14
@@ -81,10 +84,13 @@ class Room(NamedTuple):
     sectors: Sectors
     covering: Int32
     """(BEARINGS + 1,) the beam that covers each step of a turn"""
-    limits: Float64
-    """(2 B + 2,) a pair for each beam, and one for what no beam covers. A squared distance times
-    the first is a place in the table of free cells; the second is where a hit lies, if any, or
-    -inf"""
+    free: Int64
+    """(TABLE_STEPS + 1,) the entries of free cells, and a 0"""
+    scales: Float64
+    """(B + 1,) what a squared distance is multiplied by to be a place there, for each beam, and inf
+    for what no beam covers"""
+    hits: Float64
+    """(B + 1,) where each beam's hit lies, if any, or -inf"""
     listed: Listed
     outline: spans.Outline
     outer: spans.Spans
@@ -103,20 +109,22 @@ def trace_radial_polygons(beams: Beams, tables: units.Tables, field: Field) -> N
     Parameters
     ----------
     field
-        Its cells are sums of the entries of those that were visited; its runs count the others,
-        which got the first entry of `free`.
+        Its cells are sums of the entries of those that were visited; its changes count the others,
+        which got the first entry of all.
     """
-    (scans, count), rows = beams.rays.kind.shape, len(field.cells)
-    most, crossings, done = units.MANY + field.cells.shape[1] + units.AT_A_TIME, 4 * rows, 0
-    at_rows, at_cols, places = np.empty((3, most), np.int32)
-    listed = Listed(at_rows, at_cols, places, np.empty(2 * most))
-    covering, limits = np.empty(BEARINGS + 1, np.int32), np.empty(2 * count + 2)
-    limits[-2:] = np.inf, -np.inf
+    (scans, count), rows = beams.rays.kind.shape, field.changes.rows
+    most, crossings, done = units.MANY + field.changes.cols + units.AT_A_TIME, 4 * rows, 0
+    places, bearings, beyond = np.empty((3, most), np.int32)
+    listed = Listed(places, bearings, beyond, np.empty(most))
+    covering, (scales, hits) = np.empty(BEARINGS + 1, np.int32), np.empty((2, count + 1))
+    free = np.append(tables.entries[: units.TABLE_STEPS], 0)
+    scales[-1], hits[-1] = np.inf, -np.inf
     depth, sectors = tables.depth * beams.units_per_metre, make_sectors(count)
     outline = spans.make_outline(4 * count + 4)
     while done < scans:
         outer, inner = (spans.make_spans(rows, crossings) for _ in range(2))
-        room = Room(tables, depth, sectors, covering, limits, listed, outline, outer, inner)
+        known = covering, free, scales, hits
+        room = Room(tables, depth, sectors, *known, listed, outline, outer, inner)
         done = trace_scans(beams, done, field, room)
         crossings *= 2
 
@@ -124,10 +132,10 @@ def trace_radial_polygons(beams: Beams, tables: units.Tables, field: Field) -> N
 @kernel
 def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
     """Add scans from `done` on, and return how many are done: for the next is too little room."""
-    sectors, limits, outline = room.sectors, room.limits, room.outline
+    sectors, outline = room.sectors, room.outline
     outer, inner, depth, within = room.outer, room.inner, room.depth, sectors.within
     scans: int = beams.rays.kind.shape[0]
-    corner, rows, cols = field.corner, field.cells.shape[0], field.cells.shape[1] - units.PAD
+    corner, (_, rows, cols) = field.corner, field.changes
     for s in range(done, scans):
         ranges, kinds = beams.ranges[s], beams.rays.kind[s]
         at = beams.origins[s, 0, 0] - corner[0], beams.origins[s, 0, 1] - corner[1]
@@ -139,8 +147,8 @@ def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
         if spans.fill_outline(outline, corners, touched, cols, outer) < 0:
             return s
         for b in range(kinds.size):
-            limits[2 * b] = units.TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
-            limits[2 * b + 1] = ranges[b] if kinds[b] == units.HIT else -np.inf
+            room.scales[b] = units.TABLE_STEPS / max(ranges[b] - depth, 0.0) ** 2
+            room.hits[b] = ranges[b] if kinds[b] == units.HIT else -np.inf
             plain = room.tables.plain * (ranges[b] - depth)
             within[b] = max(plain * (1 - 1e-6) - ROUNDED, 0.0)
         inner.counts[:] = 0
@@ -156,11 +164,11 @@ def trace_scans(beams: Beams, done: int, field: Field, room: Room) -> int:
 @kernel
 def _observe_spans(at: tuple[int, int], touched: tuple[int, int], room: Room, field: Field) -> None:
     """Add the inner spans of a scan from one place, and what beams say about its other cells."""
-    outer, inner, listed, runs = room.outer, room.inner, room.listed, field.runs
-    stride, size = field.cells.shape[1], 0
-    rows, cols = listed.rows, listed.cols
+    outer, inner, listed, runs = room.outer, room.inner, room.listed, field.changes.numbers
+    (at_x, at_y), stride, size = at, field.changes.cols + units.PAD, 0
+    side, from_x = float(units.UNITS_PER_CELL), float(units.HALF_CELL - at_x)
     for r in range(touched[0], touched[1]):
-        row = np.uint64(r)
+        row, y = np.uint64(r), r * side + float(units.HALF_CELL - at_y)
         n, inner_end = inner.starts[row], inner.starts[row] + inner.counts[row]
         beyond = np.int64(0)  # an inner span may bridge a gap between two others
         for i in range(outer.starts[row], outer.starts[row] + outer.counts[row], 2):
@@ -174,44 +182,37 @@ def _observe_spans(at: tuple[int, int], touched: tuple[int, int], room: Room, fi
                     runs[np.uint64(until)] += 1
                     runs[np.uint64(beyond)] -= 1
                     n += 2
+                first_x = (col - r * stride) * side + from_x
                 for j in range(fill_up(int(until - col))):
-                    k = np.uint64(size + j)
-                    rows[k], cols[k] = r, col + j - r * stride
+                    k, x = np.uint64(size + j), first_x + float(np.int32(j)) * side
+                    listed.places[k], listed.squares[k] = col + j, x * x + y * y
+                    listed.bearings[k] = bearing_of(x, y)
                 size += max(int(until - col), 0)
                 col = max(col, beyond)
         if size >= units.MANY or r == touched[1] - 1:
-            _observe_cells(at, room, size, field.cells)
+            _observe_cells(room, size, field.cells)
             size = 0
 
 
 @kernel
-def _observe_cells(at: tuple[int, int], room: Room, size: int, cells: Int64) -> None:
+def _observe_cells(room: Room, size: int, cells: Int64) -> None:
     """Add to each of the listed cells what the beam that covers its bearing says about it."""
-    (at_x, at_y), covering, entries, listed = at, room.covering, room.tables.entries, room.listed
-    rows, cols, places, limits = listed.rows, listed.cols, listed.places, listed.limits
-    known, two, one = room.limits, np.uint64(2), np.uint64(1)
-    steps, first_hit = float(units.TABLE_STEPS), float(units.FIRST_HIT)
-    nothing, to_steps, side = float(units.NOTHING), steps / room.depth, float(units.UNITS_PER_CELL)
-    from_x, from_y = float(units.HALF_CELL - at_x), float(units.HALF_CELL - at_y)
+    covering, free, entries = room.covering, room.free, room.tables.entries
+    (places, bearings, beyond, squares), steps, number = room.listed, units.TABLE_STEPS, 0
     for i in range(size):
         k = np.uint64(i)
-        x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
-        places[k] = bearing_of(x, y)
-    for i in range(size):
-        k = np.uint64(i)
-        b = np.uint64(covering[np.uint64(places[k])])
-        limits[two * k], limits[two * k + one] = known[two * b], known[two * b + one]
-    for i in range(size):
-        k = np.uint64(i)
-        x, y = float(cols[k]) * side + from_x, float(rows[k]) * side + from_y
-        squared = x * x + y * y
-        as_free = squared * limits[two * k]
-        off = abs(np.sqrt(squared) - limits[two * k + one]) * to_steps
-        as_hit = first_hit + off if off <= steps else nothing
-        places[k] = np.int32(as_free if as_free < steps else as_hit)
-    for i in range(size):
-        k = np.uint64(i)
-        cells[np.uint64(rows[k]), np.uint64(cols[k])] += entries[np.uint64(places[k])]
+        as_free = squares[k] * room.scales[np.uint64(covering[np.uint64(bearings[k])])]
+        entry = int(as_free if as_free < steps else float(steps))
+        cells[np.uint64(places[k])] += free[np.uint64(entry)]
+        beyond[np.uint64(number)] = i
+        number += entry == steps
+    to_steps = steps / room.depth
+    for i in range(number):
+        k = np.uint64(beyond[np.uint64(i)])
+        hit = room.hits[np.uint64(covering[np.uint64(bearings[k])])]
+        off = abs(np.sqrt(squares[k]) - hit) * to_steps
+        as_hit = units.FIRST_HIT + off if off <= steps else float(units.NOTHING)
+        cells[np.uint64(places[k])] += entries[np.uint64(int(as_hit))]
 
 
 def make_sectors(count: int) -> Sectors:
