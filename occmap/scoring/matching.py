@@ -105,7 +105,7 @@ def add_move(first: Pose | None, then: Transform, align: float | None, lift: flo
     first = first or IDENTITY
     given = Pose.planar(*moved.after(first))._replace(z=round(first.z + lift, 3))
     x, y, yaw, *z = map(float, format_place(given).split(","))
-    return Pose.planar(x, y, yaw)._replace(z=sum(z))
+    return Pose.planar(x, y, yaw)._replace(z=sum(z, 0.0))
 
 
 class Walls(NamedTuple):
