@@ -117,7 +117,11 @@ class PosingOptions:
         metavar="X,Y,YAW[,Z]",
         form=PLACE,
     )
-    base_frame: str | None = option(None, "The moving body that `sensor_pose` is on.", unit="frame")
+    base_frame: str | None = option(
+        None,
+        "The moving body that `sensor_pose` is on, and whose poses a file of `poses` holds.",
+        unit="frame",
+    )
     # None: across any gap. Logs that are whole have gaps of one second, and a robot that is not
     # watched for longer than two can have been anywhere.
     max_pose_gap_s: float | None = option(

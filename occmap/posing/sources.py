@@ -330,9 +330,13 @@ class Search:
         above = self._find_path(fixed, trajectory.parent)
         below = self._find_path(body, anchor)
         note = f"poses from {trajectory.topic}, taken as those of {body!r}"
-        if body == self.frame and not trajectory.child:
-            mount = f"`sensor_pose=({MountError.UNKNOWN})`"
-            note += f", the laser itself: give {mount} if they are the robot's"
+        if not (trajectory.child or base or self.options.sensor_pose):
+            mount, own = f"`sensor_pose=({MountError.UNKNOWN})`", f"`base_frame={self.frame}`"
+            note += (
+                f", the laser itself: give {mount} if they are the robot's"
+                if body == self.frame
+                else f": give {own} if they are the sensor's own"
+            )
         self.notes.append(note)
         carried = replace(trajectory, child=body)
         return fixed, [*above, carried, *below, *self._mount_on(anchor)]

@@ -65,7 +65,7 @@ def test_a_drive_has_the_poses_of_another_recording(
         made = build_map(log, poses=poses)
         assert name_evidence(made) == whole
         note = f"log.bag: poses from slam.mcap:{topic}, taken as those of 'base'"
-        assert note in made.report.notes
+        assert any(each.startswith(note) for each in made.report.notes)
 
 
 def test_a_path_that_is_sent_again_and_again_is_its_last(log: Path, whole: str) -> None:

@@ -89,6 +89,7 @@ PLACES = {
     ),
 }  # fmt: skip
 TAKEN = "poses from {}, taken as those of '{}'"
+OWN = ": give `base_frame=laser` if they are the sensor's own"
 SHORTEST = "the shortest way counts"
 NOTES = {
     "before that of the log": ["the given sensor pose replaces the log's of 'laser'"],
@@ -104,14 +105,14 @@ NOTES = {
         "tf does not give camera_init -> laser: taken from /lio",
     ],
     "nameless odometry": ["tf does not give odom -> base_link: taken from /odom"],
-    "poses of a still tree": [TAKEN.format("/pose", "base_link")],
+    "poses of a still tree": [TAKEN.format("/pose", "base_link") + OWN],
     "poses without a tree": [
         f"{TAKEN.format('/pose', 'laser')}, the laser itself: give `sensor_pose=(x,y,yaw)` if they "
         "are the robot's"
     ],
-    "of a base in tf": [TAKEN.format("/odom", "base_link")],
-    "of another base": [TAKEN.format("/odom", "torso")],
-    "a chosen topic": [TAKEN.format("/mocap/pose", "base_link")],
+    "of a base in tf": [TAKEN.format("/odom", "base_link") + OWN],
+    "of another base": [TAKEN.format("/odom", "torso") + OWN],
+    "a chosen topic": [TAKEN.format("/mocap/pose", "base_link") + OWN],
     "chosen odometry": [TAKEN.format("/fused", "base_link")],
     "in a chosen map": [TAKEN.format("/fused", "base_link")],
     "of an unconnected body": [TAKEN.format("/odom", "base_link")],
