@@ -174,7 +174,7 @@ def list_misfit(
         yield (
             f"does not fit {whom}: in cells that both saw, {fit.alone:.0%} of the hits lie in "
             f"occupied cells where each is mapped alone, and {fit.together:.0%} together; where "
-            "their frames differ, build each with a `transform` of its own and merge them"
+            "their frames differ, `fit` lays one on the other as they are merged, or with `resume`"
         )
 
 
