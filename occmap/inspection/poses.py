@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
+from typing import TypeAlias
 
 import numpy as np
 
@@ -34,6 +35,11 @@ from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor.bands import BAND
 from occmap.types import Float64, Pose, PosedScans
+
+Doubt: TypeAlias = tuple[str, Concern]
+"""A topic, and what spoils its map"""
+Clouds: TypeAlias = Mapping[str, Sequence[PosedScans]]
+"""Samples of clouds, by topic"""
 
 WELL_POSED = 0.9
 """If a smaller share of the scans has poses, the other of the two times is tried."""
@@ -279,12 +285,9 @@ def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground
 
 
 def list_floor_concerns(
-    some: Mapping[str, Sequence[PosedScans]],
-    poser: Poser,
-    options: BuildOptions,
-    ground: Ground | None,
-) -> Iterator[tuple[str, Concern]]:
-    """List what the floor in some clouds says against mounts and poses, with their topics."""
+    some: Clouds, poser: Poser, options: BuildOptions, ground: Ground | None
+) -> Iterator[Doubt]:
+    """List what the floor in some clouds says against mounts and poses."""
     yield from ((topic, Concern(doubt)) for topic, doubt in poser.suspect_axes(ground))
     for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
@@ -324,8 +327,8 @@ keeps its range less well than a beam does (m)"""
 
 
 def list_other_concerns(
-    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground, is_right: bool
-) -> Iterator[tuple[str, Concern]]:
+    some: Clouds, options: BuildOptions, ground: Ground, is_right: bool
+) -> Iterator[Doubt]:
     """List what else some clouds show: the robot, and that they contradict each other.
 
     Parameters
