@@ -54,7 +54,7 @@ class Selection:
     start_s: float = option(-math.inf, "Use scans from this time after the first on.", unit="s")
     end_s: float = option(math.inf, "Use scans before this time after the first.", unit="s")
     stride: int = option(
-        1, "Use every N-th of these scans.", unit="scans", metavar="N", bounds=(1, math.inf)
+        1, "Use every N-th scan of a topic.", unit="scans", metavar="N", bounds=(1, math.inf)
     )
 
     def __post_init__(self) -> None:

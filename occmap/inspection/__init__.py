@@ -21,6 +21,7 @@ from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
+from occmap.inspection.poses import Doubt
 from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
@@ -34,6 +35,7 @@ from occmap.scans.mounts import Posing, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.scans.tracing import find_ground
+from occmap.types import PosedScans
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
@@ -183,26 +185,23 @@ def suits_all(better: findings.Better, topic: ScanFindings, topics: Sequence[Sca
 
 
 def list_concerns(
-    log: LogFindings,
-    spoilers: Sequence[tuple[str, Concern]],
-    surveys: Sequence[TopicSurvey],
-    options: BuildOptions,
+    log: LogFindings, doubts: Sequence[Doubt], parts: Sequence[PosedScans], options: BuildOptions
 ) -> list[Concern]:
     """List what will spoil a map, or surprise its maker.
 
     Parameters
     ----------
-    spoilers
-        What the poses show, with the topics of the scans.
-    surveys
-        Of its topics, with samples of their scans.
+    doubts
+        What poses, floor, angles and ranges show.
+    parts
+        A sample of the scans of all topics.
     """
     has_poses = any(topic.poses.posed for topic in log.scans)  # that none has, is a problem
-    lost = {name for name, concern in spoilers if concern.remedy is None}
+    lost = {name for name, concern in doubts if concern.remedy is None}
     found = []
     for topic in log.scans:
         others = [other for other in log.scans if other is not topic]
-        mine = [concern for name, concern in spoilers if name == topic.topic]
+        mine = [concern for name, concern in doubts if name == topic.topic]
         mine += list_oddities(topic, has_poses)
         if topic.better and topic.poses.posed:
             mine.append(Concern(tell_better(topic, topic.better)))
@@ -214,7 +213,7 @@ def list_concerns(
             mine = [it if it.remedy is not None else Concern(it.text + left, only) for it in mine]
         found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
-        found += list_apart(log.scans, surveys, options)
+        found += list_apart(log.scans, parts, options)
     return [Concern(f"{log.path}: {text}", remedy) for text, remedy in found]
 
 
@@ -232,12 +231,11 @@ def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator
 
 
 def list_apart(
-    topics: Sequence[ScanFindings], surveys: Sequence[TopicSurvey], options: BuildOptions
+    topics: Sequence[ScanFindings], parts: Sequence[PosedScans], options: BuildOptions
 ) -> Iterator[Concern]:
     """Say if the scans of several topics contradict each other, and whose mount may be why."""
     if len(topics) < 2:
         return
-    parts = [part for survey in surveys for part in survey.sample.parts]
     together = estimate_agreement(parts, options)
     alone = {topic.topic: topic.agreement or 0.0 for topic in topics}
     by_part = [(alone[part.batch.topic], part.batch.ranges.size) for part in parts]
@@ -347,12 +345,12 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     drive, seen = survey.drive, list(survey.topics.values())
     described = (describe_topic(log, each, posing, options) for each in seen if each.frames)
     scans = () if problem else tuple(described)
-    spoilers = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    spoilers += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
+    doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
+    doubts += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
     box, ground = survey.box, list[str]()
     if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         box, ground, against, problem = inspect_ground(log, survey, poser, options)
-        spoilers += against
+        doubts += against
     elif not scans and not problem:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
@@ -368,12 +366,13 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         longest=survey.longest,
         problem=problem,
     )
-    return replace(found, concerns=tuple(list_concerns(found, spoilers, seen, options)))
+    parts = [part for topic in seen for part in topic.sample.parts]
+    return replace(found, concerns=tuple(list_concerns(found, doubts, parts, options)))
 
 
 def inspect_ground(
     log: Log, survey: Survey, poser: Poser, options: BuildOptions
-) -> tuple[CellBox | None, list[str], list[tuple[str, Concern]], str]:
+) -> tuple[CellBox | None, list[str], list[Doubt], str]:
     """Find the ground below the clouds of a log.
 
     Returns

@@ -314,21 +314,17 @@ class Inspection(Printed):
         return [topic for log in self.logs for topic in log.scans]
 
     @property
-    def has_beams(self) -> bool:
-        """Whether it is on scans, and not on clouds."""
-        return not any(topic.is_of_clouds for topic in self.topics)
-
-    @property
     def dropped_share(self) -> float:
         """The share of the scans asked for that have no pose; 0 of nothing."""
         wanted = sum(topic.wanted for topic in self.topics)
         return (wanted - sum(topic.poses.posed for topic in self.topics)) / max(wanted, 1)
 
     @property
-    def hit_share(self) -> float:
-        """The share of all ranges that are measured; 0 of nothing."""
+    def beam_shares(self) -> dict[str, float]:
+        """Which share of all ranges is measured; none where it is on clouds."""
         ranges = [topic.ranges for topic in self.topics]
-        return sum(each.measured for each in ranges) / max(sum(each.total for each in ranges), 1)
+        share = sum(it.measured for it in ranges) / max(sum(it.total for it in ranges), 1)
+        return {} if any(topic.is_of_clouds for topic in self.topics) else {"hits": share}
 
 
 def list_facts(topic: ScanFindings) -> Iterator[Row]:

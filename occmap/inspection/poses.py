@@ -8,12 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
+from typing import TypeAlias
 
 import numpy as np
 
 from occmap.cells import Box, CellBox, Ground
 from occmap.choices import format_mount, list_values, take
-from occmap.clouds.mounting import find_seat, measure_tilts
+from occmap.clouds.mounting import Tilts, find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions, measure_steady
 from occmap.grid import Lattice
@@ -34,6 +35,11 @@ from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor.bands import BAND
 from occmap.types import Float64, Pose, PosedScans
+
+Doubt: TypeAlias = tuple[str, Concern]
+"""A topic, and what spoils its map"""
+Clouds: TypeAlias = Mapping[str, Sequence[PosedScans]]
+"""Samples of clouds, by topic"""
 
 WELL_POSED = 0.9
 """If a smaller share of the scans has poses, the other of the two times is tried."""
@@ -279,37 +285,39 @@ def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground
 
 
 def list_floor_concerns(
-    some: Mapping[str, Sequence[PosedScans]],
-    poser: Poser,
-    options: BuildOptions,
-    ground: Ground | None,
-) -> Iterator[tuple[str, Concern]]:
-    """List what the floor in some clouds says against mounts and poses, with their topics."""
+    some: Clouds, poser: Poser, options: BuildOptions, ground: Ground | None
+) -> Iterator[Doubt]:
+    """List what the floor in some clouds says against mounts and poses."""
     yield from ((topic, Concern(doubt)) for topic, doubt in poser.suspect_axes(ground))
     for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
-        if concern := find_misplaced(mount, clouds):
-            yield topic, concern
-            continue
         tilts = None if ground is None else measure_tilts(clouds, ground)
-        turn = None if tilts is None else tilts.sensor if tilts.is_mount else tilts.upright
-        angle = 0.0 if turn is None else math.degrees(float(np.linalg.norm(turn)))
-        if tilts is None or not LEAST_TILT_DEG < angle < MOST_TILT_DEG:
-            continue
-        if tilts.is_mount and mount:
-            half_x, half_y, half_z = (tilts.sensor / 2).tolist()
-            small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
-            mended = mount.write(mounts.turn_mount(mount.pose, small))
-            found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever"
-            yield topic, Concern(f"{found} it goes: its mount is wrong by that", mended)
-            continue
-        if options.posing.height_drift:  # what is left of it looks alike
-            continue
-        # The ground is made of the same points, and is off by as much where others see it.
-        margin = options.clouds.range_margin + 2.2 * math.radians(angle)
-        found = f"the floor is tilted by about {angle:.1f} deg against the poses"
-        why = "their up is wrong, and floor far away would stand up"
-        yield topic, Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
+        tilted = None if tilts is None else judge_tilts(tilts, mount, options)
+        if concern := find_misplaced(mount, clouds) or tilted:
+            yield topic, concern
+
+
+def judge_tilts(tilts: Tilts, mount: mounts.Mount | None, options: BuildOptions) -> Concern | None:
+    """Find out if a mount, or the poses' up, is wrong by a small angle."""
+    turn = tilts.sensor if tilts.is_mount else tilts.upright
+    angle = math.degrees(float(np.linalg.norm(turn)))
+    if not LEAST_TILT_DEG < angle < MOST_TILT_DEG:
+        return None
+    if tilts.is_mount and mount:
+        half_x, half_y, half_z = (tilts.sensor / 2).tolist()
+        small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
+        mended = mount.write(mounts.turn_mount(mount.pose, small))
+        found = (
+            f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever it goes"
+        )
+        return Concern(f"{found}: its mount is wrong by that", mended)
+    if options.posing.height_drift:  # what is left of it looks alike
+        return None
+    # The ground is made of the same points, and is off by as much where others see it.
+    margin = options.clouds.range_margin + 2.2 * math.radians(angle)
+    found = f"the floor is tilted by about {angle:.1f} deg against the poses"
+    why = "their up is wrong, and floor far away would stand up"
+    return Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
 
 
 SEEN_M = 10.0
@@ -319,8 +327,8 @@ keeps its range less well than a beam does (m)"""
 
 
 def list_other_concerns(
-    some: Mapping[str, Sequence[PosedScans]], options: BuildOptions, ground: Ground, is_right: bool
-) -> Iterator[tuple[str, Concern]]:
+    some: Clouds, options: BuildOptions, ground: Ground, is_right: bool
+) -> Iterator[Doubt]:
     """List what else some clouds show: the robot, and that they contradict each other.
 
     Parameters

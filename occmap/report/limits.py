@@ -163,8 +163,8 @@ DAMAGE = Measure("damage", COUNT, lambda it: len(it.damage))
 def take_beams(name: str, result: Any) -> float:
     """Take a share of the beams of a report; raises UsageError where it is on clouds."""
     found = f"`limits` has {name}, a share of beams, and clouds of points have none"
-    require(result.has_beams, found, "leave out that limit")
-    return float(getattr(result, f"{name.removesuffix('s')}_share"))
+    require(name in result.beam_shares, found, "leave out that limit")
+    return float(result.beam_shares[name])
 
 
 HITS = Measure("hits", SHARE, partial(take_beams, "hits"))

@@ -157,19 +157,11 @@ class Report(Noted):
     """What to try where scans fit each other poorly; empty where nothing need be wrong"""
 
     @property
-    def has_beams(self) -> bool:
-        """Whether it is on scans, and not on clouds."""
-        return self.map.update is not Update.CLOUD
-
-    @property
-    def hit_share(self) -> float:
-        """The share of beams that hit something; 0 of nothing."""
-        return self.beams.hit / max(sum(self.beams), 1)
-
-    @property
-    def no_return_share(self) -> float:
-        """The share of beams that nothing came back to; 0 of nothing."""
-        return self.beams.no_return / max(sum(self.beams), 1)
+    def beam_shares(self) -> dict[str, float]:
+        """Which shares of the beams hit something, and met nothing; none where it is on clouds."""
+        total = max(sum(self.beams), 1)
+        shares = {"hits": self.beams.hit / total, "no_return": self.beams.no_return / total}
+        return {} if self.map.update is Update.CLOUD else shares
 
 
 class Build(NamedTuple):

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -100,20 +100,16 @@ def prepare(log: Log, first: Sequence[Scan | Cloud], options: BuildOptions) -> P
         return Posing(poser, faults)
     # Read the scans as if the sensor were the body, and find the mount that suits them best.
     guess = guess_place(at_body, Drive(log, at_body, options).sample(), options)
+    mount, why = guess or (IDENTITY, "")
     ((frame, fault),) = faults.items()
     if guess and isinstance(fault, MountError):
-        faults = {frame: fault.named(format_mount(guess.mount), guess.why)}
-    mount = guess.mount if guess else IDENTITY
+        faults = {frame: fault.named(format_mount(mount), why)}
     posing = replace(options.posing, sensor_pose=mount)
     return Posing(Poser(at_body.sources, posing), faults, mount, is_guess=guess is None)
 
 
-class Guess(NamedTuple):
-    """Where a laser may sit."""
-
-    mount: Pose
-    why: str
-    """What speaks for it, and how well the scans then fit each other"""
+Guess: TypeAlias = tuple[Pose, str]
+"""Where a sensor may sit, and what speaks for that"""
 
 
 def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Guess | None:
@@ -145,9 +141,9 @@ def guess_place(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
     agreement = estimate_agreement([mount_scans(part, mount) for part in parts], options)
     share = "" if agreement is None else f": {agreement:.0%} of the hits of a sample agree"
     if known:
-        return Guess(mount, f"where tf has {leaf!r}, a frame that no scan is in{share}")
+        return mount, f"where tf has {leaf!r}, a frame that no scan is in{share}"
     place = "measure x and y, or walls are doubled"
-    return Guess(mount, f"which suits the scans best of all turns{share}; {place}")
+    return mount, f"which suits the scans best of all turns{share}; {place}"
 
 
 def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
@@ -157,7 +153,7 @@ def guess_by_floor(parts: Sequence[PosedScans]) -> Guess | None:
         return None
     found = f"by the floor {seat.height:.2f} m below it"
     by_walls = ", and by walls; measure x and y" if seat.has_yaw else "; measure x, y and yaw"
-    return Guess(seat.mount, f"{found}{by_walls}, or walls are doubled")
+    return seat.mount, f"{found}{by_walls}, or walls are doubled"
 
 
 def list_leaves(poser: Poser, frame: str) -> dict[str, Pose]:

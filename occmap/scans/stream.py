@@ -38,8 +38,8 @@ class Selector:
         self._wants_all = replace(selection, topics=()) == Selection()
         self.first_ns: int | None = None
         """The stamp of the log's first scan; None before it is seen"""
-        self._wanted = 0
-        """How many scans lie in the time window so far"""
+        self._wanted: Counter[str] = Counter()
+        """How many scans of each topic lie in the time window so far"""
         self.read = 0
         self.left_out: Counter[LeftOut] = Counter()
         """How many of those read `select` left out, by reason"""
@@ -76,8 +76,9 @@ class Selector:
             return flaw
         if not self._selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self._selection.end_s:
             return LeftOut.TIME
-        self._wanted += 1
-        return LeftOut.STRIDE if (self._wanted - 1) % self._selection.stride else None
+        self._wanted[scan.topic] += 1
+        is_between = (self._wanted[scan.topic] - 1) % self._selection.stride
+        return LeftOut.STRIDE if is_between else None
 
 
 BATCH_BEAMS = 1 << 18

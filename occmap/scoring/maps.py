@@ -33,9 +33,12 @@ BESIDE = 1.5
 """In cells: all eight cells around one are nearer"""
 AS_THEY_LIE = Match(STAY, 1.0, 0.0)
 FREE, OCCUPIED, NEITHER = CellClass.FREE, CellClass.OCCUPIED, CellClass.NEITHER
-WHITE, BLACK, GREY = (254, 254, 254), (0, 0, 0), (205, 205, 205)
-INVENTED, DANGER, MISSED = (213, 94, 0), (0, 114, 178), (230, 159, 0)
-"""Colours that colour-blind people tell apart, too (Okabe and Ito, 2008)"""
+COLOURS = np.array(
+    [(213, 94, 0), (0, 114, 178), (230, 159, 0), (0, 0, 0), (254, 254, 254), (205, 205, 205)],
+    np.uint8,
+)
+"""Of what is invented, dangerous, missed, a wall, free, and neither; colour-blind people tell these
+apart, too (Okabe and Ito, 2008)"""
 
 
 @dataclass(frozen=True)
@@ -325,16 +328,8 @@ def score_by_truth(
         found = f"{truth.path} has no edge of a wall, or is not known where this map has walls"
         fix = "check that both are in one map frame: `fit` looks up to 2 m away"
         raise MapError(found, where=written.path, fix=fix)
-    picture = np.full((*shape, 3), GREY, np.uint8)
-    layers = (
-        (is_said == FREE, WHITE),
-        (walls, BLACK),
-        (is_missed, MISSED),
-        (dangerous, DANGER),
-        (invented, INVENTED),
-    )
-    for cells, colour in layers:
-        np.copyto(picture, np.array(colour, np.uint8), where=cells[..., np.newaxis])
+    layers = [invented, dangerous, is_missed, walls, is_said == FREE]
+    drawn = np.select(layers, list(np.arange(len(layers), dtype=np.uint8)), np.uint8(len(layers)))
     return TruthScore(
         truth=str(truth.path),
         within_m=within_m,
@@ -346,7 +341,7 @@ def score_by_truth(
         wall_distance_m=float(distances.mean()),
         wall_distance_95_m=float(np.quantile(distances, 0.95)),
         transform=moved,
-        picture=picture[::-1],
+        picture=COLOURS[drawn[::-1]],
     )
 
 

@@ -91,6 +91,12 @@ def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: Le
     assert (selector.read, selector.left_out) == (5, {reason: 5})
 
 
+def test_lasers_that_take_turns_are_thinned_each_by_itself() -> None:
+    scans = [scan._replace(topic=topic) for scan in RUN.split() for topic in ("/a", "/b")]
+    chosen = Selector(Selection(stride=2), Stamps.HEADER).select(scans)
+    assert [some.first.topic for some in chosen] == ["/a", "/b"] * 3
+
+
 @given(
     st.lists(st.tuples(st.booleans(), st.integers(1, 6)), max_size=6),
     st.sampled_from([-math.inf, 0.0, 2.5]),
