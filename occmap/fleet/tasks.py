@@ -23,7 +23,7 @@ from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid.rendering import count_agreeing
 from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
-from occmap.readers import Note, open_log
+from occmap.readers import open_log
 from occmap.report.results import count_cells
 from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
@@ -105,9 +105,7 @@ class Traced:
 
     tally: Tally
     notes: list[str]
-    """On its poses, scans and ranges"""
-    log_notes: tuple[Note, ...]
-    """Those of its reader"""
+    """On its poses, scans and ranges, and those of its reader"""
     pieces: dict[Block, list[Piece]]
 
 
@@ -173,7 +171,8 @@ def trace_log(setting: Setting, job: Job) -> Traced:
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
-    return Traced(tally, drive.list_notes(setting.keep.ground), tuple(log.notes), runs.pieces)
+    notes = [*drive.list_notes(setting.keep.ground), *log.notes]
+    return Traced(tally, notes, runs.pieces)
 
 
 class RunWriter:
