@@ -150,7 +150,9 @@ class CellBox(NamedTuple):
 
     def find(self, places: Int64) -> Int64:
         """Which of the rows and columns (N, 2) lie in this box."""
-        return np.flatnonzero(((places >= self[:2]) & (places < self[2:])).all(axis=1))
+        row, col = places.T
+        in_rows = (self.row <= row) & (row < self.row_end)
+        return np.flatnonzero(in_rows & (self.col <= col) & (col < self.col_end))
 
     @property
     def slices(self) -> tuple[slice, slice]:
@@ -449,7 +451,3 @@ class Evidence:
     """What there is to say of what it was made of; no file keeps that"""
     ground: Ground | None = None
     """What clouds were traced over"""
-
-    def identify(self) -> str:
-        """Name what was observed, by `Manifest.identify`."""
-        return self.manifest.identify(sum_tiles(self.tiles))

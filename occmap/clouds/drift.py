@@ -71,16 +71,20 @@ def fit_drift(way: Float64, passes: Float64) -> Float64:
     """Fit what is added to the heights of a way (N, 4; m and s), so that they are equal at passes.
 
     It is linear from place to place, changes as little as may be, and is 0 where the way begins.
+    That is a problem of least squares, of which this makes the normal equations: each pass adds the
+    products of its four weights, of the places beside its two times, and each step adds the square
+    of its change.
     """
     seconds, steps, n = way[:, 3], np.abs(np.diff(way, axis=0)), len(way)
-    part = np.clip(np.searchsorted(seconds, passes[:, :2], side="right") - 1, 0, n - 2)
-    share = np.clip((passes[:, :2] - seconds[part]) / steps[part, 3], 0, 1)
-    at = np.concatenate([part, part + 1], axis=1).T
+    before = np.clip(np.searchsorted(seconds, passes[:, :2], side="right") - 1, 0, n - 2)
+    share = np.clip((passes[:, :2] - seconds[before]) / steps[before, 3], 0, 1)
+    place = np.concatenate([before, before + 1], axis=1).T
+    # Of the drift at the second time less that at the first.
     weight = np.concatenate([1 - share, share], axis=1).T * [[-1], [1], [-1], [1]]
-    pairs, products = at[:, None] * n + at, weight[:, None] * weight
+    pairs, products = place[:, None] * n + place, weight[:, None] * weight
+    of_passes = np.bincount(pairs.ravel(), products.ravel(), n * n).reshape(n, n)
     is_jump = steps[:, 2] > np.maximum(JUMP_M, STEEP * np.hypot(steps[:, 0], steps[:, 1]))
     change = np.diff(np.eye(n), axis=0)
-    cost = change.T * (np.where(is_jump, FREE, 1) / steps[:, 3]) @ change
-    square = np.bincount(pairs.ravel(), products.ravel(), n * n).reshape(n, n) + cost
-    sums = np.bincount(at.ravel(), (weight * -passes[:, 2]).ravel(), n)
-    return np.append(0.0, np.linalg.solve(square[1:, 1:], sums[1:]))
+    of_changes = change.T * (np.where(is_jump, FREE, 1) / steps[:, 3]) @ change
+    wanted = np.bincount(place.ravel(), (weight * -passes[:, 2]).ravel(), n)
+    return np.append(0.0, np.linalg.solve((of_passes + of_changes)[1:, 1:], wanted[1:]))

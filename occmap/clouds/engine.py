@@ -155,7 +155,6 @@ class CloudEngine(Engine):
         slice_ns: int | None = None,
     ) -> None:
         super().__init__(TileGrid(lattice, EvidenceKind.COUNTS, NEAR_WEIGHT), slice_ns)
-        self.ground = ground
         columns = lay_columns(ground)
         # A table of its own for each thread, of tiles around all ground.
         places = columns.blocks.places

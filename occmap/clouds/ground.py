@@ -204,13 +204,7 @@ class GroundFinder:
         measured = height != NO_GROUND
         if not measured.any():
             raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-        fill(blocks, height, FILLED)
-        plane = fit_plane(blocks, height, measured)
-        if plane is not None:
-            beyond = height == NO_GROUND
-            fill(blocks, height, LEVEL_FILLED - FILLED)
-            beyond &= height != NO_GROUND
-            height[beyond] = plane[beyond]
+        fill_around(blocks, height)
         holes = find_holes(columns, height, measured, options)
         if laid is not None:
             holes |= list_known_holes(blocks, laid, measured)
@@ -322,6 +316,17 @@ def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) ->
     growth.grow_ground(blocks, peaks, found, 1, rounds, np.empty((2, len(height)), np.int64))
 
 
+def fill_around(blocks: Blocks, height: Int32) -> None:
+    """Fill columns around measured ground (C,); a floor of one level goes on as its plane."""
+    plane = fit_plane(blocks, height)
+    fill(blocks, height, FILLED)
+    if plane is not None:
+        beyond = height == NO_GROUND
+        fill(blocks, height, LEVEL_FILLED - FILLED)
+        beyond &= height != NO_GROUND
+        height[beyond] = plane[beyond]
+
+
 def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
     """Find columns (C,) that have no ground, since points lie deep below where it would be.
 
@@ -375,12 +380,12 @@ def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
     return Peaks(first, many, height, np.concatenate([peaks.weight, weight]))
 
 
-def fit_plane(blocks: Blocks, height: Int32, measured: Bool) -> Int32 | None:
+def fit_plane(blocks: Blocks, height: Int32) -> Int32 | None:
     """Fit a plane to measured ground (C,); give its heights (C,; mm), or None where it has none.
 
     Sums are of integers, so that their order does not count.
     """
-    at = np.flatnonzero(measured)
+    at = np.flatnonzero(height != NO_GROUND)
     if len(at) < LEAST_LEVEL:
         return None
     row, col = list_places(blocks, np.arange(len(height)))

@@ -19,8 +19,8 @@ from occmap.cells import Ground
 from occmap.posing.tracks import to_quaternions
 from occmap.types import Bool, Float64, Pose, PosedScans
 
-CLOUDS, POINTS = 40, 1500
-"""How many clouds are looked at, and how many points of each, about"""
+POINTS = 1500
+"""How many points of each cloud are looked at, about"""
 NEAREST_M, FARTHEST_M = 0.3, 8.0
 """Points are looked at that are as far from the sensor"""
 THICK_M = 0.05

@@ -189,10 +189,7 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
     shared = sorted(grid.tiles.keys() & others.keys())
     sample = shared[:: max(-(-len(shared) // MOST_TILES), 1)]
     parts = [{key: whole[key] for key in sample} for whole in (grid.tiles, others)]
-    both: dict[Key, Tile] = {
-        key: np.sum([part[key] for part in parts], axis=0, dtype=np.int64) for key in sample
-    }
-    grids = [grid.like(each) for each in (*parts, both)]
+    grids = [grid.like(each) for each in (*parts, tiles.add_tiles(*parts))]
     sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
     for key in sample:
         box = CellBox.at(*key).scale(TILE)

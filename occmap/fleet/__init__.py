@@ -108,7 +108,7 @@ class Crew:
         blocks: dict[Block, list[Piece]] = defaultdict(list)
         traced = self.cluster.run(tasks.trace_log, self.setting, self.logs, tell)
         for job, log in zip(self.logs, traced, strict=True):
-            self.remarks.note(Path(job.where), log.log_notes, log.notes)
+            self.remarks.note(Path(job.where), log.notes, ())
             self.tally.add(log.tally)
             for block, pieces in log.pieces.items():
                 blocks[block] += pieces

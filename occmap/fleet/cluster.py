@@ -5,12 +5,13 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from importlib.metadata import version
 from multiprocessing import resource_tracker
 from pathlib import Path
-from threading import Event, Thread
+from threading import Thread
+from time import sleep
 from typing import TYPE_CHECKING, Any
 
 from occmap.errors import FleetError
@@ -170,28 +171,18 @@ def open_cluster(
             raise FleetError("the scheduler has no workers", where=address, fix=fix) from None
         cluster = Cluster(client, address, describe)
         refuse_unfit(cluster)
-        with miss_workers(client, address):
-            yield cluster
+        Thread(target=miss_workers, args=(client, address), daemon=True).start()
+        yield cluster
 
 
-@contextmanager
-def miss_workers(client: "Client", address: str) -> Iterator[None]:
+def miss_workers(client: "Client", address: str) -> None:
     """Say so once where no worker is left for a while: Dask waits for another one for ever."""
-    is_over = Event()
-
-    def look() -> None:
-        while not is_over.wait(2 * PATIENCE_S):
-            if not client.scheduler_info()["workers"]:
+    with suppress(Exception):  # of any kind, where the client is closed at this very moment
+        while client.status == "running":
+            sleep(2 * PATIENCE_S)
+            if client.status == "running" and not client.scheduler_info()["workers"]:
                 log.warning("%s: no worker is left; waiting for another one", address)
                 return
-
-    looking = Thread(target=look)
-    looking.start()
-    try:
-        yield
-    finally:
-        is_over.set()
-        looking.join()
 
 
 @contextmanager

@@ -6,10 +6,11 @@ are renamed into place, and a result comes after the run files that it tells of.
 """
 
 import pickle
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import wraps
+from functools import partial, wraps
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias, TypeVar
 
@@ -22,7 +23,7 @@ from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid.rendering import count_agreeing
 from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
-from occmap.readers import Note, open_log
+from occmap.readers import open_log
 from occmap.report.results import count_cells
 from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
@@ -104,9 +105,7 @@ class Traced:
 
     tally: Tally
     notes: list[str]
-    """On its poses, scans and ranges"""
-    log_notes: tuple[Note, ...]
-    """Those of its reader"""
+    """On its poses, scans and ranges, and those of its reader"""
     pieces: dict[Block, list[Piece]]
 
 
@@ -164,35 +163,28 @@ def trace_log(setting: Setting, job: Job) -> Traced:
     log = open_log(Path(job.where), options.reading)
     scans = count_scans(log, options.selection.topics)
     tally = Tally(shown_every=setting.keep.choose_shown(scans * setting.logs))
-    runs = RunWriter(setting, job.name)
     with tally.time("poses"):
         drive = open_drive(log, options)
-    trace_drive(drive, runs.begin, tally)
+    # A name is used once, also where the log is read anew: another worker may be at the same log.
+    names = (f"{job.name}-{number}.run" for number in count())
+    runs = trace_drive(drive, partial(RunWriter, setting, names), tally)
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
-    return Traced(tally, drive.list_notes(setting.keep.ground), tuple(log.notes), runs.pieces)
+    notes = [*drive.list_notes(setting.keep.ground), *log.notes]
+    return Traced(tally, notes, runs.pieces)
 
 
 class RunWriter:
     """Observes the rays of a log, and writes a run file whenever memory holds enough tiles."""
 
-    def __init__(self, setting: Setting, name: str) -> None:
-        self._setting, self._name = setting, name
-        self._runs = 0
-        self.begin()
+    def __init__(self, setting: Setting, names: Iterator[str]) -> None:
+        self._setting, self._names = setting, names
+        self.pieces = defaultdict[Block, list[Piece]](list)
+        self.points = Counter[str]()
+        self._begin()
 
-    def begin(self) -> Self:
-        """Forget what was observed so far, as the log is read anew.
-
-        Names of run files are not used again: another worker may be at the same log.
-        """
-        self.pieces: dict[Block, list[Piece]] = {}
-        self.points: Counter[str] = Counter()
-        self._renew()
-        return self
-
-    def _renew(self) -> None:
+    def _begin(self) -> None:
         setting = self._setting
         self._engine = choose_engine(setting.options, setting.keep, setting.window_cells)
 
@@ -207,11 +199,10 @@ class RunWriter:
         self.points.update(self._engine.points)
         plan = plan_manifest(self._setting.options)
         seen = Evidence(plan, self._engine.finish().tiles, self._engine.read_slices())
-        name = f"{self._name}-{self._runs}.run"
-        for block, piece in write_run(self._setting.folder, name, split_evidence(seen)).items():
-            self.pieces.setdefault(block, []).append(piece)
-        self._runs += 1
-        self._renew()
+        parts = write_run(self._setting.folder, next(self._names), split_evidence(seen))
+        for block, piece in parts.items():
+            self.pieces[block].append(piece)
+        self._begin()
 
 
 def write_run(

@@ -334,18 +334,23 @@ def unite(parts: Iterable[Slices]) -> Slices:
     return Slices.join(united)
 
 
-def split_tiles(slices: Slices) -> Iterator[tuple[tuple[int, int], Slices]]:
-    """What each tile has of slices that are in order."""
+def split(slices: Slices, ends: Iterable[int]) -> Iterator[Slices]:
+    """Cut slices behind some of their tiles, in order; the parts share their memory."""
     part_sizes, change_sizes = count_bytes(slices)
     part_ends, change_ends = (np.append(0, np.cumsum(s)) for s in (part_sizes, change_sizes))
+    for begin, end in pairwise([0, *ends]):
+        parts = slices.parts[part_ends[begin] : part_ends[end]]
+        changes = slices.changes[change_ends[begin] : change_ends[end]]
+        numbers, rows = slices.numbers[begin:end], slices.rows[begin:end]
+        yield Slices(slices.tiles[begin:end], numbers, rows, parts, changes)
+
+
+def split_tiles(slices: Slices) -> Iterator[tuple[Key, Slices]]:
+    """What each tile has of slices that are in order."""
     new = np.flatnonzero((np.diff(slices.tiles, axis=0) != 0).any(axis=1)) + 1
-    for begin, end in pairwise([0, *new.tolist(), len(slices.tiles)]):
-        if begin < end:
-            row, col = slices.tiles[begin].tolist()
-            parts = slices.parts[part_ends[begin] : part_ends[end]]
-            changes = slices.changes[change_ends[begin] : change_ends[end]]
-            numbers, rows = slices.numbers[begin:end], slices.rows[begin:end]
-            yield (row, col), Slices(slices.tiles[begin:end], numbers, rows, parts, changes)
+    for part in split(slices, [*new.tolist(), len(slices.tiles)]):
+        for row, col in part.tiles[:1].tolist():  # none where there are no slices at all
+            yield (row, col), part
 
 
 def count_visits(slices: Slices) -> Int64:

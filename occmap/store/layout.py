@@ -19,7 +19,7 @@ import numpy as np
 from occmap.cells import CellBox, Evidence, Key, Manifest, Slices, Tile, stack_tiles, view_tiles
 from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
-from occmap.grid.tiles import INT32_LIMIT, TILE, take_tiles
+from occmap.grid.tiles import INT32_LIMIT, TILE, split, take_tiles
 from occmap.plugins import need_extra
 from occmap.types import Int64, UInt8
 from occmap.writers.npz import compute_checksum, refuse_other_version, unpack_slices
@@ -69,10 +69,20 @@ def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
     blocks = defaultdict[Block, dict[Key, Tile]](dict)
     for (row, col), tile in evidence.tiles.items():
         blocks[Block(row // SIDE, col // SIDE)][row, col] = tile
-    for block in sorted(blocks):
-        inside = block.box.shrink(TILE)
-        slices = tuple(take_tiles(each, inside.find(each.tiles)) for each in evidence.slices)
+    names = sorted(blocks)
+    layers = [list(split_slices(each, names)) for each in evidence.slices]
+    for at, block in enumerate(names):
+        slices = tuple(layer[at] for layer in layers)
         yield block, replace(evidence, tiles=blocks[block], slices=slices, ground=None)
+
+
+def split_slices(slices: Slices, blocks: Sequence[Block]) -> Iterator[Slices]:
+    """Cut slices into those of each block; the blocks are in order, and hold all tiles."""
+    keys = (np.array(blocks, np.int64).reshape(-1, 2), slices.tiles // SIDE)
+    known, wanted = ((each[:, 0] << 32) + each[:, 1] for each in keys)
+    which = np.searchsorted(known, wanted)
+    in_order = take_tiles(slices, np.argsort(which, kind="stable"))
+    return split(in_order, np.cumsum(np.bincount(which, minlength=len(blocks))).tolist())
 
 
 def spread_cells(block: Block, content: Evidence) -> Int64:

@@ -274,6 +274,7 @@ def refuse_unsaved(outputs: Sequence[Path], overview: int | None) -> None:
         if writer.needs_journey:
             found = "evidence does not say where the robot went, only the logs do"
             raise UsageError(found, where=path, fix="build it from the logs: `occmap build`")
+        # No other format shows what was observed and the robot's way, too.
         is_page = writer.needs_evidence and writer.shows_journey
         if is_page and overview is not None:
             found = "shows single cells, and `overview` has none"

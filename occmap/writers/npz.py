@@ -54,7 +54,7 @@ from typing import Any
 
 import numpy as np
 
-from occmap.cells import Evidence, Ground, Manifest, Slices, stack_tiles, view_tiles
+from occmap.cells import Evidence, Ground, Manifest, Slices, stack_tiles, sum_tiles, view_tiles
 from occmap.errors import MapError
 from occmap.types import Bool, Int64, UInt8
 from occmap.writers import Product, WriteOptions, Writer
@@ -105,7 +105,7 @@ def write_evidence(path: Path, evidence: Evidence, name: str = "") -> None:
     """
     arrays = pack_evidence(evidence)
     head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
-    head["evidence"] = name or evidence.identify()
+    head["evidence"] = name or evidence.manifest.identify(sum_tiles(evidence.tiles))
     head["checksum"] = compute_checksum(head, arrays)
     text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
     arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}

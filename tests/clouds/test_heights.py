@@ -19,7 +19,7 @@ from occmap.clouds.ground import (
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
-from occmap.types import NO_GROUND, Bool, Float64, Int32
+from occmap.types import NO_GROUND, Float64, Int32
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_the_height_of_the_ground_at_a_place_by_hand() -> None:
     np.testing.assert_array_equal(ground.find_heights(places), [-0.25, 0.4, *[np.nan] * 3])
 
 
-def lay_slope(height: Float64) -> tuple[growth.Blocks, Int32, Bool]:
+def lay_slope(height: Float64) -> tuple[growth.Blocks, Int32]:
     """Ground in the lower half of a block, none in the upper one."""
     level = np.where(ROW < 32, np.rint(height), NO_GROUND).astype(np.int32).ravel()
     return BLOCKS, level, level != NO_GROUND
@@ -214,7 +214,7 @@ def test_a_floor_of_one_level_goes_on_by_its_plane() -> None:
 
 def test_what_is_no_plane_does_not_go_on() -> None:
     assert fit_plane(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
-    blocks, level, measured = lay_slope(0 * COL)
+    blocks, level = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
         some = measured & part
         assert fit_plane(blocks, np.where(some, level, NO_GROUND), some) is None

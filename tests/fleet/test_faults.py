@@ -269,10 +269,8 @@ def test_that_no_worker_is_left_is_said_once(
     monkeypatch.setattr(cluster.log, "warning", hear)
     with start_apart(tmp_path) as (address, scheduler), open_cluster(address, 1, print) as found:
         monkeypatch.setattr(cluster, "PATIENCE_S", 0.2)
-        with (
-            pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"),
-            cluster.miss_workers(found._client, address),
-        ):
+        Thread(target=cluster.miss_workers, args=(found._client, address), daemon=True).start()
+        with pytest.raises(FleetError, match="the scheduler is gone; 0 of 1 tasks"):
             found.run(die, SETTING, [JOB])
     assert told == [f"{address}: no worker is left; waiting for another one"]
 
