@@ -125,8 +125,6 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
     if kind.before:
         stated = (words[at] for at in (_ANGLE_MIN, _INCREMENT, _RANGE_MAX))
         angle_min, increment, maximum = map(parse_number, map(unquote, stated))
-        if not math.isfinite(angle_min + increment):
-            raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
     limits, ranges = (0.0, range_max), np.zeros(0, np.float32)
     pose = IDENTITY if kind.behind else None

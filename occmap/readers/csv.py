@@ -28,7 +28,6 @@ from occmap.values import as_float32, find_separator, parse_number, parse_second
 TOPIC = "scan"
 REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": 0.0, "range_max": math.inf, "time_increment": 0.0, "frame": "laser"}
-FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
@@ -94,10 +93,6 @@ def read_value(name: str, text: str) -> Any:
         value = parse_number(text)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    if name in FINITE_NAMES and not math.isfinite(value):
-        raise ValueError(f"{name} is {value}, which is not an angle or a time")
-    if name in LIMITS and math.isnan(value):
-        raise ValueError(f"{name} is nan, which is not a limit")
     # Limits are rounded as the ranges are, so that a range at the limit compares as equal.
     return float(as_float32(value)) if name in LIMITS else value
 
