@@ -115,7 +115,7 @@ def test_limits_are_rounded_as_ranges_are(tmp_path: Path) -> None:
 def test_an_unknown_pose_is_not_finite(tmp_path: Path, pose: str) -> None:
     (scan,) = read_text(tmp_path, f"{CONSTANTS}stamp,x,y,yaw,r0\n1,{pose},5\n")
     assert scan.pose is not None
-    assert all(map(math.isnan, scan.pose))
+    assert not all(map(math.isfinite, scan.pose))
 
 
 def test_unused_columns_are_noted(tmp_path: Path) -> None:
