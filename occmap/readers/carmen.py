@@ -86,14 +86,12 @@ def find_lists(
     A time, a host and a second time follow these, or up to three words without a meaning.
     """
     end = len(words) - 3 if is_timed else len(words)
-    if end < 2:
+    if end < 2 + kind.before:
         raise ValueError("the line is too short")
     lists: list[slice] = []
     at = 1 + kind.before
     for _ in range(kind.lists):
-        room = end - at - 1
-        if room < 0:
-            raise ValueError("the line announces no values where 0 follow")
+        room = max(end - at - 1, 0)
         length = parse_number(unquote(words[at]))
         if not 0 <= length <= room:
             raise ValueError(f"the line announces {length:g} values where {room} follow")
