@@ -98,8 +98,7 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
         text += piece
         end = text.rfind(b"\n") + 1
         if end and (len(text) >= BLOCK_BYTES or not piece):
-            whole = bytes(memoryview(text)[:end])
-            block = make_block(number, whole.translate(table) if table else whole)
+            block = make_block(number, bytes(memoryview(text)[:end]).translate(table))
             yield block
             number += len(block)
             del text[:end]
@@ -119,13 +118,9 @@ def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
     with refuse_unreadable(path), path.open("rb") as file:
         is_packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         file.seek(0)
-        if not is_packed:
-            while piece := file.read(BLOCK_BYTES):
-                yield piece
-            return
-        unpacked = gzip.GzipFile(fileobj=file)
+        source = gzip.GzipFile(fileobj=file) if is_packed else file
         try:
-            while piece := unpacked.read1(_PIECE_BYTES):
+            while piece := source.read1(_PIECE_BYTES if is_packed else BLOCK_BYTES):
                 yield piece
         except EOFError:
             damage.append("cut short")
