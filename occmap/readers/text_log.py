@@ -98,7 +98,8 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
         text += piece
         end = text.rfind(b"\n") + 1
         if end and (len(text) >= BLOCK_BYTES or not piece):
-            block = make_block(number, bytes(memoryview(text)[:end]).translate(table))
+            whole = bytes(memoryview(text)[:end])
+            block = make_block(number, whole.translate(table) if table else whole)
             yield block
             number += len(block)
             del text[:end]
