@@ -322,4 +322,4 @@ def test_a_pose_that_is_nowhere_is_refused(pose: Pose) -> None:
     fixed = (bolted("base", "laser", pose),)
     for given in ({"sensor_pose": pose}, {"transform": pose}, {"static_transforms": fixed}):
         with pytest.raises(UsageError, match="nothing can be at "):
-            PosingOptions(**given)  # type: ignore[arg-type]  # all of them take poses
+            PosingOptions(**given)
