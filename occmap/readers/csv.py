@@ -11,7 +11,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -38,6 +37,8 @@ NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 _BEAM = re.compile(r"^r(?:anges?)?_?\[?0*(\d+)\]?$")
 """What a beam may be called"""
+_CONSTANT = re.compile(r"[#\s]*([^\W\d]\w*)\s*:\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*$")
+"""A comment that gives a number to a name"""
 _TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
 """By what stands between cells: makes commas of these, and dots of commas within numbers"""
 
@@ -64,14 +65,6 @@ def split_comment(text: str) -> tuple[str, str]:
     """Split a comment `# name: value` into both; "" where it has no colon."""
     name, colon, value = text.lstrip("# \t").partition(":")
     return (name.strip(), value.strip()) if colon else ("", "")
-
-
-def _is_unknown(name: str, value: str) -> bool:
-    """Whether a comment gives a number to a name that means nothing."""
-    with suppress(ValueError):
-        float(value)
-        return name.isidentifier() and name not in NAMES
-    return False
 
 
 def is_known(name: str) -> bool:
@@ -193,13 +186,13 @@ class CsvLog(TextLog):
             others = map(block.get_line, np.setdiff1d(np.arange(len(block)), rows).tolist())
             headings += [line for line in others if line.raw.strip()]
             if rows:
-                named = [(*split_comment(line.text), line) for line in headings]
-                unused = [name for name, value, _ in named if _is_unknown(name, value)]
-                if unused:
+                named = [(split_comment(line.text)[0], line) for line in headings]
+                stated = filter(None, (_CONSTANT.match(line.text) for line in headings))
+                if unused := [each[1] for each in stated if each[1] not in NAMES]:
                     names = ", ".join(dict.fromkeys(unused[:MAX_NAMES]))
                     self.notes.add(f"comments that are not used: {names}")
                 # Of two comments about one name the first counts.
-                constants = {name: line for name, _, line in reversed(named) if name in NAMES}
+                constants = {name: line for name, line in reversed(named) if name in NAMES}
                 first = block.get_line(rows[0])
                 maybe = (first, *headings)  # numpy comments the header out
                 known = (it for it in maybe if is_header(it.text, constants))
