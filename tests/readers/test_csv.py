@@ -125,7 +125,9 @@ def test_unused_columns_are_noted(tmp_path: Path) -> None:
 
 
 def test_comments_with_numbers_that_mean_nothing_are_noted(tmp_path: Path) -> None:
-    comments = "# max_range: 30\n# by hand: 3\n# frame: laser\n# at: noon\n# day: 2026-01-02\n# zero: 0\n"
+    comments = (
+        "# max_range: 30\n# by hand: 3\n# frame: laser\n# at: noon\n# day: 2026-01-02\n# zero: 0\n"
+    )
     log = open_csv(tmp_path, comments + WHOLE)
     assert log.notes == [Note("comments that are not used: max_range, zero")]
 
