@@ -62,8 +62,6 @@ class Pose(NamedTuple):
 
 
 IDENTITY = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-UNKNOWN_POSE = Pose(*[math.nan] * 7)
-"""The pose of a scan that has none, in a log that states poses beside its scans."""
 
 
 def as_pose(pose: Any) -> Pose:

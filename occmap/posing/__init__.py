@@ -182,15 +182,10 @@ class PosingOptions:
         check_bounds(self)
         is_turn = all(abs(angle) <= 180 for angle in self.level or ())
         require(is_turn, f"no floor is tilted by {self.level}", "give degrees within -180 and 180")
-        fixed = self.static_transforms
-        poses = {f"the transform {each.parent} -> {each.child}": each.pose for each in fixed}
-        if self.transform:
-            poses["the place of the logs' map"] = self.transform
-        if self.sensor_pose:
-            poses["the sensor's pose"] = self.sensor_pose
-        for name, pose in poses.items():
+        fixed = (each.pose for each in self.static_transforms)
+        for pose in filter(None, (*fixed, self.transform, self.sensor_pose)):
             is_place = all(abs(value) <= MAX_PLACE_M for value in pose) and any(pose[3:])
-            require(is_place, f"{name} cannot be {pose[:3]}", "give metres and radians")
+            require(is_place, f"nothing can be at {pose[:3]}", "give metres and radians")
 
     def find_drift(self, log: Path) -> Drift | None:
         """By what the heights of a log are corrected; None: by nothing."""

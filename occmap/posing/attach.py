@@ -22,18 +22,10 @@ from occmap.posing.tracks import MAX_STAMP_NS
 from occmap.report import count
 from occmap.types import IDENTITY, Float64, Int64, Pose, PosedScans, ScanBatch, Trajectory
 
-POSES_OF_BODY = (
-    "the poses beside the scans are taken as the robot's, with the laser at `sensor_pose` on it; "
-    "leave that out if they are the laser's own"
-)
 TWIN_SHARE = 0.5
 """Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
 STATED_FRAME, STATED_LASER = "map", "laser"
 """Names for the frames of logs that state poses beside their scans and name no frame."""
-Z_DOWN = (
-    "the sensor hangs upside down, below the zero of the map, and no floor is near below it: does "
-    "z point down in the poses (NED)? `level=(180,0)` turns the map over"
-)
 NEAR_FLOOR_M = 1.5
 """A ceiling that is taken for a floor is farther from most robots"""
 Laser: TypeAlias = tuple[str, str]
@@ -183,7 +175,9 @@ class Poser:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
         found, sensor, usual = Transforms.read(poses), self.options.sensor_pose, PosingOptions()
         if sensor is not None:
-            self._note(POSES_OF_BODY)
+            taken = "the poses beside the scans are taken as the robot's"
+            fix = "leave that out if they are the laser's own"
+            self._note(f"{taken}, with the laser at `sensor_pose` on it; {fix}")
             found = found.then(Transforms.fixed(sensor))
         for name in ("map_frame", "base_frame", "time_offset_s", "deskew"):
             if getattr(self.options, name) != getattr(usual, name):
@@ -277,7 +271,9 @@ class Poser:
         for (topic, frame), course in self._list_posed():
             track = course.build()
             if courses.stands(track):
-                self._note(f"{topic}: {courses.STANDS}")
+                found = "the laser never moves, so the map is what it sees from one place"
+                fix = "if the robot drove, its poses are missing: give them with `poses`"
+                self._note(f"{topic}: {found}; {fix}")
             if not course.is_of_clouds:
                 for tilt in courses.list_tilts(Stance.measure(track), max_range):
                     yield topic, tilt
@@ -298,7 +294,9 @@ class Poser:
             stance = Stance.measure(course.build())
             is_odd = stance.upside_down and stance.height < 0
             if course.is_of_clouds and is_odd and np.mean(above < NEAR_FLOOR_M) < 0.5:
-                yield topic, Z_DOWN
+                found = "the sensor hangs upside down, below the zero of the map"
+                why = "does z point down in the poses (NED)? `level=(180,0)` turns the map over"
+                yield topic, f"{found}, and no floor is near below it: {why}"
 
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""

@@ -68,7 +68,8 @@ class Jump(NamedTuple):
     @property
     def radians(self) -> float:
         """How far it turned."""
-        return tracks.measure_turn(self.rotation)
+        cosine = (np.trace(self.rotation) - 1) / 2
+        return float(np.arccos(np.clip(cosine, -1, 1)))
 
     def then(self, later: Self) -> Self:
         """Join it with a later one: of what leads there and back nothing is left."""
@@ -329,10 +330,6 @@ STILL_M, STILL_RAD = 0.02, math.radians(1)
 """What moves less than this in a whole drive stands still: poses are noisy even then."""
 STILL_SCANS = 20
 """Fewer scans do not tell whether the robot drove."""
-STANDS = (
-    "the laser never moves, so the map is what it sees from one place; if the robot drove, its "
-    "poses are missing: give them with `poses`"
-)
 
 
 class Course:

@@ -29,7 +29,6 @@ INTENTIONS = frozenset({"goal", "initialpose", "plan", "waypoints"})
 """Words in topics of poses that tell where a robot should be, not where it was."""
 MOST_CHANGED = 3
 """How many of the static transforms that changed are named: their names are long."""
-USE_TF = "leave out `poses`: without it a scan goes by the transforms of its namespace"
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +190,8 @@ def _find_trajectory(
         if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
     if ":" not in name and last_part(name) in TF_TOPICS - {""}:
-        raise PoseError("transforms are not a topic of poses", where=name, fix=USE_TF)
+        fix = "leave out `poses`: without it a scan goes by the transforms of its namespace"
+        raise PoseError("transforms are not a topic of poses", where=name, fix=fix)
     held = f"holds no {'such ' if topic else ''}topic of poses"
     found = held if recording else "no such file, and no such topic of poses"
     there = f"topics of poses: {join_names(sorted({edge.topic for edge in poses}))}"
@@ -239,7 +239,6 @@ def _disagree(same: Sequence[Edge]) -> bool:
     return differ(positions, np.concatenate([edge.track.quaternion for edge in same]))
 
 
-GIVE_POSES = "give a trajectory: `poses=FILE`"
 Way: TypeAlias = tuple[str, list[Edge]]
 """A fixed frame, and the steps from it to the sensor."""
 
@@ -407,9 +406,8 @@ class Search:
     def _miss_poses(self, found: str) -> PoseError:
         """Say that the scans have no poses, and why a topic that holds some is of no use."""
         stated = (it for it in self.sources.pose_topics if not _is_intention(it.topic))
+        fix = "give a trajectory: `poses=FILE`"
         if bare := [edge.topic for edge in stated if not edge.track.stamp_ns.any()]:
-            found = (
-                f"the poses on {join_names(bare)} have no times, as all of their stamps are zero"
-            )
-        fix = "`stamps=record` takes the recorder's times" if bare else GIVE_POSES
+            found = f"those on {join_names(bare)} have no times, as all of their stamps are zero"
+            fix = "`stamps=record` takes the recorder's times"
         return PoseError(f"the scans have no poses: {found}", fix=fix)

@@ -61,11 +61,6 @@ def list_poses(scans: PosedScans) -> Float64:
     return np.column_stack([position, to_quaternions(rotation)])
 
 
-def measure_turn(rotation: Float64) -> float:
-    """The angle in [0, pi] of a rotation matrix (3, 3), whose trace is 1 + 2 cos of it."""
-    return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
-
-
 def angle_between(start: Float64, end: Float64) -> Float64:
     """Angles (N,) in [0, pi] between the rotations of unit quaternions (N, 4) each."""
     return 4 * np.arctan2(*_half_chords(start, _nearer(start, end)))

@@ -108,18 +108,13 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     """
     times, poses = _read_timed(path, notes, moments)
     if moments is not None and not moments.is_timed:  # only the order of the scans is known
-        times = _pair(path, len(poses), moments)
-    stamp_ns = np.array(times, np.int64)
-    return PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
-
-
-def _pair(path: Path, poses: int, moments: Moments) -> list[int]:
-    """Give the times of scans that poses are for one by one; raises LogError."""
-    if poses != len(moments.stamp_ns):
-        found = f"it holds {poses:,} poses, and the log {len(moments.stamp_ns):,} clouds"
+        times = moments.stamp_ns
+    if len(times) != len(poses):
+        found = f"it holds {len(poses):,} poses, and the log {len(times):,} clouds"
         fix = "give a pose for each file, in the order of the names"
         raise LogError(found, where=path, fix=fix)
-    return moments.stamp_ns
+    stamp_ns = np.array(times, np.int64)
+    return PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
 
 
 def _read_timed(
@@ -156,7 +151,7 @@ def _read_matrices(
     are told by where they lead: on the ground only such poses go far along z.
     """
     rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
-    times = _pair(path, len(rows), moments) if moments else _read_times(path, len(rows))
+    times = moments.stamp_ns if moments else _read_times(path, len(rows))
     finite = rows[np.isfinite(rows).all(axis=(1, 2))]
     y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
     notes.append(

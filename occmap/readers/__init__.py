@@ -28,7 +28,6 @@ from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
-from occmap.values import ZSTD_MAGIC as ZSTD_MAGIC
 from occmap.values import find_separator, name_other, shorten, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"

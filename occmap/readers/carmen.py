@@ -86,14 +86,12 @@ def find_lists(
     A time, a host and a second time follow these, or up to three words without a meaning.
     """
     end = len(words) - 3 if is_timed else len(words)
-    if end < 2:
+    if end < 2 + kind.before:
         raise ValueError("the line is too short")
     lists: list[slice] = []
     at = 1 + kind.before
     for _ in range(kind.lists):
-        room = end - at - 1
-        if room < 0:
-            raise ValueError("the line announces no values where 0 follow")
+        room = max(end - at - 1, 0)
         length = parse_number(unquote(words[at]))
         if not 0 <= length <= room:
             raise ValueError(f"the line announces {length:g} values where {room} follow")
@@ -125,27 +123,21 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
     if kind.before:
         stated = (words[at] for at in (_ANGLE_MIN, _INCREMENT, _RANGE_MAX))
         angle_min, increment, maximum = map(parse_number, map(unquote, stated))
-        if not math.isfinite(angle_min + increment):
-            raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
     limits, ranges = (0.0, range_max), np.zeros(0, np.float32)
     pose = IDENTITY if kind.behind else None
     return Scan(0, kind.frame, angle_min, increment, ranges, *limits, pose=pose, topic=keyword)
 
 
-# fmt: off
-OTHER_WORDS = frozenset({
-    "PARAM", "SYNC", "COMMENT", "TRUEPOS", "GLOBALPOS", "NEFF", "SONAR", "BUMPER", "IMU", "LASER3",
-    "LASER4", "RAWLASER3", "RAWLASER4", "SCANMARK", "POSITIONLASER", "NMEAGGA", "NMEARMC",
-    "VERTEX2", "EDGE2", "VERTEX_SE2", "EDGE_SE2",
-})
-# fmt: on
-"""Lines that are common in these logs (the last ones are g2o's) and hold no scan or pose; all else
-is counted together, since the lines of a damaged file may begin in any way."""
 KEYWORD = re.compile(rb"[^\S\n]*((?!#)\S{1,64})")
 """How a line begins that is no comment; a longer word is cut."""
-TELLING_LINE = re.compile(rf"#.*message formats defined|\s*({'|'.join(SCAN_LINES)}|ODOM)\s+-?\.?\d")
-"""By what a line of a CARMEN log is known: a keyword and a number, or how its comments begin."""
+MOST_KEYWORDS = 50
+"""How many are counted each by itself: the lines of a damaged file may begin in any way"""
+TELLING_LINE = re.compile(
+    rf"#.*message formats defined|\s*({'|'.join(LINES)}|VERTEX2)\s+-?\.?\d|PARAM\s+\w+\s+\S"
+)
+"""By what a line of a CARMEN log is known: how its comments begin, a keyword and a number (VERTEX2
+is that of a pose graph, which some begin with), or a parameter and its value."""
 
 
 class CarmenReader:
@@ -156,12 +148,7 @@ class CarmenReader:
 
     def recognises(self, probe: Probe) -> bool:
         """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
-        lines = probe.lines
-        if any(map(TELLING_LINE.match, lines)):
-            return True
-        # A log may begin with pages of parameters; the probe may end within its last line.
-        words = [line.split(None, 1)[0] for line in lines if line.strip() and line[0] != "#"]
-        return len(words) > 3 and all(word in OTHER_WORDS for word in words[:-1])
+        return any(map(TELLING_LINE.match, probe.lines))
 
     def open(self, path: Path) -> "CarmenLog":
         """Open a log and read it once.
@@ -249,8 +236,8 @@ class CarmenLog(TextLog):
             if word in SCAN_LINES:
                 self._words[word] += 0  # streams are listed in the order in which they appear
             else:
-                is_known = word in LINES or word in OTHER_WORDS
-                self._words[word if is_known else "other"] += len(rows)
+                is_keyword = word.isascii() and word.isupper() and len(self._words) < MOST_KEYWORDS
+                self._words[word if is_keyword or word in self._words else "other"] += len(rows)
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
     def _count_scans(self, some: Scan | ScanRun) -> None:

@@ -15,6 +15,7 @@ import zstandard
 from lz4.frame import LZ4FrameFile  # type: ignore[import-untyped]  # it ships no types
 
 from occmap.readers import NoteList
+from occmap.values import ZSTD_MAGIC
 
 
 def normalise_type(name: str) -> str:
@@ -74,7 +75,6 @@ MAX_RATIO = 1000
 
 _STEP = 1 << 16
 _LARGEST_READ = 1 << 24
-_UNKNOWN_SIZE = -1
 _INFLATE_ERRORS = (zstandard.ZstdError, OSError, EOFError, RuntimeError, ValueError)
 
 _OPENERS: Mapping[str, Callable[[BytesIO], Any]] = {
@@ -120,15 +120,16 @@ def inflate(data: Buffer, compression: str, size: int) -> tuple[Buffer, str]:
 
 
 def inflate_message(data: Buffer) -> Buffer:
-    """Decompress one message that was compressed on its own with zstd.
+    """Decompress one message if it was compressed on its own with zstd.
 
     One that is damaged, or announces no size or an absurd one, is given as it is, so that it is
     counted as one that cannot be decoded.
     """
-    with suppress(zstandard.ZstdError):
-        if (size := zstandard.frame_content_size(data)) != _UNKNOWN_SIZE:
-            message, problem = inflate(data, "zstd", size)
-            return data if problem else message
+    if data[:4] == ZSTD_MAGIC:
+        with suppress(zstandard.ZstdError):
+            if (size := zstandard.frame_content_size(data)) >= 0:
+                message, problem = inflate(data, "zstd", size)
+                return data if problem else message
     return data
 
 

@@ -11,7 +11,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,6 @@ from occmap.values import as_float32, find_separator, parse_number, parse_second
 TOPIC = "scan"
 REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": 0.0, "range_max": math.inf, "time_increment": 0.0, "frame": "laser"}
-FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
@@ -39,6 +37,8 @@ NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
 """What may stand as a column or in a comment; beams are columns only."""
 _BEAM = re.compile(r"^r(?:anges?)?_?\[?0*(\d+)\]?$")
 """What a beam may be called"""
+_CONSTANT = re.compile(r"[#\s]*([^\W\d]\w*)\s*:\s*[-+]?[\d.]+(?:[eE][-+]?\d+)?\s*$")
+"""A comment that gives a number to a name"""
 _TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
 """By what stands between cells: makes commas of these, and dots of commas within numbers"""
 
@@ -67,14 +67,6 @@ def split_comment(text: str) -> tuple[str, str]:
     return (name.strip(), value.strip()) if colon else ("", "")
 
 
-def _is_unknown(name: str, value: str) -> bool:
-    """Whether a comment gives a number to a name that means nothing."""
-    with suppress(ValueError):
-        float(value)
-        return name.isidentifier() and name not in NAMES
-    return False
-
-
 def is_known(name: str) -> bool:
     """Whether a column of this name means something to occmap."""
     return name in NAMES or _is_beam(name)
@@ -94,10 +86,6 @@ def read_value(name: str, text: str) -> Any:
         value = parse_number(text)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    if name in FINITE_NAMES and not math.isfinite(value):
-        raise ValueError(f"{name} is {value}, which is not an angle or a time")
-    if name in LIMITS and math.isnan(value):
-        raise ValueError(f"{name} is nan, which is not a limit")
     # Limits are rounded as the ranges are, so that a range at the limit compares as equal.
     return float(as_float32(value)) if name in LIMITS else value
 
@@ -198,13 +186,13 @@ class CsvLog(TextLog):
             others = map(block.get_line, np.setdiff1d(np.arange(len(block)), rows).tolist())
             headings += [line for line in others if line.raw.strip()]
             if rows:
-                named = [(*split_comment(line.text), line) for line in headings]
-                unused = [name for name, value, _ in named if _is_unknown(name, value)]
-                if unused:
+                named = [(split_comment(line.text)[0], line) for line in headings]
+                stated = filter(None, (_CONSTANT.match(line.text) for line in headings))
+                if unused := [each[1] for each in stated if each[1] not in NAMES]:
                     names = ", ".join(dict.fromkeys(unused[:MAX_NAMES]))
                     self.notes.add(f"comments that are not used: {names}")
                 # Of two comments about one name the first counts.
-                constants = {name: line for name, _, line in reversed(named) if name in NAMES}
+                constants = {name: line for name, line in reversed(named) if name in NAMES}
                 first = block.get_line(rows[0])
                 maybe = (first, *headings)  # numpy comments the header out
                 known = (it for it in maybe if is_header(it.text, constants))

@@ -142,7 +142,7 @@ class McapSource(RecordSource):
             raise ValueError("the footer is damaged")
         footer = Footer.read(_open_body(tail))
         start = footer.summary_start or end
-        section = bytes(file[min(start, end) : len(file)])
+        section = file[min(start, end) : len(file)]
         # The checksum covers the footer, too, up to the checksum itself.
         crc = zlib.crc32(section[: -4 - len(self.magic)])
         if start > end or footer.summary_crc not in {0, crc}:
@@ -161,7 +161,7 @@ class McapSource(RecordSource):
         return summary
 
 
-def _parse_records(data: bytes) -> Iterator[McapRecord]:
+def _parse_records(data: Buffer) -> Iterator[McapRecord]:
     """Parse records up to the footer."""
     return StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records
 

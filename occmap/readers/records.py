@@ -99,10 +99,7 @@ class RecordSource(ABC):
         self._cut_at = -1
         """Where a record begins in the middle of which the file ends"""
         with refuse_unreadable(path), path.open("rb") as opened:
-            file = FileBytes(opened)
-            if len(file) == len(self.magic):
-                raise LogError("holds nothing behind its first bytes", where=path)
-            summary = self._sum_up(file)
+            summary = self._sum_up(FileBytes(opened))
         channels, counts, self._chunks = summary.channels, summary.counts, summary.chunks
         self._by_id = {key: replace(each, count=counts[key]) for key, each in channels.items()}
         self.channels = list(self._by_id.values())

@@ -18,12 +18,13 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from occmap.errors import LogError, refuse_unreadable
-from occmap.readers import ZSTD_MAGIC, NoteList, Probe, probe_path
+from occmap.readers import NoteList, Probe, probe_path
 from occmap.readers.bag1 import Bag1Source
 from occmap.readers.containers import Channel, RawMessage, Source, inflate_message, unzip_file
 from occmap.readers.mcap import McapSource
 from occmap.readers.ros_log import RosReader
 from occmap.readers.sqlite import SqliteSource
+from occmap.values import ZSTD_MAGIC
 
 METADATA = "metadata.yaml"
 _MOST_METADATA = 1 << 20
@@ -32,9 +33,8 @@ _BAD_METADATA = YAMLError, LookupError, TypeError, AttributeError, ValueError, R
 """What is raised where it is not as recorders write it"""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
-_Metadata: TypeAlias = tuple[Sequence[str], bool, Mapping[tuple[str, str], int]]
-"""What only metadata.yaml says: the files, whether each message is compressed on its own, and how
-many messages there are by topic and type"""
+_Metadata: TypeAlias = tuple[Sequence[str], Mapping[tuple[str, str], int]]
+"""What only metadata.yaml says: the files, and how many messages there are by topic and type"""
 
 
 def list_storage(folder: Path) -> list[Path]:
@@ -70,7 +70,7 @@ class Bag2Source:
         self.notes = NoteList()
         self._scratch: Path | None = None
         with refuse_unreadable(path):
-            names, self._zipped, announced = self._read_metadata()
+            names, announced = self._read_metadata()
             self._parts = self._open_parts(self._find_files(names))
         self._gather_notes()
         held = Counter[tuple[str, str]]()
@@ -91,7 +91,7 @@ class Bag2Source:
         for part in self._parts:
             if inner := [channel for channel in part.channels if channel in wanted]:
                 for channel, at, data in part.messages(inner):
-                    yield channel, at, inflate_message(data) if self._zipped else data
+                    yield channel, at, inflate_message(data)
             self._gather_notes()
 
     def _find_files(self, names: Sequence[str]) -> list[Path]:
@@ -147,13 +147,12 @@ class Bag2Source:
         """
         path = self.path / METADATA
         if not path.is_file():
-            return (), False, {}
+            return (), {}
         with path.open("rb") as file:
             content = file.read(_MOST_METADATA)
         try:
             document: Any = YAML(typ="base", pure=True).load(content.decode())
             information = document["rosbag2_bagfile_information"]
-            mode = information.get("compression_mode", "").lower()
             # Old recorders wrote the folder's name before the file's.
             files = [Path(name).name for name in information["relative_file_paths"]]
             counts = Counter[tuple[str, str]]()
@@ -162,8 +161,8 @@ class Bag2Source:
                 counts[described["name"], described["type"]] += int(topic["message_count"])
         except _BAD_METADATA:
             self.notes.add_damage(f"{METADATA} is damaged and not used")
-            return (), False, {}
-        return files, mode == "message", counts
+            return (), {}
+        return files, counts
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""

@@ -16,7 +16,7 @@ import numpy as np
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import GZIP_MAGIC, Log, NoteList
 from occmap.readers.decimals import Words, parse_words
-from occmap.types import UNKNOWN_POSE, Float64, Int64, Pose, Scan, ScanRun
+from occmap.types import Float64, Int64, Pose, Scan, ScanRun
 from occmap.values import suspect_degrees
 
 MAX_LINE_BYTES = 1 << 24
@@ -119,13 +119,9 @@ def _read_pieces(path: Path, damage: list[str]) -> Iterator[bytes]:
     with refuse_unreadable(path), path.open("rb") as file:
         is_packed = file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         file.seek(0)
-        if not is_packed:
-            while piece := file.read(BLOCK_BYTES):
-                yield piece
-            return
-        unpacked = gzip.GzipFile(fileobj=file)
+        source = gzip.GzipFile(fileobj=file) if is_packed else file
         try:
-            while piece := unpacked.read1(_PIECE_BYTES):
+            while piece := source.read1(_PIECE_BYTES if is_packed else BLOCK_BYTES):
                 yield piece
         except EOFError:
             damage.append("cut short")
@@ -299,15 +295,9 @@ class TextLog(Log, ABC):
 
 
 def stack_planar(x: Float64, y: Float64, yaw: Float64) -> Float64:
-    """Build poses (S, 7) from places and headings (S,), as `Pose.planar` does.
-
-    A pose of which one of the three is not finite is unknown.
-    """
+    """Build poses (S, 7) from places and headings (S,), as `Pose.planar` does."""
+    half = np.where(np.isfinite(yaw), yaw / 2, math.nan).tolist()  # infinity has no sine
     poses = np.zeros((len(x), 7))
-    with np.errstate(over="ignore", invalid="ignore"):  # a log may state any number
-        is_known = np.isfinite(x + y + yaw)
-    half = (np.where(is_known, yaw, 0.0) / 2).tolist()
     poses[:, 0], poses[:, 1] = x, y
     poses[:, 5], poses[:, 6] = list(map(math.sin, half)), list(map(math.cos, half))
-    poses[~is_known] = UNKNOWN_POSE
     return poses

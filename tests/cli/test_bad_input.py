@@ -57,7 +57,7 @@ def test_a_link_to_nothing_is_named_as_one() -> None:
         ("map.png", b"\x89PNG\r\n", "a picture, not a log"),
         ("old.bag", "#ROSBAG V1.2\n", "convert it with ROS 1's `rosbag fix"),
         ("older.bag", "#ROSRECORD V1\n", "convert it with ROS 1's `rosbag fix"),
-        ("new.bag", "#ROSBAG V2.0\n", "holds nothing behind its first bytes"),
+        ("new.bag", "#ROSBAG V2.0\n", "nothing in it can be read"),
         ("drive.mcap", "version https://git-lfs.github.com/spec/v1\n", "fetch it: git lfs pull"),
         ("map.ply", "ply\nformat ascii 1.0\n", "clouds of single scans, in a folder"),
     ],

@@ -54,7 +54,7 @@ def test_a_file_of_nothing_but_its_magic_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
     path.write_bytes(b"\x89MCAP0\r\n")
 
-    with pytest.raises(LogError, match=r"empty\.mcap: holds nothing behind"):
+    with pytest.raises(LogError, match=r"nothing in it can be read: .*cut before its end"):
         open_log(path)
 
 

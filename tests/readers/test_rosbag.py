@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, open_log, probe_path
@@ -42,8 +42,8 @@ def test_a_bare_storage_file_is_read(folder: Path) -> None:
 
 
 def test_a_folder_without_metadata_is_read(tmp_path: Path) -> None:
-    for bag in (SQLITE, MCAP):
-        folder = bag.write(tmp_path / bag.storage.name, drive(ROS2))
+    for number, bag in enumerate((SQLITE, MCAP, Bag2(SQLITE.storage, CompressionMode.MESSAGE))):
+        folder = bag.write(tmp_path / f"bag{number}", drive(ROS2))
         (folder / "metadata.yaml").unlink()
         assert count_scans(open_log(folder)) == 6
 
