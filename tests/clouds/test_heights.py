@@ -1,4 +1,4 @@
-"""growth.Peaks of columns of heights, and the ground that is found from them."""
+"""Peaks of columns of heights, and the ground that is found from them."""
 
 from collections.abc import Sequence
 
@@ -216,5 +216,4 @@ def test_what_is_no_plane_does_not_go_on() -> None:
     assert fit_plane(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
     blocks, level = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
-        some = measured & part
-        assert fit_plane(blocks, np.where(some, level, NO_GROUND), some) is None
+        assert fit_plane(blocks, np.where(part, level, NO_GROUND)) is None
