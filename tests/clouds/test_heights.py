@@ -197,8 +197,7 @@ def test_the_height_of_the_ground_at_a_place_by_hand() -> None:
 
 def lay_slope(height: Float64) -> tuple[growth.Blocks, Int32]:
     """Ground in the lower half of a block, none in the upper one."""
-    level = np.where(ROW < 32, np.rint(height), NO_GROUND).astype(np.int32).ravel()
-    return BLOCKS, level, level != NO_GROUND
+    return BLOCKS, np.where(ROW < 32, np.rint(height), NO_GROUND).astype(np.int32).ravel()
 
 
 COL, ROW = (each.astype(np.float64) for each in np.meshgrid(np.arange(64), np.arange(64)))
