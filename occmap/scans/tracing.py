@@ -333,8 +333,15 @@ class Reading:
         As `open_scans` and `open_drive`.
     """
 
-    def __init__(self, paths: Sequence[Path], options: BuildOptions, progress: Progress) -> None:
-        self.options, logs = options, open_scans(paths, options)
+    def __init__(
+        self,
+        paths: Sequence[Path],
+        options: BuildOptions,
+        progress: Progress,
+        *,
+        takes_clouds: bool = False,
+    ) -> None:
+        self.options, logs = options, open_scans(paths, options, takes_clouds=takes_clouds)
         self.total = sum(count_scans(log, options.selection.topics) for log in logs)
         """Of what progress is told; more may be added to it"""
         self.tally = Tally(lambda scans: progress(scans, self.total))

@@ -9,6 +9,7 @@ import numpy as np
 
 from occmap.inspection import inspect, list_advised
 from occmap.options import BuildOptions
+from occmap.posing import PosingOptions
 from occmap.report import HIDDEN, Count, Share, count
 from occmap.report.results import doubt_agreement
 from occmap.scans.tracing import Progress, Reading, ignore_progress
@@ -115,7 +116,7 @@ def tune(
     OccmapError
         As `build`, or no held-out beam measured a range.
     """
-    reading = Reading(paths, options, progress)
+    reading = Reading(paths, options, progress, takes_clouds=True)
     logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))
@@ -210,7 +211,7 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     timed, place, notes
         By what to find the time offset, and the mount; and what is not searched, and why.
     """
-    moved = [measure_motion(scorer, log) for log in scorer.logs if log.scans]
+    moved = [measure_motion(log, scorer.options.posing) for log in scorer.logs if log.scans]
     travels = max(travel for travel, _ in moved) > TRAVEL_M
     turns = max(turn for _, turn in moved) > TURN_RAD
     if not travels and not turns:
@@ -233,13 +234,13 @@ def plan_search(scorer: Scorer) -> tuple[list[Knob], list[Knob], list[str]]:
     return timed, [search.YAW] * travels + [search.X, search.Y] * turns, notes
 
 
-def measure_motion(scorer: Scorer, log: KeptLog) -> tuple[float, float]:
+def measure_motion(log: KeptLog, options: PosingOptions) -> tuple[float, float]:
     """How far the sensor gets from where a log begins (m), and how far it turns away (rad)."""
-    scans = list(scorer.trace(log, Correction()))
-    origin = np.concatenate([rays.origin[:, 0] for rays in scans])
-    ahead = np.concatenate([rays.turn[:, 0, :, 0] for rays in scans])
+    seen = [posed.at_first_beam for posed in log.pose(replace(options, max_pose_gap_s=None))]
+    origin, rotation = map(np.concatenate, zip(*seen, strict=True))
+    ahead = rotation[:, :2, 0]
     cosine = ahead @ ahead[0] / np.maximum(np.linalg.norm(ahead, axis=1), 1e-9)
-    travel: Float64 = np.linalg.norm(origin - origin[0], axis=1)
+    travel: Float64 = np.linalg.norm((origin - origin[0])[:, :2], axis=1)
     return float(travel.max()), float(np.arccos(np.clip(cosine, -1, 1)).max())
 
 

@@ -27,6 +27,7 @@ from occmap.scoring import SMALL, Gain, HoldOut, Trial, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
 from occmap.threads import Threads
+from occmap.tuning import slicing
 from occmap.types import Pose, PosedScans, Rays, ScanBatch
 
 MOST_SCANS, MOST_OF_ALL = 1000, 4000
@@ -113,7 +114,7 @@ def keep_log(drive: Drive, most: int, tally: Tally) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
     sample = Sample[ScanBatch](most)
     for posed in drive.read(tally):
-        sample.add(posed.batch)
+        sample.add((slicing.thin_clouds(posed) if posed.batch.clouds else posed).batch)
     tally.scans_used += sample.seen
     has_others = len(choose_topics(drive.log, ())) > len(drive.topics)
     return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts), has_others)
@@ -252,7 +253,10 @@ class Scorer:
         # All these scans have poses at every offset; none may get lost in a gap on the way.
         posing = replace(self.options.posing, max_pose_gap_s=None)
         for posed in log.pose(correction.apply(posing, self.mount)):
-            yield interpret(posed, self.options.returns)[0]
+            if posed.batch.clouds:
+                yield slicing.slice_clouds(posed, self.options.returns)
+            else:
+                yield interpret(posed, self.options.returns)[0]
 
 
 def find_best(scorer: Scorer, start: Correction, knobs: Sequence[Knob]) -> Correction:

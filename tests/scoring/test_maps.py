@@ -20,7 +20,6 @@ from occmap.scoring import ReliabilityBin, matching, score_map
 from occmap.scoring.compare import combine, compare
 from occmap.scoring.maps import Against, LogScore, score_by_logs, score_by_truth
 from occmap.scoring.matching import STAY, Transform, Walls, find_match
-from occmap.tuning import tune
 from occmap.types import Kind, Pose
 from occmap.writers import WriteOptions
 from tests.difference.drawings import draw_map
@@ -225,8 +224,6 @@ def test_clouds_have_no_beams_to_score_by() -> None:
         ask(ROOM, clouds)
     with pytest.raises(UsageError, match="holds clouds of points"):
         compare([clouds], combine([], []), BuildOptions())
-    with pytest.raises(UsageError, match="holds clouds of points"):
-        tune([clouds], BuildOptions())
 
 
 def make_map(probabilities: list[float | None]) -> OccupancyMap:
