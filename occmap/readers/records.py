@@ -113,7 +113,10 @@ class RecordSource(ABC):
             raise LogError(f"nothing in it can be read: {found}", where=path)
 
     def messages(self, wanted: Collection[Channel]) -> Iterator[RawMessage]:
-        """Give the messages of some channels, in file order."""
+        """Give the messages of some channels, in file order.
+
+        They are copied out of a chunk that holds much else, so that none of them keeps it.
+        """
         by_id = {key: channel for key, channel in self._by_id.items() if channel in wanted}
         with self.path.open("rb") as opened:
             file = FileBytes(opened)
@@ -121,9 +124,12 @@ class RecordSource(ABC):
                 at for at, held in self._chunks.items() if held and by_id.keys().isdisjoint(held)
             }
             for _, block, records in self._open_blocks(file, skipped):
-                for key, record_ns, _, start, end in records:
-                    if key in by_id:
-                        yield by_id[key], record_ns, block[start:end]
+                found = [each for each in records if each[0] in by_id]
+                size = sum(end - start for _, _, _, start, end in found)
+                copied = block is not file and 4 * size < len(block)
+                for key, record_ns, _, start, end in found:
+                    data = block[start:end]
+                    yield by_id[key], record_ns, bytes(data) if copied else data
 
     @abstractmethod
     def _read_summary(self, file: FileBytes) -> Summary:

@@ -164,19 +164,17 @@ class RosLog(Log):
         self._note_damage(readers)
 
     def _gather(self, readers: "_Readers") -> Iterator[Mapping[tuple[Channel, int], list[_Held]]]:
-        """Gather messages by channel and length; copied, so that no chunk of the file is kept.
+        """Gather messages by channel and length.
 
-        Where none is read together with others, as clouds are not, each comes alone, as it is.
+        Where none is read together with others, as clouds are not, each comes alone.
         """
         groups, size = defaultdict[tuple[Channel, int], list[_Held]](list), 0
         most = STACK_BYTES if any(each.stacks for each in readers.values()) else 0
         with refuse_unreadable(self.path):  # a disk that fails is an error with the log's name
             messages = self._source.messages(readers) if readers else ()
             for number, (channel, record_ns, data) in enumerate(messages):
-                length = len(data)
-                held = number, record_ns, bytes(data) if most else data
-                groups[channel, length].append(held)
-                size += length + MESSAGE_BYTES
+                groups[channel, len(data)].append((number, record_ns, data))
+                size += len(data) + MESSAGE_BYTES
                 if size >= most:
                     yield groups
                     groups, size = defaultdict(list), 0

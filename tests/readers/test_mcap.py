@@ -23,6 +23,19 @@ def test_mcap_is_recognised_by_content(tmp_path: Path) -> None:
     assert McapReader().recognises(probe_path(path))
 
 
+def test_few_messages_of_a_chunk_do_not_keep_it(tmp_path: Path) -> None:
+    large = scan(ROS2, 2, ranges=RANGES.repeat(1000))
+    log = [Written("/few", 1, scan(ROS2, 1)), Written("/most", 2, large)]
+    source = McapSource(write_mcap(tmp_path / "drive.mcap", log))
+    few, most = sorted(source.channels, key=lambda channel: channel.topic)
+
+    ((_, _, data),) = source.messages({few})
+    ((_, _, view),) = source.messages({most})
+
+    assert isinstance(data, bytes)
+    assert isinstance(view, memoryview)
+
+
 def test_a_cut_zstd_chunk_gives_what_can_be_decompressed(tmp_path: Path) -> None:
     log = [Written("/scan", k, scan(ROS2, k, ranges=RANGES.repeat(400) + k)) for k in range(200)]
     path = write_mcap(tmp_path / "drive.mcap", log, options={"chunk_size": 1 << 30})

@@ -162,7 +162,9 @@ def prepare(rays: Rays, spec: GridSpec) -> Rays:
         )
     if spec.hit_offset:
         offset = np.float32(spec.hit_offset * resolution)
-        rays = rays._replace(distance=rays.distance + (rays.kind == Kind.HIT) * offset)
+        moved = (rays.kind == Kind.HIT) * offset
+        moved += rays.distance
+        rays = rays._replace(distance=moved)
     if spec.update is Update.POLYGON:
         rays = join_viewpoints(rays)
     refuse_long(float(rays.distance.max(initial=0.0)), resolution)
