@@ -229,7 +229,7 @@ def compose_build(
     options
         Those that differ from their defaults are written; not so update, model and outputs.
     changes
-        Values of options by name, which go before those of `options`.
+        Values of options by name, which go before those of `options`; "" leaves an option out.
     """
     given = {
         name: OPTIONS[name].write(value)
@@ -241,7 +241,7 @@ def compose_build(
         if name == "static_transforms":  # the transforms to other frames stay beside a new one
             child = text.split(",")[1]
             kept = [each for each in given.get(name, []) if each.split(",")[1] != child]
-        given[name] = [*kept, text]
+        given[name] = [*kept, text] if text else []
     words = [w for name, texts in given.items() for text in texts for w in (FLAGS[name], text)]
     start = ("occmap", "build", update) if update else ("occmap", "build")
     # What begins with a dash would be taken for an option.

@@ -90,8 +90,11 @@ WRAP_DEG = 340.0
 """Headings that are degrees jump by more, up to a turn, from 180 to -180 or from 360 to 0"""
 
 
-def suspect_degrees(yaw: ArrayLike) -> str:
-    """Say if headings, one after the other, can hardly be radians; "" if they can."""
+def suspect_degrees(yaw: ArrayLike, seconds: float = 0.0) -> str:
+    """Say if headings, one after the other, can hardly be radians; "" if they can.
+
+    It may be known how many seconds they took.
+    """
     known = np.asarray(yaw, np.float64)
     known = known[np.isfinite(known)]
     steps = np.abs(np.diff(known))
@@ -99,8 +102,9 @@ def suspect_degrees(yaw: ArrayLike) -> str:
         return ""
     wraps = (steps > WRAP_DEG) & (steps <= 360)
     jumps = wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE
-    doubt = "the yaws of the poses jump far beyond a turn: angles are radians; are these degrees?"
-    return doubt if jumps else ""
+    is_mad = 1 < seconds < steps.sum() / 6  # no robot turns once a second all the time
+    doubt = "the yaws turn faster than any robot does: angles are radians; are these degrees?"
+    return doubt if jumps or is_mad else ""
 
 
 def as_text(value: Any) -> str:

@@ -24,7 +24,7 @@ from occmap.posing import PosingOptions, Stamps
 from occmap.readers import PluginLog
 from occmap.report.results import LEAST_AGREEMENT
 from occmap.scans.mounts import SUSPECT, find_mount, prepare, turn_mount
-from occmap.sensor import ReturnOptions
+from occmap.sensor import NoReturn, ReturnOptions
 from occmap.types import Float32, Float64, Pose, PosedScans, Scan
 from tests.csv_logs import write_poses, write_scans
 from tests.inspection_logs import BEAMS, SCANS, Drive, measure_room, read_line, write_bag, write_csv
@@ -641,6 +641,36 @@ def test_what_is_wrong_is_told_with_the_line_that_mends_it(
 
 
 @pytest.mark.parametrize(
+    ("turned", "line"),
+    [
+        ((0.0, math.pi), "--poses poses.csv --sensor-pose 0,0,0"),  # the poses are the laser's own
+        ((1.2, 0.0), "--poses /vicon/robot"),
+    ],
+)
+def test_of_two_remedies_for_the_poses_a_line_has_the_one_that_keeps_them_if_it_can(
+    turned: tuple[float, float], line: str, here: Path
+) -> None:
+    drive, (pitch, yaw) = Drive(math.pi), turned
+    path = write_bag(here / "room.bag", drive, mount=[(0.0, math.pi)], truth="/vicon/robot")
+    rows = [(100 + at, *drive.pose(at), pitch) for at in range(SCANS)]
+    texts = [f"{stamp},{x},{y},{heading + yaw},{it}" for stamp, x, y, heading, it in rows]
+    (here / "poses.csv").write_text("\n".join(["stamp,x,y,yaw,pitch", *texts]))
+    found = look(path, BuildOptions(posing=PosingOptions(poses="poses.csv")))
+    assert " ".join(found.command[3:-2]) == line
+    again = look(path, read_line(found.command))
+    assert (again.command, again.warnings) == (found.command, ())
+    assert topic(again).agreement == pytest.approx(1, abs=0.02)
+
+
+def test_space_that_was_cleared_through_walls_is_told() -> None:
+    clear = BuildOptions(returns=ReturnOptions(no_return=NoReturn.CLEAR))
+    found = look(SAMPLE_LOGS / "drive.mcap", clear)
+    (warning,) = found.warnings
+    assert "`no_return=clear` is wrong here" in warning
+    assert "--no-return" not in found.command
+
+
+@pytest.mark.parametrize(
     ("pace", "poses_ns", "simulated"),
     [
         (0.8, 5 * 10**9, True),
@@ -689,7 +719,9 @@ def test_clouds_are_told_by_the_ground_below_them() -> None:
 @pytest.mark.parametrize(
     ("height", "turned", "told"),
     [
-        (0.0, (0.0, 0.0175, 0.0), "in the sensor's own frame"),
+        (0.0, (0.0, 0.0175, 0.0), "tilted by 1.0 deg in the sensor's own frame"),
+        (0.0, (0.05, 0.0, 0.0), "tilted by 2.9 deg in the sensor's own frame"),
+        (0.0, (-0.1, 0.0, 0.0), "tilted by 5.7 deg in the sensor's own frame"),
         (0.6, (0.0, 0.3, 0.0), "its mount is another"),
         (0.6, (math.pi / 2, 0.0, 0.0), "its mount is another"),
         (0.6, (-2.0, 0.0, -1.5), "its mount is another"),
@@ -704,6 +736,15 @@ def test_a_wrong_mount_of_clouds_is_told_with_the_one_that_lays_the_floor_flat(
     mended = found.command[found.command.index("--static-tf") + 1].split(",")
     assert mended[:2] == ["base_link", "lidar"]
     assert list(map(float, mended[2:])) == pytest.approx([0, 0, height, 0, 0, 0], abs=0.01)
+    assert look(HALL, read_line(found.command)).command == found.command
+
+
+def test_no_margin_is_advised_where_clouds_contradict_each_other() -> None:
+    mount = Pose.planar(0, 0, math.pi / 2)
+    found = look(HALL, BuildOptions(posing=PosingOptions(sensor_pose=mount)))
+    (warning,) = found.warnings
+    assert "contradict each other" in warning
+    assert found.command[3:-2] == ("--sensor-pose", "0,0,1.5708")
 
 
 def test_a_cloud_without_a_mount_gets_one_by_its_floor_to_be_typed(tmp_path: Path) -> None:

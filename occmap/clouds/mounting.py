@@ -178,8 +178,8 @@ def count_cells(points: Sequence[tuple[Float64, Float64, Float64]], rotation: Fl
 FLOOR_FROM_M = 1.0
 """Tilts are measured from this distance on, and up to the same: farther away, poses that are off
 move the floor more."""
-FLOOR_M = 0.25
-"""No floor lies farther from the ground that was found."""
+FLOOR_M, LIFTED_M = 0.25, 1.0
+"""No floor lies farther from the ground that was found, and none that a wrong mount lifts"""
 BESIDE_M = 1.0
 """The ground is shifted to where the robot stood at most so far away"""
 STEADY_M = 0.06
@@ -226,7 +226,7 @@ def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
         stood[:, 2] = 0
     rows = [find_levers(*each, ground, stood) for each in seen]
     above, in_sensor, in_map = (np.concatenate(each) for each in zip(*rows, strict=True))
-    if len(above) < LOOKED_AT:
+    if np.count_nonzero(np.abs(above) < FLOOR_M) < LOOKED_AT:
         return None
     fits = [fit_robustly(levers, above) for levers in (in_sensor, in_map)]
     (sensor, left), (upright, left_by_map) = fits
@@ -253,18 +253,18 @@ def find_levers(
     some, turned, place, up_there = (each[near] for each in (some, turned, place, pose[:, 2, :3]))
     apart = np.linalg.norm(place[:, None, :2] - stood[:, :2], axis=2)
     above = place[:, 2] - ground.find_heights(place) - stood[apart.argmin(axis=1), 2]
-    floor: Bool = (apart.min(axis=1) < BESIDE_M) & (np.abs(above) < FLOOR_M)
+    floor: Bool = (apart.min(axis=1) < BESIDE_M) & (np.abs(above) < LIFTED_M)
     up = np.array([0.0, 0.0, 1.0])
     return above[floor], np.cross(some[floor], up_there[floor]), np.cross(turned[floor], up)
 
 
 def fit_robustly(levers: Float64, above: Float64) -> tuple[Float64, float]:
     """Fit a small rotation (3,) to heights (N,); return it, and the median of what is left."""
-    used = np.ones(len(above), np.bool_)
+    used = np.abs(above) < FLOOR_M
     for _ in range(TILT_ROUNDS):
         middle, height = levers[used].mean(axis=0), float(above[used].mean())
         # A turn about the vertical lifts nothing: it has no lever to speak of.
         found = np.linalg.lstsq(levers[used] - middle, above[used] - height, rcond=0.1)[0]
         left = np.abs(above - height - (levers - middle) @ found)
-        used = left < 3 * max(float(np.median(left)), 0.005)
-    return found, float(np.median(left))
+        used = left < 3 * max(float(np.median(left[left < FLOOR_M])), 0.005)
+    return found, float(np.median(left[left < FLOOR_M]))

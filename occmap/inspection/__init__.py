@@ -22,7 +22,7 @@ from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
 from occmap.inspection.findings import Inspection, LogFindings, ScanFindings
 from occmap.inspection.poses import Doubt
-from occmap.inspection.survey import BEYOND, Survey, TopicSurvey
+from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
@@ -41,6 +41,7 @@ SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
+WRONG_TO_CLEAR = "beams without return lead through walls: `no_return=clear` is wrong here"
 ASK_TUNE = "try `occmap tune`"
 
 
@@ -135,9 +136,10 @@ def recommend(
     # Those with poses, or with an option that gives some.
     mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
     advice = [advise(log) for log in mapped]
-    if not all(it and "no_return" in it[1] for it in advice):  # a map is as right without it
-        for _, advised in filter(None, advice):
-            advised.pop("no_return", None)
+    known = [each[1] for each in advice if each]
+    if not all(it.get("no_return") == "clear" for it in known):  # a map is as right without it
+        for advised in (it for it in known if it.get("no_return") == "clear"):
+            del advised["no_return"]
     if any(each != advice[0] for each in advice):
         return (), ("the logs need different options: check them one by one",)
     if not advice or advice[0] is None:
@@ -161,8 +163,6 @@ def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
     is_lost = any(text for text, remedy in log.concerns if remedy is None and ASK_TUNE not in text)
     if is_lost or len(advised) < len(found):
         return None
-    if advised.keys() & {"poses", "map_frame"}:  # which have no use for a part without jumps
-        advised = {name: advised[name] for name in advised if name not in {"start_s", "end_s"}}
     return ("tune" if any(ASK_TUNE in text for text, _ in log.concerns) else "build"), advised
 
 
@@ -203,6 +203,8 @@ def list_concerns(
         others = [other for other in log.scans if other is not topic]
         mine = [concern for name, concern in doubts if name == topic.topic]
         mine += list_oddities(topic, has_poses)
+        if options.returns.no_return == "clear" and (topic.ranges.crossed or 0) >= MOSTLY_OPEN:
+            mine.append(Concern(WRONG_TO_CLEAR, {"no_return": ""}))
         if topic.better and topic.poses.posed:
             mine.append(Concern(tell_better(topic, topic.better)))
         elif all(concern.remedy == {} for concern in mine):  # else the reason is known
@@ -263,9 +265,7 @@ def tell_better(topic: ScanFindings, better: findings.Better) -> str:
 
 
 def list_oddities(topic: ScanFindings, has_poses: bool) -> Iterator[Concern]:
-    """Say what is strange about the mount of a topic, its poses, stamps and ranges."""
-    if topic.mount and topic.mount.better:
-        yield warn_of_misfit(topic.mount.better)
+    """Say what is strange about the poses of a topic, its stamps and ranges."""
     lost = topic.poses.dropped
     if has_poses and sum(lost.values()) > SHARE_OF_NOTE * topic.kept:
         yield Concern(f"scans without a pose: {write_counts(lost)}")
@@ -346,6 +346,11 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     described = (describe_topic(log, each, posing, options) for each in seen if each.frames)
     scans = () if problem else tuple(described)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
+    mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)
+    doubts += ((topic, warn_of_misfit(mended)) for topic, mended in mounts)
+    if any(it.better and it.better.name in poses.OTHER_POSES for it in scans):
+        # What would mend the poses given does not go with others.
+        doubts = [(topic, Concern(concern.text)) for topic, concern in doubts]
     doubts += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
     box, ground = survey.box, list[str]()
     if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
@@ -392,10 +397,9 @@ def inspect_ground(
     level = Poser(poser.sources, options.posing, *known, leaps=poser.leaps, drift=drift)
     again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
     some = {topic: clouds for topic, clouds in again.items() if clouds}
-    against = list(poses.list_floor_concerns(some, level, options, ground))
+    against = list(poses.list_cloud_concerns(some, level, options, ground))
     if ground is not None:
         box = poses.enclose_clouds(log, level, options, ground)
-        against += poses.list_other_concerns(some, options, ground, is_right=not against)
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
 

@@ -376,7 +376,7 @@ def list_ranges(ranges: RangeFindings) -> Iterator[str]:
     if ranges.crossed is not None:
         where = "lead through walls or out of everything that was hit"
         advised = any(special.no_return == "clear" for special in ranges.specials)
-        keep = "" if advised else ": leave `no_return` as it is"
+        keep = "" if advised else ": `no_return=ignore` is right"
         yield f"{ranges.crossed:.0%} of beams without return {where}{keep}"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from occmap.cells import Box, CellBox, Ground
 from occmap.choices import format_mount, list_values, take
-from occmap.clouds.mounting import Tilts, find_seat, measure_tilts
+from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import list_contradictions, measure_steady
 from occmap.grid import Lattice
@@ -34,12 +34,12 @@ from occmap.scans.mounts import Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor.bands import BAND
-from occmap.types import Float64, Pose, PosedScans
+from occmap.types import IDENTITY, Float64, Pose, PosedScans
 
 Doubt: TypeAlias = tuple[str, Concern]
 """A topic, and what spoils its map"""
-Clouds: TypeAlias = Mapping[str, Sequence[PosedScans]]
-"""Samples of clouds, by topic"""
+Clouds: TypeAlias = Sequence[PosedScans]
+"""A sample of the clouds of a topic"""
 
 WELL_POSED = 0.9
 """If a smaller share of the scans has poses, the other of the two times is tried."""
@@ -47,6 +47,8 @@ DRIFT_S = 0.1
 """Where stamps drift by more against the record times, the other of the two is tried, too (s)."""
 BETTER = 0.05
 """So many more of the hits agree by an option that suits the scans clearly better."""
+OTHER_POSES = {"poses", "map_frame"}
+"""Options that replace the poses, and with them what is wrong with those"""
 MOST_TRIED = 6
 """So many options are tried for a topic: each takes a map of the sample"""
 
@@ -67,14 +69,18 @@ def find_better(
     usual = 1.0 if found.agreement is None else found.agreement
     posed = topic.posed / max(found.kept, 1) if topic.stated else share_posed(posing.poser, topic)
     most, better = usual * posed + BETTER, None
-    for name, value in islice(list_others(posing, topic, found), MOST_TRIED):
+    others = list(islice(list_others(posing, topic, found), MOST_TRIED))
+    if found.mount and found.mount.better.startswith("sensor_pose="):
+        others.insert(0, ("sensor_pose", found.mount.better.partition("=")[2]))
+    for name, value in others:
         changed = take(BuildOptions, list_values(options) | {name: OPTIONS[name].read(value)})
         poser, parts = pose_sample(log, posing, topic, changed)
         agreement = estimate_agreement(parts, changed)
         share = posed if topic.stated else share_posed(poser, topic)
         if (fit := share * (usual if agreement is None else agreement)) > most:
             most, better = fit, Better(name, value, agreement)
-    return better
+    # Of a mount it is told in any case that it is wrong.
+    return None if better and better.name == "sensor_pose" else better
 
 
 def list_others(
@@ -265,7 +271,7 @@ def describe_mount(
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
-LEAST_TILT_DEG = 0.45
+LEAST_TILT_DEG = 0.5
 """Poses are off by less, at times."""
 MOST_TILT_DEG = 10.0
 """More is no small error, and linear no more."""
@@ -284,40 +290,66 @@ def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground
     return extent.box
 
 
-def list_floor_concerns(
-    some: Clouds, poser: Poser, options: BuildOptions, ground: Ground | None
+def list_cloud_concerns(
+    some: Mapping[str, Clouds], poser: Poser, options: BuildOptions, ground: Ground | None
 ) -> Iterator[Doubt]:
-    """List what the floor in some clouds says against mounts and poses."""
+    """List what some clouds say against mounts and poses, and if they show the robot."""
     yield from ((topic, Concern(doubt)) for topic, doubt in poser.suspect_axes(ground))
     for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)
-        tilts = None if ground is None else measure_tilts(clouds, ground)
-        tilted = None if tilts is None else judge_tilts(tilts, mount, options)
-        if concern := find_misplaced(mount, clouds) or tilted:
-            yield topic, concern
+        wrong = mount and find_misplaced(mount, clouds)
+        if mount and ground and not wrong:
+            wrong = find_tilted(mount, clouds, ground, options)
+        if wrong:
+            yield topic, wrong
+        if ground is None:
+            continue
+        rows = [stack_scans(posed, see_around(posed, ground, options)) for posed in clouds]
+        shape = -math.pi, math.tau / BEARINGS, BEARINGS
+        if body := find_body(np.concatenate(rows), shape, OWN_SPREAD_M):
+            yield topic, warn_of_body(body)
+        if not wrong:  # which would be a reason for all that follows
+            conflicts = [Concern(text) for text in list_conflicts(clouds, ground, options)]
+            others = conflicts or find_leaning(clouds, ground, options)
+            yield from ((topic, concern) for concern in others)
 
 
-def judge_tilts(tilts: Tilts, mount: mounts.Mount | None, options: BuildOptions) -> Concern | None:
-    """Find out if a mount, or the poses' up, is wrong by a small angle."""
-    turn = tilts.sensor if tilts.is_mount else tilts.upright
-    angle = math.degrees(float(np.linalg.norm(turn)))
-    if not LEAST_TILT_DEG < angle < MOST_TILT_DEG:
+FLAT_RAD, TURN_ROUNDS = 0.0035, 12
+"""A floor is flat that leans by less, and so often the ground is found anew"""
+
+
+def find_tilted(
+    mount: mounts.Mount, clouds: Clouds, ground: Ground, options: BuildOptions
+) -> Concern | None:
+    """Find out if a mount is wrong by a small turn, by which the floor would lie flat.
+
+    Of tilted clouds the ground is smeared, and hides a part of the tilt: so it is found anew of
+    clouds that are turned by what it showed, until it shows no tilt. A turn by which clouds
+    contradict each other is none.
+    """
+    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+
+    turn = IDENTITY
+    for _ in range(TURN_ROUNDS):
+        tilts = measure_tilts(clouds, ground)
+        if tilts is None or np.linalg.norm(tilts.sensor) < FLAT_RAD:
+            break
+        small = Pose.from_xyzrpy((0.0, 0.0, 0.0), tilts.sensor.tolist())
+        turn = mounts.turn_mount(turn, small)
+        clouds = [mounts.mount_scans(each, small) for each in clouds]
+        finder = GroundFinder(len(clouds))
+        for each in clouds:
+            finder.add(each)
+        with suppress(MapError):
+            ground, _ = finder.find(options.clouds)
+    angle = 2 * math.degrees(math.atan2(np.linalg.norm(turn[3:6]), turn.qw))
+    left = np.linalg.norm([*tilts.sensor, *tilts.upright]) if tilts else math.inf
+    is_better = angle > LEAST_TILT_DEG > math.degrees(left)
+    if not is_better or list_conflicts(clouds, ground, options):
         return None
-    if tilts.is_mount and mount:
-        half_x, half_y, half_z = (tilts.sensor / 2).tolist()
-        small = Pose(0.0, 0.0, 0.0, half_x, half_y, half_z, 1.0)
-        mended = mount.write(mounts.turn_mount(mount.pose, small))
-        found = (
-            f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever it goes"
-        )
-        return Concern(f"{found}: its mount is wrong by that", mended)
-    if options.posing.height_drift:  # what is left of it looks alike
-        return None
-    # The ground is made of the same points, and is off by as much where others see it.
-    margin = options.clouds.range_margin + 2.2 * math.radians(angle)
-    found = f"the floor is tilted by about {angle:.1f} deg against the poses"
-    why = "their up is wrong, and floor far away would stand up"
-    return Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
+    mended = mount.write(mounts.turn_mount(mount.pose, turn))
+    found = f"the floor is tilted by {angle:.1f} deg in the sensor's own frame, wherever it goes"
+    return Concern(f"{found}: its mount is wrong by that", mended)
 
 
 SEEN_M = 10.0
@@ -326,33 +358,30 @@ BEARINGS, OWN_SPREAD_M = 180, 0.1
 keeps its range less well than a beam does (m)"""
 
 
-def list_other_concerns(
-    some: Clouds, options: BuildOptions, ground: Ground, is_right: bool
-) -> Iterator[Doubt]:
-    """List what else some clouds show: the robot, and that they contradict each other.
+def find_leaning(clouds: Clouds, ground: Ground, options: BuildOptions) -> Iterator[Concern]:
+    """Say if the poses' up is wrong by a small angle."""
+    # What is left of a drift looks alike.
+    tilts = None if options.posing.height_drift else measure_tilts(clouds, ground)
+    angle = math.degrees(np.linalg.norm(tilts.upright)) if tilts and not tilts.is_mount else 0.0
+    if LEAST_TILT_DEG < angle < MOST_TILT_DEG:
+        # The ground is made of the same points, and is off by as much where others see it.
+        margin = options.clouds.range_margin + 2.2 * math.radians(angle)
+        found = f"the floor is tilted by about {angle:.1f} deg against the poses"
+        why = "their up is wrong, and floor far away would stand up"
+        yield Concern(f"{found}: {why}", {"range_margin": f"{margin:.3f}"})
 
-    Parameters
-    ----------
-    is_right
-        Nothing is wrong with mounts and floor, which would be a reason to do so.
-    """
+
+def list_conflicts(clouds: Clouds, ground: Ground, options: BuildOptions) -> list[str]:
+    """Say that clouds contradict each other, if they do."""
     from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
 
     band, lattice = make_band(options.clouds, options.returns), Lattice(options.resolution)
-    for topic, clouds in sorted(some.items()):
-        rows = [stack_scans(posed, see_around(posed, ground, options)) for posed in clouds]
-        shape = -math.pi, math.tau / BEARINGS, BEARINGS
-        body = find_body(np.concatenate(rows), shape, OWN_SPREAD_M)
-        if body is not None:
-            yield topic, warn_of_body(body)
-        if not is_right:
-            continue
-        engine = CloudEngine(lattice, band, ground, options.max_cells)
-        with suppress(MapError):  # it gets too large, which is a problem by itself
-            for posed in clouds:
-                engine.add(posed)
-            for text in list_contradictions(measure_steady(engine.finish()), {}):
-                yield topic, Concern(text)
+    engine, found = CloudEngine(lattice, band, ground, options.max_cells), list[str]()
+    with suppress(MapError):  # it gets too large, which is a problem by itself
+        for posed in clouds:
+            engine.add(posed)
+        found += list_contradictions(measure_steady(engine.finish()), {})
+    return found
 
 
 def see_around(posed: PosedScans, ground: Ground, options: BuildOptions) -> Float64:
@@ -384,10 +413,8 @@ def warn_of_body(body: Box) -> Concern:
     return Concern(f"{found}; `footprint={box}` leaves it out", {"footprint": box})
 
 
-def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> Concern | None:
+def find_misplaced(mount: mounts.Mount, clouds: Clouds) -> Concern | None:
     """Find out if a sensor sits in another way than its poses say: by far, as in another frame."""
-    if mount is None:
-        return None
     body = Transforms.fixed(mount.pose).invert().first
     on_body = [mounts.mount_scans(each, body) for each in clouds]
     seat = find_seat(on_body, Transforms.fixed(mount.pose).rotation[0])
@@ -403,7 +430,7 @@ def find_misplaced(mount: mounts.Mount | None, clouds: Sequence[PosedScans]) -> 
     return Concern(f"{found}: its mount is another; {given} lays it flat", mended)
 
 
-def find_angle(scans: Sequence[PosedScans], axis: Float64) -> float:
+def find_angle(scans: Clouds, axis: Float64) -> float:
     """Find how far from upright an axis of the sensor (3,) is in most scans (degrees)."""
     rise = np.concatenate([each.at_first_beam[1][:, 2] @ axis for each in scans])
     return math.degrees(math.acos(float(np.clip(np.median(rise), -1, 1))))

@@ -307,12 +307,16 @@ class Poser:
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:
         """Say which topics hold the scans of another one, such as those that were filtered."""
         known: dict[str, tuple[str, Int64]] = {}
-        for (topic, frame), course in self._list_posed():
-            mine = course.build().stamp_ns
-            other, stamp_ns = known.setdefault(frame, (topic, mine))
+        posed = self._list_posed()
+        ways = (self.chains.get(frame) for (_, frame), course in posed if course.is_of_clouds)
+        # Clouds that are in the map already are made of those of a sensor, in another frame.
+        are_mixed = len({way.interval_s > 0 for way in ways if way}) > 1
+        for (topic, frame), course in posed:
+            mine, kind = course.build().stamp_ns, "" if are_mixed and course.is_of_clouds else frame
+            other, stamp_ns = known.setdefault(kind, (topic, mine))
             if topic != other and np.isin(mine, stamp_ns).mean() > TWIN_SHARE:
-                found = f"has the frame and the stamps of {other}, and both count"
-                why = "if one is filtered from the other, choose with `topics`"
+                found = f"has the stamps of {other}, and both count"
+                why = "if one is made from the other, choose with `topics`"
                 yield topic, Concern(f"{found}: {why}")
 
     def _note(self, *sentences: str) -> None:

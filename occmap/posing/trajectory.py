@@ -134,7 +134,7 @@ def _read_timed(
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
     if poses.shape[1] < 7:
-        doubt = values.suspect_degrees(poses[:, 5])
+        doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
         notes += [f"{path}: {doubt}"] * bool(doubt)
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]

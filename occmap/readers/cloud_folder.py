@@ -288,7 +288,7 @@ class CloudFolder(Log):
         counted = range(0, SPACING_NS * len(times), SPACING_NS)
         self.moments = Moments(sorted(known) if is_timed else list(counted), is_timed)
         order = "by the times in their names" if is_timed else "in the order of their names"
-        self.notes.add(f"{len(times):,} clouds are taken {order}")
+        self.notes.add(f"{count(len(times), 'cloud')}, taken {order}")
         kinds = ", ".join(sorted({each.suffix.lower() for each in self._files}))
         self.streams = [Stream(TOPIC, kinds, len(self._files), Role.CLOUD)]
 

@@ -294,8 +294,8 @@ def check_picture(
     if path is None:
         return
     if path.suffix.lower() not in suffixes:
-        names = " or ".join(suffixes)
-        raise UsageError("is not a picture", where=path, fix=f"give it a name that ends in {names}")
+        names, kind = " or ".join(suffixes), "picture" if ".png" in suffixes else "page"
+        raise UsageError(f"is not a {kind}", where=path, fix=f"give it a name that ends in {names}")
     check_outputs([path], inputs, WriteOptions())
 
 

@@ -113,6 +113,7 @@ REFUSED = [
     ("diff a.pgm a.log", 2, "a.log: the suffix '.log' is not that of a map"),
     ("diff a.pgm", 2, "Missing argument 'B'"),
     ("diff none.pgm none.pgm -o d.jpg", 2, "d.jpg: is not a picture"),
+    ("check log.csv -o d.png", 2, "d.png: is not a page; give it a name that ends in .html"),
     ("diff a.pgm a.pgm -o d.png -o d.html", 2, "--output takes one file"),
     ("diff a.pgm a.pgm -o no/d.png", 1, "the folder no does not exist"),
     ("diff a.pgm a.pgm --fail-above 5", 2, "5 is not a share; write 5%"),

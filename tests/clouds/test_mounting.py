@@ -5,8 +5,11 @@ import pytest
 
 from occmap.clouds.ground import measure_slope
 from occmap.clouds.mounting import find_seat, measure_tilts
+from occmap.inspection.poses import find_tilted
+from occmap.options import BuildOptions
 from occmap.posing.chain import Transforms
-from occmap.types import Float64
+from occmap.scans.mounts import Mount
+from occmap.types import IDENTITY, Float64
 from tests.clouds.simulation import (
     LEVEL,
     SENSOR_M,
@@ -73,12 +76,15 @@ def test_a_wrong_mount_is_measured_in_the_frame_of_the_sensor_and_a_wrong_up_in_
 ) -> None:
     """Though the ground is made of the same clouds."""
     clouds = drive_turning(**{turned: turn(*angles)})  # type: ignore[arg-type]
-    tilts = measure_tilts(clouds, find_ground(clouds))
+    ground = find_ground(clouds)
+    tilts = measure_tilts(clouds, ground)
 
     assert tilts
     assert tilts.is_mount == (turned == "posed_by")
     measured = tilts.sensor if tilts.is_mount else tilts.upright
     assert np.degrees(measured) == pytest.approx(-np.array(angles), abs=within)
+    concern = find_tilted(Mount(IDENTITY), clouds, ground, BuildOptions())
+    assert (concern is None) == (turned == "up")
 
 
 def test_right_poses_are_not_blamed() -> None:

@@ -61,7 +61,7 @@ def test_a_map_says_what_the_json_says() -> None:
 
 
 def test_what_check_and_build_say_is_there() -> None:
-    words = "--resolution", 0.2, "--no-return", "clear", "--jump", 0.3
+    words = "--resolution", 0.2, "--max-range", 7, "--jump", 0.3
     found = ask("build", "beam", DRIVE, *words, "-o", "m.html")
     texts = read("m.html").texts
     assert found["notes"]
@@ -92,14 +92,14 @@ def test_a_check_says_what_the_json_says() -> None:
 
 
 def test_options_are_spelled_as_flags_in_facts_lists_and_tables() -> None:
-    text = "leave `no_return` as it is"
+    text = "`no_return=ignore` is right"
     blocks = [
         Block("facts", [("ranges", text)]),
         Block("list", texts=[text]),
         Block("table", [(text,)], ("ranges",)),
     ]
     texts = Reader(compose(Page("Check", "", [Section("Findings", blocks)]))).texts
-    assert texts.count("leave --no-return as it is") == 3
+    assert texts.count("--no-return ignore is right") == 3
     assert text not in texts
 
 

@@ -14,7 +14,7 @@ from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
 from occmap.posing.course import find_strides
 from occmap.posing.tracks import Track
-from occmap.types import Pose, PoseSample
+from occmap.types import Cloud, Pose, PoseSample
 from tests.posing.scenes import SECOND, at, attach, attach_twice, batch_at, bolted, drive, turned
 from tests.posing.scenes import build as make_poser
 from tests.samples import write_csv
@@ -117,6 +117,20 @@ def test_scans_that_were_filtered_and_those_that_were_not_are_told(
     concerns = list(poser.list_concerns(0, math.inf))
     assert [topic for topic, _ in concerns] == ["/scan"] * told
     assert all("stamps of /raw" in concern.text for _, concern in concerns)
+
+
+@pytest.mark.parametrize(("frame", "told"), [("odom", 1), ("rear", 0)])
+def test_clouds_that_are_in_the_map_already_beside_those_they_are_made_of_are_told(
+    frame: str, told: int
+) -> None:
+    """A second lidar may be triggered with the first."""
+    rear = bolted("base_link", "rear", NOWHERE)
+    poser = build(*drive("odom", "base_link", seconds=SECONDS), rear)
+    points = tuple(Cloud(0, "", np.ones((1, 3), np.float32)) for _ in range(50))
+    one, other = (batch_at(range(50), each) for each in (frame, "base_link"))
+    attach(poser, *(replace(it, topic=it.frame, clouds=points) for it in (one, other)))
+    concerns = list(poser.list_concerns(0, math.inf))
+    assert sum("and both count" in concern.text for _, concern in concerns) == told
 
 
 @pytest.mark.parametrize(("apart_m", "is_told"), [(0.11, True), (0.09, False)])

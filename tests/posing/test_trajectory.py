@@ -124,6 +124,12 @@ def test_degrees_are_told_from_radians(yaws: list[float], is_told: bool) -> None
     assert bool(suspect_degrees(yaws)) == is_told
 
 
+@pytest.mark.parametrize(("seconds", "is_told"), [(0, False), (50, True), (100, False)])
+def test_degrees_without_a_wrap_are_told_by_their_speed(seconds: float, is_told: bool) -> None:
+    yaws = [*range(-98, 98, 2), *range(98, -98, -2)]
+    assert bool(suspect_degrees(yaws, seconds)) == is_told
+
+
 @pytest.mark.parametrize("unit", [1.0, 180 / math.pi])
 def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path: Path) -> None:
     poses = [(0.1 * i, 0.0, unit * math.remainder(2.5 + i / 8, math.tau)) for i in range(40)]
