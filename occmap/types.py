@@ -173,7 +173,7 @@ class ScanRun(NamedTuple):
         """The single scans."""
         poses = [None] * self.scans if self.pose is None else map(Pose._make, self.pose.tolist())
         times = self.stamp_ns.tolist(), self.record_ns.tolist()
-        rows = zip(*times, self.ranges, self.time_increment.tolist(), poses, strict=True)
+        rows = zip(*times, self.ranges.copy(), self.time_increment.tolist(), poses, strict=True)
         names = "stamp_ns", "record_ns", "ranges", "time_increment", "pose"
         return [self.first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 

@@ -239,7 +239,8 @@ def list_contradictions(steady: float, points: Mapping[str, int]) -> Iterator[st
         yield (
             f"clouds contradict each other: only {steady:.0%} of their hits lie in cells that "
             "mostly were hit, as among leaves, or where poses, stamps, the mount, or the unit of a "
-            "depth image are wrong: try `occmap tune`, another `poses=FILE` or `sensor_pose`"
+            "depth image are wrong: try another `poses=FILE` or `sensor_pose`; a clock that is off "
+            "is found by `occmap tune`"
         )
     ground, obstacle = points.get("ground", 0), points.get("obstacle", 0)
     if steady < OF_CORRIDOR and ground < LEAST_GROUND * (ground + obstacle):
