@@ -77,7 +77,7 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
     LogError
         The evidence was not made of a log, or a file cannot be read.
     PoseError
-        A trajectory is missing.
+        A trajectory is missing, or none of these builds had it.
     """
     builds = part.manifest.builds
     held = [{entry["sha256"] for entry in records.list_inputs(build)} for build in builds]
@@ -89,6 +89,10 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
         if not times:
             refuse_stranger(part, log)
         uses += [Use(log, at, recall_build(builds[at], part.where, log, given)) for at in times]
+    used = {entry["sha256"] for use in uses for entry in records.list_trajectory(builds[use.build])}
+    if idle := given.keys() - used:
+        found = "is not a trajectory that these logs were built with"
+        raise PoseError(found, where=given[min(idle)], fix="leave it out")
     return uses
 
 
@@ -509,11 +513,14 @@ def list_unexplained(
     if uses and found != seen.numbers:
         unit = find_unit(manifest.update)
         parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
+        told, named = f"these logs explain {' of '.join(parts)}", {use.log.name for use in uses}
+        if missing := [name for name in records.list_logs(*manifest.builds) if name not in named]:
+            yield f"{told}; the rest is in {join_names(missing)}"
+            return
         makers = ", ".join(sorted({build["occmap"] for build in manifest.builds}))
         yield (
-            f"these logs explain {' of '.join(parts)}; the rest may be of other logs, or differ "
-            "since evidence was subtracted, or moved by `occmap merge`, or since the occmap that "
-            f"built it ({makers}) read them differently"
+            f"{told}: a build read one of them twice, evidence was subtracted or moved by `occmap "
+            f"merge`, or the occmap that built it ({makers}) read them differently"
         )
 
 

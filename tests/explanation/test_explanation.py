@@ -200,6 +200,7 @@ def test_what_the_logs_at_hand_do_not_explain_is_said() -> None:
     both = merge([observe([AHEAD], log=a), observe([(0.15, 0.05, 0.0)], log=b)])
     (note,) = ask(both, END, a).notes
     assert "explain 1 hit and 0 misses of 1 hit and 1 miss" in note
+    assert "b.csv" in note
     for logs in ((a, b), ()):
         assert ask(both, END, *logs).notes == ()
     assert ask(both, (0.05, 0.05), a).notes == ()  # all of that cell is in a.csv
