@@ -346,7 +346,7 @@ def match(evidence: Evidence, past: Evidence, model: SensorModel, max_cells: int
     Raises
     ------
     OccmapError
-        It is not sure where it lies.
+        It is not sure where it lies, or its ground is that of another storey.
     """
     grid = to_grid(evidence)
     made = render(grid, model, max_cells)
@@ -359,6 +359,11 @@ def match(evidence: Evidence, past: Evidence, model: SensorModel, max_cells: int
     if evidence.ground and past.ground:
         rise_mm = past.ground.measure_rise(move_ground(evidence.ground, found.transform, 0.0))
         found = found._replace(lift=-float(np.median(rise_mm)) / 1000 if rise_mm.size else 0.0)
+        if abs(found.lift) > REACH_M:
+            higher = f"{abs(found.lift):.2f} m {'lower' if found.lift > 0 else 'higher'}"
+            told = f"its walls lie on those of {past.where}, but its ground lies {higher}"
+            fix = "another storey is a map of its own; of the same floor, give a first `transform`"
+            raise PoseError(told, where=evidence.where, fix=fix)
     return found
 
 

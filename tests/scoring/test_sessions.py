@@ -143,6 +143,13 @@ def test_clouds_are_laid_on_clouds(lean: tuple[float, float], tmp_path: Path) ->
     assert len(merge([past, moved]).manifest.builds) == 2  # their grounds agree
 
 
+def test_clouds_of_another_storey_are_not_fitted(tmp_path: Path) -> None:
+    past = save(tmp_path / "past.npz", BuildOptions(), HALL)
+    upstairs = PosingOptions(transform=Pose(0, 0, 3, 0, 0, 0, 1))
+    with pytest.raises(PoseError, match=r"3\.00 m higher"):
+        lay_on(save(tmp_path / "second.npz", BuildOptions(posing=upstairs), HALL), past)
+
+
 def test_there_must_be_something_to_fit_to() -> None:
     (note,) = BuildOptions(fit=True).list_idle()
     assert "`fit`" in note
