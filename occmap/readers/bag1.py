@@ -74,8 +74,12 @@ class Bag1Source(RecordSource):
         return _KINDS[opcode][0], 0, at, at, start + length
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
-        header, start, _ = parse_header(record)
-        compression, size = header.get_string("compression"), header.get_uint32("size")
+        try:
+            header, start, _ = parse_header(record)
+            compression, size = header.get_string("compression"), header.get_uint32("size")
+        except self.errors:
+            self._note(position, "does not say how it is compressed")
+            return b""
         block, problem = inflate(record[start:], compression, size)
         if problem:
             self._note(position, problem)

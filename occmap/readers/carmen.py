@@ -92,7 +92,7 @@ def find_lists(
     at = 1 + kind.before
     for _ in range(kind.lists):
         room = max(end - at - 1, 0)
-        length = parse_number(unquote(words[at]))
+        length = parse_number(unquote(words[at])) if at < len(words) else 1
         if not 0 <= length <= room:
             raise ValueError(f"the line announces {length:g} values where {room} follow")
         lists.append(slice(at + 1, at + 1 + int(length)))
@@ -123,6 +123,8 @@ def state_geometry(keyword: str, words: Sequence[bytes], beams: int) -> Scan:
     if kind.before:
         stated = (words[at] for at in (_ANGLE_MIN, _INCREMENT, _RANGE_MAX))
         angle_min, increment, maximum = map(parse_number, map(unquote, stated))
+        if not math.isfinite(angle_min + increment):
+            raise ValueError("start_angle or resolution is not finite")
         range_max = float(as_float32(maximum)) if maximum > 0 else math.inf
     limits, ranges = (0.0, range_max), np.zeros(0, np.float32)
     pose = IDENTITY if kind.behind else None
@@ -209,7 +211,8 @@ class CarmenLog(TextLog):
         """
         words = line.raw.split()
         keyword = words[0].decode()
-        kind = LINES[keyword]
+        if (kind := LINES.get(keyword)) is None:
+            raise ValueError(f"{keyword!r} is no line of scans or odometry")
         lacks = lacks_time(words, kind) if self._lacks_time is None else self._lacks_time
         is_timed = not (lacks and keyword in UNTIMED)
         lists, behind = find_lists(words, kind, is_timed)

@@ -27,6 +27,7 @@ from occmap.values import as_float32, find_separator, parse_number, parse_second
 TOPIC = "scan"
 REQUIRED = ("stamp", "angle_min", "angle_increment")
 DEFAULTS = {"range_min": 0.0, "range_max": math.inf, "time_increment": 0.0, "frame": "laser"}
+FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
@@ -86,6 +87,10 @@ def read_value(name: str, text: str) -> Any:
         value = parse_number(text)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
+    if name in FINITE_NAMES and not math.isfinite(value):
+        raise ValueError(f"{name} is {value}, which is not an angle or a time")
+    if name in LIMITS and math.isnan(value):
+        raise ValueError(f"{name} is nan, which is not a limit")
     # Limits are rounded as the ranges are, so that a range at the limit compares as equal.
     return float(as_float32(value)) if name in LIMITS else value
 
@@ -160,7 +165,7 @@ class CsvLog(TextLog):
         self._names, is_ns = split_names(header.text)
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
-        self._is_posed = "x" in {*self._names, *comments}
+        self._stated = {*self._names, *comments}
         self._constants: dict[str, Any] = DEFAULTS | {
             name: _read_constant(path, name, line)
             for name, line in comments.items()
@@ -182,9 +187,8 @@ class CsvLog(TextLog):
         """Find the header, and the comments near it that state constants."""
         headings: list[Line] = []
         for block in read_blocks(self.path, self.notes):
-            rows = _list_rows(block)
-            others = map(block.get_line, np.setdiff1d(np.arange(len(block)), rows).tolist())
-            headings += [line for line in others if line.raw.strip()]
+            rows, more = _sort_lines(block)
+            headings += more
             if rows:
                 named = [(split_comment(line.text)[0], line) for line in headings]
                 stated = filter(None, (_CONSTANT.match(line.text) for line in headings))
@@ -201,8 +205,21 @@ class CsvLog(TextLog):
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
-        """Find the rows behind the header."""
-        rows = [row for row in _list_rows(block) if row > self._header_line - block.number]
+        """Find the rows behind the header; refuse a constant that comes too late for those before.
+
+        Raises
+        ------
+        LogError
+            A comment states what neither a column nor a comment at the top of the file states.
+        """
+        rows, comments = _sort_lines(block)
+        for line in comments:
+            name, _ = split_comment(line.text)
+            if name in NAMES and name not in self._stated:
+                found = f"the comment states {name} for all rows, too far behind the header"
+                fix = "move it to the top of the file"
+                raise LogError(found, where=f"{self.path}:{line.number}", fix=fix)
+        rows = [row for row in rows if row > self._header_line - block.number]
         return {TOPIC: rows} if rows else {}
 
     def find_pattern(self, line: Line) -> Pattern:
@@ -216,18 +233,23 @@ class CsvLog(TextLog):
                 stated[name] = read_value(name, unquote(cells[at]))
         shape = {name: stated[name] for name in ("frame", "angle_min", "angle_increment", *LIMITS)}
         stamp_ns, ranges = int(stated.get("stamp", 0)), np.zeros(0, np.float32)
-        pose = IDENTITY if self._is_posed else None
+        pose = IDENTITY if "x" in self._stated else None
         scan = Scan(stamp_ns, ranges=ranges, pose=pose, topic=TOPIC, **shape)
         return Pattern(b",", self._kinds, self._places, self._columns, stated, scan)
 
 
-def _list_rows(block: Block) -> list[int]:
-    """List the lines, by their indices, that are neither comments nor blank."""
+def _sort_lines(block: Block) -> tuple[list[int], list[Line]]:
+    """Tell rows, by their indices, from the lines that are comments or blank; give the comments."""
     first = np.frombuffer(block.text, np.uint8)[block.starts[:-1]]
     is_row = first > ord("#")  # blanks and line ends are below it
+    comments = []
     for row in np.flatnonzero(~is_row & (first != ord("\n"))).tolist():
-        is_row[row] = block.get_line(row).raw.lstrip()[:1] not in {b"", b"#"}
-    return np.flatnonzero(is_row).tolist()
+        line = block.get_line(row)
+        start = line.raw.lstrip()[:1]
+        is_row[row] = start not in {b"", b"#"}
+        if start == b"#":
+            comments.append(line)
+    return np.flatnonzero(is_row).tolist(), comments
 
 
 def _find_kind(name: str) -> int:

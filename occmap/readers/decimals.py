@@ -295,7 +295,7 @@ def _to_time(text: UInt8, word: Word, places: int) -> tuple[bool, np.int64]:
 @step
 def _hash(text: UInt8, word: Word) -> np.int64:
     """Make a number of a word, by which equal words are known."""
-    number = np.int64(0)
+    number = np.int64(1)  # so that zeros in front count
     for at in range(word.start, word.end):
         number = number * 1_000_003 + text[at]
     return number

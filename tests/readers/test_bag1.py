@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -173,9 +174,9 @@ def test_a_record_that_is_damaged_takes_no_other_chunk(path: Path, packed: str) 
     head, start, end = list_records(data, CHUNK)[7]
     _, beside = read_damaged(path, data[:start] + bytes(end - start) + data[end:])
     assert 0 < len(ALL - beside) < 4
-    for at in range(head, start):
+    for at, flipped in product(range(head, start), (0x55, 0x80)):
         damaged = bytearray(data)
-        damaged[at] ^= 0x55
+        damaged[at] ^= flipped
         assert set(read(path, damaged)[1]) >= beside, at - head
 
 

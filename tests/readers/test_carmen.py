@@ -300,6 +300,12 @@ def test_a_malformed_line_is_left_out_wherever_it_is(tmp_path: Path, at: int, ba
     assert damage.startswith(f"1 of 3 lines are malformed and left out, the first is line {at + 2}")
 
 
+def test_a_line_behind_zeros_is_passed_over_and_no_other(tmp_path: Path) -> None:
+    """A power cut leaves them."""
+    log = open_carmen(tmp_path, HEADER + flaser(1) + "\0\0" + flaser(2) + flaser(3))
+    assert stamps(log) == [1, 3]
+
+
 def test_malformed_lines_alone_are_an_error_that_names_the_first(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"\.log:2: '2,5' where a number belongs; correct or delete"):
         open_carmen(tmp_path, HEADER + flaser(2).replace("2.5", "2,5"))

@@ -132,7 +132,9 @@ def test_the_number_of_beams_implies_their_spacing(beams: int, degrees: float) -
         ("ROBOTLASER1 0 0 0 0 1 host 1", "the line is too short"),
         (f"ROBOTLASER1 {CONFIG} 2 1 2 1 host 1", "announces 1 values where 0 follow"),
         (f"RAWLASER1 {CONFIG} 2 1 2 1 1 host 1", "announces 1 values where 0 follow"),
+        (f"ROBOTLASER1 {CONFIG} 4 1 2 3 4", "announces 4 values where 1 follow"),
         (f"ROBOTLASER1 {CONFIG} 2 1 2 0 1 2 3 1 host 1", "3 numbers before the time where 11"),
+        ("RAWLASER1 0 nan 3 0.1 50 0 0 1 5 0 1 host 1", "not finite"),
     ],
 )
 def test_malformed_lines_say_what_is_wrong(line: str, complaint: str) -> None:

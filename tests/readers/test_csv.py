@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from occmap.errors import LogError
 from occmap.readers import Note, Probe, Role, Stream, probe_path
 from occmap.readers.csv import CsvReader
+from occmap.readers.text_log import BLOCK_BYTES
 from occmap.types import Pose, Scan
 from tests.readers.runs import expect_equal, open_csv
 
@@ -150,6 +151,7 @@ def test_a_header_alone_is_a_log_without_scans(tmp_path: Path) -> None:
 
 COLUMNS = ("stamp", "angle_min", "angle_increment", "yaw", "r0", "r1")
 SMALL = "stamp,r0\n1,2\n"
+MANY = "1,2,3\n" * (BLOCK_BYTES // 3)
 
 
 @pytest.mark.parametrize(
@@ -162,6 +164,9 @@ SMALL = "stamp,r0\n1,2\n"
         *((content, " no header row; ") for content in ("", "\n", CONSTANTS)),
         (gzip.compress(HEADER.encode(), mtime=0)[:15], " no header row; the gzip data is cut"),
         (f"{CONSTANTS}# range_max: 8 m\n{SMALL}", "3: range_max: '8 m' where a number"),
+        (f"{CONSTANTS}# range_max: nan\n{SMALL}", "3: range_max is nan, .*; write `# range_max: "),
+        (f"{CONSTANTS}# time_increment: inf\n{SMALL}", "3: time_increment is inf, which is not"),
+        (f"{CONSTANTS}stamp,r0,r1\n{MANY}# frame: x\n", f"{len(MANY) // 6 + 4}: .*frame.*top of"),
         (f"{HEADER}\n" + f"{ROW},1\n" * 1200, r"2: 13 cells .*12 \(1,200 of 1,200 lines are mal"),
         *(
             (ROSTOPIC.replace("1555061575561518641", stamp), "2: stamp: .* not a time in nanosec")
@@ -184,6 +189,8 @@ def test_what_is_no_log_of_scans_is_refused_with_its_line(
         (",1.5,", ",1_5,", "r0: '1_5' where a number belongs"),
         (",0.25,", ",wide,", "angle_increment: 'wide' where a number belongs"),
         (",-1.5,", ",,", "angle_min: '' where a number belongs"),
+        (",-1.5,", ",inf,", "angle_min is inf, which is not an angle or a time"),
+        (",8,", ",nan,", "range_max is nan, which is not a limit"),
         (",1,2,", ",1,north,", "y: 'north' where a number belongs"),
         ("1700000000.123456789", "noon", "stamp: 'noon' is not a time in seconds"),
         (",inf", "", "11 cells where the header has 12"),
