@@ -15,7 +15,7 @@ from occmap.types import Cloud, Float64, Int64, Kind, PosedScans, Rays
 BEAMS = 720
 BAND_M = 0.2
 """Points that lie less far above or below their sensor are of its planar scan"""
-KEPT_BAND_M, KEPT_POINTS = 0.6, 20_000
+KEPT_BAND_M, KEPT_POINTS = 0.6, 10_000
 """Of about so many points of a cloud those are kept that may lie in the band by other poses"""
 NEAREST_M, FARTHEST_M = 0.3, 30.0
 
