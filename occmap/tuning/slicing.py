@@ -4,13 +4,13 @@ Walls are sharp in such scans where time and mount are right. For the map itself
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from occmap.sensor import ReturnOptions
-from occmap.types import Cloud, Float64, Int64, Kind, PosedScans, Rays
+from occmap.types import Float64, Int64, Kind, PosedScans, Rays
 
 BEAMS = 720
 BAND_M = 0.2
@@ -22,18 +22,19 @@ NEAREST_M, FARTHEST_M = 0.3, 30.0
 
 def thin_clouds(posed: PosedScans) -> PosedScans:
     """Keep, of clouds, copies of some points that lie near the height of their sensor."""
-
-    def take(clouds: PosedScans, choose: Callable[[int, Cloud], slice | Int64]) -> PosedScans:
-        kept = []
-        for number, cloud in enumerate(clouds.batch.clouds or ()):
-            which = choose(number, cloud)
-            times = None if cloud.offset_ns is None else cloud.offset_ns[which]
-            kept.append(cloud._replace(points=cloud.points[which], offset_ns=times))
-        return replace(clouds, batch=replace(clouds.batch, clouds=tuple(kept)))
-
-    some = take(posed, lambda _, cloud: slice(None, None, len(cloud.points) // KEPT_POINTS + 1))
+    every = [len(cloud.points) // KEPT_POINTS + 1 for cloud in posed.batch.clouds or ()]
+    some = take_points(posed, [slice(None, None, stride) for stride in every])
     near = [np.flatnonzero(np.abs(away[:, 2]) < KEPT_BAND_M) for away, _ in list_away(some)]
-    return take(some, lambda number, _: near[number])
+    return take_points(some, near)
+
+
+def take_points(posed: PosedScans, chosen: Sequence[slice | Int64]) -> PosedScans:
+    """Take of each cloud the points that are chosen of it."""
+    kept = []
+    for cloud, which in zip(posed.batch.clouds or (), chosen, strict=True):
+        times = None if cloud.offset_ns is None else cloud.offset_ns[which]
+        kept.append(cloud._replace(points=cloud.points[which], offset_ns=times))
+    return replace(posed, batch=replace(posed.batch, clouds=tuple(kept)))
 
 
 def slice_clouds(posed: PosedScans, options: ReturnOptions) -> Rays:
