@@ -34,7 +34,7 @@ _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
 _LONGEST_PADDING = 64
-"""Bytes that a writer may add after the fields of a chunk."""
+"""Bytes that a writer may add after the fields of a record."""
 _MOST_HEAD = 1 << 10
 """The fields of a chunk before its records are shorter, with the name of its compression."""
 _LATEST_NS = 2**63 - 1
@@ -47,6 +47,8 @@ _KINDS = {
 _MESSAGE = int(Opcode.MESSAGE)
 _OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
 """Of the other records that may be anywhere, with those that anybody may use."""
+_LONGEST = {Opcode.SUMMARY_OFFSET: 17 + _LONGEST_PADDING, Opcode.DATA_END: 4 + _LONGEST_PADDING}
+"""Of bodies that only their length tells from those of other records"""
 
 
 class McapSource(RecordSource):
@@ -56,6 +58,8 @@ class McapSource(RecordSource):
     errors = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
     head = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
     """For records that are not longer than 2**32 - 1 bytes"""
+    described = (records.DESCRIPTION, records.OTHER)
+    """All but messages, as a chunk under another opcode would else be passed over"""
 
     def __init__(self, path: Path) -> None:
         self._verified: set[int] = set()
@@ -77,7 +81,7 @@ class McapSource(RecordSource):
         end = at + _SHORT + length
         if opcode == Opcode.FOOTER and end == len(block) - len(self.magic):
             return records.OTHER, 0, at, at, len(block)
-        if opcode not in _OTHER_OPCODES:
+        if opcode not in _OTHER_OPCODES or length > _LONGEST.get(opcode, length):
             return None
         return _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
@@ -128,8 +132,8 @@ class McapSource(RecordSource):
         for record, position in descriptions.items():
             try:
                 found.append(next(_parse_records(record)))
-            except self.errors:
-                self._note(position, "holds a channel that cannot be read")
+            except (*self.errors, StopIteration):
+                self._note(position, "is or holds a record that cannot be read")
         return _make_channels(found)
 
     def _read_summary(self, file: FileBytes) -> Summary:
