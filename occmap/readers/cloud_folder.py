@@ -257,21 +257,6 @@ _WHOLE = re.compile(r"(?<!\d)(\d{13}|\d{16}|\d{19})$")
 _DIGITS = re.compile(r"(\d+)")
 
 
-class CloudFolderReader:
-    """Folders of clouds."""
-
-    name = "clouds"
-    description = "a folder of clouds, a file each (.pcd, .ply, KITTI .bin, .npy); poses apart"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Whether a folder holds clouds, and nothing of a bag."""
-        return probe.path.is_dir() and bool(list_clouds(probe.path))
-
-    def open(self, path: Path) -> "CloudFolder":
-        """Open a folder; its files are read when their clouds are asked for."""
-        return CloudFolder(path)
-
-
 class CloudFolder(Log):
     """An opened folder; its clouds are the stream `clouds`."""
 
@@ -323,6 +308,18 @@ class CloudFolder(Log):
             first = next(note.text for note in self.notes if note.damage)
             found = f"none of {count(lost, 'cloud')} can be read"
             raise LogError(found, where=self.path, fix=f"mend them: {first}")
+
+
+class CloudFolderReader:
+    """Folders of clouds."""
+
+    name = "clouds"
+    description = "a folder of clouds, a file each (.pcd, .ply, KITTI .bin, .npy); poses apart"
+    open = CloudFolder
+
+    def recognises(self, probe: Probe) -> bool:
+        """Whether a folder holds clouds, and nothing of a bag."""
+        return probe.path.is_dir() and bool(list_clouds(probe.path))
 
 
 def list_clouds(folder: Path) -> list[Path]:
