@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Container, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, ClassVar, TypeAlias
 
@@ -29,6 +30,8 @@ from occmap.report import count
 DESCRIPTION, CHUNK, OTHER = -1, -2, -3
 """Stand in place of a message's channel for a record that describes one, for one that holds others,
 and for any other."""
+_ANY = range(OTHER, 1 << 32)
+"""Every kind of record"""
 _WINDOW = 1 << 20
 _LONGEST_MATCH = 64
 """Bytes that `head` looks at, at most."""
@@ -203,9 +206,8 @@ class RecordSource(ABC):
 
         Each begins where the one before ends. Where none does, either the length of the one before
         is wrong, or what follows it is damaged. So the next one is looked for from behind the start
-        of the one before, which ends there at the latest. Of a chunk that is not compressed, this
-        is the first record within it. `tell` takes the place of the damage, and the record behind
-        it.
+        of the one before, which ends there at the latest. `tell` takes the place of the damage, and
+        the record behind it.
         """
         size = len(block)
         record: Record = OTHER, 0, at, at, at  # of no bytes, so that each has one before it
@@ -213,7 +215,7 @@ class RecordSource(ABC):
             following = self._parse(block, end)
             # A chunk may end beyond the file: if its length is wrong, others are found behind it.
             if following is None or (following[4] > size and following[0] != CHUNK):
-                following = self._find(block, record[2] + 1)
+                following = self._find_next(block, record)
                 until = following[2] if following else size
                 tell(end if end <= until else record[2], following)
                 record = _cut(record, until)
@@ -223,15 +225,25 @@ class RecordSource(ABC):
             record = following
         yield record
 
-    def _find(self, block: Bytes, at: int) -> Record | None:
-        """Find the first record from a position on that leads to another, or to the end.
+    def _find_next(self, block: Bytes, record: Record) -> Record | None:
+        """Find the next record behind one whose length may be wrong."""
+        kind, _, begin, _, end = record
+        if kind != CHUNK:
+            return self._find(block, begin + 1)
+        # What begins within a chunk lies in it, unless it is of the kinds that stand around chunks.
+        # Behind its end, messages may have lost the head of their own chunk.
+        found = self._find(block, begin + 1, (CHUNK, OTHER)), self._find(block, end)
+        return min(filter(None, found), key=itemgetter(2), default=None)
+
+    def _find(self, block: Bytes, at: int, kinds: Container[int] = _ANY) -> Record | None:
+        """Find the first record of some kinds from a position on; it leads to another, or the end.
 
         Anything may look like a record, but not like two of them in a row.
         """
         while at < len(block):
             for match in self.head.finditer(block[at : at + _WINDOW]):
                 record = self._parse(block, at + match.start())
-                if record and self._leads_on(block, record[4]):
+                if record and record[0] in kinds and self._leads_on(block, record[4]):
                     return record
             at += _WINDOW - _LONGEST_MATCH
         return None

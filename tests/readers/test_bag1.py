@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from occmap.readers import Log, Role, Stream, open_log
+from occmap.readers import Log, Note, Role, Stream, open_log
 from occmap.readers.bag1 import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE
 from tests.readers import ros
 from tests.readers.ros import RANGES, ROS1, SECOND, bag1_record, drive, write_bag1
@@ -214,10 +214,9 @@ def test_a_chunk_that_is_gone_is_told_of(path: Path) -> None:
 
 
 @PACKED
-def test_damage_in_a_record_behind_a_chunk_is_noted_and_takes_no_message(
+def test_damage_in_a_record_behind_a_chunk_is_one_note_that_names_its_place(
     path: Path, packed: str
 ) -> None:
-    """Of a chunk that is not packed, the messages are found one by one, from its start on."""
     data = write(path, packed)
     _, _, chunk_end = list_records(data, CHUNK)[7]
     behind = [(at, end) for at, _, end in list_records(data, INDEX) if at >= chunk_end][:2]
@@ -229,10 +228,7 @@ def test_damage_in_a_record_behind_a_chunk_is_noted_and_takes_no_message(
         log, numbers = read(path, damaged)
 
         assert numbers == list(range(30))
-        assert all(note.damage for note in log.notes)
-        if packed != "none" or at != chunk_end:
-            (note,) = log.notes
-            assert note.text == f"damaged at byte {at}, read on from byte {end}"
+        assert log.notes == [Note(f"damaged at byte {at}, read on from byte {end}", damage=True)]
         assert [stream.count for stream in log.streams] == [1, 30, 30]
 
 
