@@ -336,8 +336,6 @@ class Course:
     """What became of the scans of one sensor, and where it was: 72 bytes for each with a pose."""
 
     def __init__(self) -> None:
-        self.is_posed = False
-        """Some scan has a pose"""
         self._poses = TrackBuilder()
         self._lost: list[tuple[Int64, UInt8]] = []
         self.is_of_clouds = False
@@ -348,7 +346,7 @@ class Course:
 
         Of de-skewed scans, those of their first beams count.
         """
-        self.is_posed, self.is_of_clouds = True, posed.batch.clouds is not None
+        self.is_of_clouds = posed.batch.clouds is not None
         self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
 
     def lose(self, stamp_ns: Int64, status: UInt8) -> None:
@@ -366,11 +364,9 @@ class Course:
         times, poses = self._poses.samples
         return times[:, 0].copy(), poses
 
-    def build(self) -> Track:
-        """Put all that was seen, at least one scan, in the order of time."""
-        track = self._poses.build()
-        assert track is not None
-        return track
+    def build(self) -> Track | None:
+        """Put all that was seen in the order of time; None where no scan has a pose."""
+        return self._poses.build()
 
 
 def stands(track: Track) -> bool:
