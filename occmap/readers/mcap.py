@@ -62,10 +62,9 @@ class McapSource(RecordSource):
     """All but messages, as a chunk under another opcode would else be passed over"""
 
     def __init__(self, path: Path) -> None:
-        self._verified: set[int] = set()
-        """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
-        self._times: dict[int, tuple[int, int]] = {}
-        """The first and the last record time that chunks of a wrong checksum state of themselves"""
+        self._times: dict[int, tuple[int, int] | None] = {}
+        """By where chunks begin whose checksums were looked at, as poses and scans lie in the same:
+        the first and the last record time that one states, if its checksum is wrong"""
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
@@ -118,11 +117,10 @@ class McapSource(RecordSource):
         block, problem = inflate(data[:length], compression, size)
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
             problem = f"has {count(left, 'byte')} that it does not state"
-        if not problem and position not in self._verified:
-            self._verified.add(position)
-            if crc and crc != zlib.crc32(block):
-                problem = "has a wrong checksum, and is used as far as it can be read"
-                self._times[position] = times
+        if not problem and position not in self._times:
+            is_wrong = crc > 0 and crc != zlib.crc32(block)
+            self._times[position] = times if is_wrong else None
+            problem = "has a wrong checksum, and is used as far as it can be read" * is_wrong
         if problem:
             self._note(position, problem)
         return block
