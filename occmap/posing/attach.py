@@ -18,7 +18,7 @@ from occmap.posing import course as courses
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.course import Course, Stance
 from occmap.posing.sources import Search, Sources
-from occmap.posing.tracks import MAX_STAMP_NS
+from occmap.posing.tracks import MAX_STAMP_NS, Track
 from occmap.report import count
 from occmap.types import IDENTITY, Float64, Int64, Pose, PosedScans, ScanBatch, Trajectory
 
@@ -108,7 +108,7 @@ class Poser:
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
         max_speed = self.options.max_speed
-        return any(courses.has_leap(course.build(), max_speed) for _, course in self._list_posed())
+        return any(courses.has_leap(track, max_speed) for _, track in self._list_tracks())
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
@@ -116,8 +116,7 @@ class Poser:
         From then on those that leap away are left out.
         """
         max_speed = self.options.max_speed
-        for laser, course in self._list_posed():
-            track = course.build()
+        for laser, track in self._list_tracks():
             if not (outliers := courses.find_outliers(track, max_speed)).any():
                 continue
             outcome = "the map reaches there, as `max_speed=inf` keeps such scans"
@@ -230,9 +229,10 @@ class Poser:
             course.see(posed, stamp_ns[kept])
             yield posed
 
-    def _list_posed(self) -> list[tuple[Laser, Course]]:
-        """List the sensors of which some scan has a pose."""
-        return [(laser, each) for laser, each in sorted(self.courses.items()) if each.is_posed]
+    def _list_tracks(self) -> list[tuple[Laser, Track]]:
+        """List where each sensor was at its scans, if some scan of it has a pose."""
+        tracks = ((laser, self.courses[laser].build()) for laser in sorted(self.courses))
+        return [(laser, track) for laser, track in tracks if track]
 
     def count_lost(self, topic: str | None = None) -> Counter[str]:
         """Count the scans without a usable pose by reason, of one topic or of all."""
@@ -251,8 +251,8 @@ class Poser:
 
     def find_stance(self, topic: str) -> Stance | None:
         """Find how the sensor of a topic sat; None where no scan had a pose."""
-        courses = (each for (name, _), each in self._list_posed() if name == topic)
-        return next((Stance.measure(each.build()) for each in courses), None)
+        found = (track for (name, _), track in self._list_tracks() if name == topic)
+        return next(map(Stance.measure, found), None)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.
@@ -268,13 +268,12 @@ class Poser:
         """
         jumped, begin_ns = None, first_ns + self._offset_ns
         yield from self._list_twins()
-        for (topic, frame), course in self._list_posed():
-            track = course.build()
+        for (topic, frame), track in self._list_tracks():
             if courses.stands(track):
                 found = "the laser never moves, so the map is what it sees from one place"
                 fix = "if the robot drove, its poses are missing: give them with `poses`"
                 self._note(f"{topic}: {found}; {fix}")
-            if not course.is_of_clouds:
+            if not self.courses[topic, frame].is_of_clouds:
                 for tilt in courses.list_tilts(Stance.measure(track), max_range):
                     yield topic, tilt
             # Of several sensors on one robot, one tells it.
@@ -284,37 +283,36 @@ class Poser:
 
     def list_standing(self) -> list[str]:
         """List the topics of sensors that never moved, where there are scans enough to see it."""
-        return [name for (name, _), it in self._list_posed() if courses.stands(it.build())]
+        return [name for (name, _), track in self._list_tracks() if courses.stands(track)]
 
     def suspect_axes(self, ground: Ground | None) -> Iterator[tuple[str, str]]:
         """Say of which clouds z may point down in the poses, by the ground below their sensor."""
-        for (topic, _), course in self._list_posed():
-            place = course.build().position
+        for laser, track in self._list_tracks():
+            place, stance = track.position, Stance.measure(track)
             above = np.inf if ground is None else place[:, 2] - ground.find_heights(place)
-            stance = Stance.measure(course.build())
             is_odd = stance.upside_down and stance.height < 0
-            if course.is_of_clouds and is_odd and np.mean(above < NEAR_FLOOR_M) < 0.5:
+            if self.courses[laser].is_of_clouds and is_odd and np.mean(above < NEAR_FLOOR_M) < 0.5:
                 found = "the sensor hangs upside down, below the zero of the map"
                 why = "does z point down in the poses (NED)? `level=(180,0)` turns the map over"
-                yield topic, f"{found}, and no floor is near below it: {why}"
+                yield laser[0], f"{found}, and no floor is near below it: {why}"
 
     def suspect_places(self) -> Iterator[tuple[str, str]]:
         """Say where places of sensors can hardly be metres, each with its topic."""
-        for (topic, _), course in self._list_posed():
-            if doubt := courses.suspect_places(course.build()):
+        for (topic, _), track in self._list_tracks():
+            if doubt := courses.suspect_places(track):
                 yield topic, doubt
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:
         """Say which topics hold the scans of another one, such as those that were filtered."""
         known: dict[str, tuple[str, Int64]] = {}
-        posed = self._list_posed()
-        ways = (self.chains.get(frame) for (_, frame), course in posed if course.is_of_clouds)
+        of_clouds = {laser for laser, course in self.courses.items() if course.is_of_clouds}
+        ways = (self.chains.get(frame) for _, frame in of_clouds)
         # Clouds that are in the map already are made of those of a sensor, in another frame.
         are_mixed = len({way.interval_s > 0 for way in ways if way}) > 1
-        for (topic, frame), course in posed:
-            mine, kind = course.build().stamp_ns, "" if are_mixed and course.is_of_clouds else frame
-            other, stamp_ns = known.setdefault(kind, (topic, mine))
-            if topic != other and np.isin(mine, stamp_ns).mean() > TWIN_SHARE:
+        for (topic, frame), track in self._list_tracks():
+            kind = "" if are_mixed and (topic, frame) in of_clouds else frame
+            other, stamp_ns = known.setdefault(kind, (topic, track.stamp_ns))
+            if topic != other and np.isin(track.stamp_ns, stamp_ns).mean() > TWIN_SHARE:
                 found = f"has the stamps of {other}, and both count"
                 why = "if one is made from the other, choose with `topics`"
                 yield topic, Concern(f"{found}: {why}")

@@ -77,6 +77,11 @@ class Transforms(NamedTuple):
         quaternion = to_quaternions(self.rotation[:1])
         return Pose(*self.position[0].tolist(), *quaternion[0].tolist())
 
+    def take(self, row: int) -> Self:
+        """Select one of the stamps."""
+        one = slice(row, row + 1)
+        return type(self)(self.position[one], self.rotation[one], self.status[one])
+
     def then(self, below: Self) -> Self:
         """Compose with a transform that is given in the lower frame of this one."""
         return type(self)(

@@ -10,12 +10,13 @@ A leap goes back: damaged poses put scans where the robot cannot have been, and 
 
 import math
 from collections.abc import Iterator
+from functools import reduce
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from occmap.posing import Concern, DropReason, Stamps, tracks
-from occmap.posing.chain import Chain, Moving, Status, make_chain
+from occmap.posing.chain import Chain, Moving, Status, Transforms, make_chain, turn
 from occmap.posing.frames import Edge, Source
 from occmap.posing.tracks import Track, TrackBuilder
 from occmap.types import Bool, Float64, Int64, PosedScans, UInt8
@@ -51,31 +52,12 @@ class Jump(NamedTuple):
 
     stamp_ns: int
     """By the clock of the poses"""
-    before: Float64
-    """(3,) where the sensor was (m)"""
-    after: Float64
-    """(3,) where it is from then on (m)"""
-    rotation: Float64
-    """(3, 3) how it turned, in the frame of the map"""
+    metres: float
+    """How far it moved"""
+    radians: float
+    """How far it turned"""
     name: str
     """What jumped"""
-
-    @property
-    def metres(self) -> float:
-        """How far it moved."""
-        return float(np.linalg.norm(self.after - self.before))
-
-    @property
-    def radians(self) -> float:
-        """How far it turned."""
-        cosine = (np.trace(self.rotation) - 1) / 2
-        return float(np.arccos(np.clip(cosine, -1, 1)))
-
-    def then(self, later: Self) -> Self:
-        """Join it with a later one: of what leads there and back nothing is left."""
-        after = later.after + later.rotation @ (self.after - later.before)
-        rotation = later.rotation @ self.rotation
-        return later._replace(before=self.before, after=after, rotation=rotation)
 
 
 def warn_of_mixed(chain: Chain) -> Concern | None:
@@ -151,31 +133,31 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
     dict
         By the number of scans before each jump, in the order of time.
     """
-    breaks: dict[int, tuple[int, Edge]] = {}
+    breaks: dict[int, tuple[int, str]] = {}
     """By the first stamp after a jump: the last one that is clearly before it, and what jumps"""
-    for leg in (leg for leg in chain.legs if isinstance(leg, Moving)):
-        samples_ns = leg.step.track.stamp_ns
-        for at in np.union1d(np.flatnonzero(leg.holds[:-1]), find_strides(leg.step.track)):
+    for step, holds in ((leg.step, leg.holds) for leg in chain.legs if isinstance(leg, Moving)):
+        samples_ns = step.track.stamp_ns
+        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
+        for at in np.union1d(np.flatnonzero(holds[:-1]), find_strides(step.track)):
             after_ns = int(samples_ns[at + 1])
             # A pose that holds does so until just before the next sample.
-            breaks[after_ns] = after_ns - 1 if leg.holds[at] else int(samples_ns[at]), leg.step
+            breaks[after_ns] = after_ns - 1 if holds[at] else int(samples_ns[at]), name
     times = np.array(sorted(breaks), np.int64)
-    after = chain.at(times)
     before = chain.at(np.array([breaks[each][0] for each in times.tolist()], np.int64))
-    scans = np.searchsorted(stamp_ns, times).tolist()
+    moved = chain.at(times).then(before.invert())
+    scans = np.where(moved.status == Status.POSED, np.searchsorted(stamp_ns, times), 0)
     found: dict[int, Jump] = {}
-    for at in np.flatnonzero(np.maximum(before.status, after.status) == Status.POSED).tolist():
-        time_ns, rotation = int(times[at]), after.rotation[at] @ before.rotation[at].T
-        step = breaks[time_ns][1]
-        name = f"{step.parent} -> {step.child}" if step.child else "the pose beside the scans"
-        jump = Jump(time_ns, before.position[at], after.position[at], rotation, name)
-        earlier = found.get(scans[at])
-        found[scans[at]] = earlier.then(jump) if earlier else jump
-    return {
-        number: jump
-        for number, jump in found.items()
-        if 0 < number < len(stamp_ns) and (jump.metres > JUMP_M or jump.radians > JUMP_RAD)
-    }
+    for number in np.unique(scans[(scans > 0) & (scans < len(stamp_ns))]).tolist():
+        rows = np.flatnonzero(scans == number)
+        # What leads there and back leaves nothing.
+        whole = reduce(Transforms.then, (moved.take(row) for row in rows[::-1]))
+        start, time_ns = before.position[rows[:1]], int(times[rows[-1]])
+        metres = float(np.linalg.norm(turn(whole.rotation, start) + whole.position - start))
+        cosine = (np.trace(whole.rotation[0]) - 1) / 2
+        radians = float(np.arccos(np.clip(cosine, -1, 1)))
+        if metres > JUMP_M or radians > JUMP_RAD:
+            found[number] = Jump(time_ns, metres, radians, breaks[time_ns][1])
+    return found
 
 
 def find_strides(track: Track) -> Int64:
@@ -336,8 +318,6 @@ class Course:
     """What became of the scans of one sensor, and where it was: 72 bytes for each with a pose."""
 
     def __init__(self) -> None:
-        self.is_posed = False
-        """Some scan has a pose"""
         self._poses = TrackBuilder()
         self._lost: list[tuple[Int64, UInt8]] = []
         self.is_of_clouds = False
@@ -348,7 +328,7 @@ class Course:
 
         Of de-skewed scans, those of their first beams count.
         """
-        self.is_posed, self.is_of_clouds = True, posed.batch.clouds is not None
+        self.is_of_clouds = posed.batch.clouds is not None
         self._poses.add(stamp_ns, stamp_ns, tracks.list_poses(posed))
 
     def lose(self, stamp_ns: Int64, status: UInt8) -> None:
@@ -366,11 +346,9 @@ class Course:
         times, poses = self._poses.samples
         return times[:, 0].copy(), poses
 
-    def build(self) -> Track:
-        """Put all that was seen, at least one scan, in the order of time."""
-        track = self._poses.build()
-        assert track is not None
-        return track
+    def build(self) -> Track | None:
+        """Put all that was seen in the order of time; None where no scan has a pose."""
+        return self._poses.build()
 
 
 def stands(track: Track) -> bool:

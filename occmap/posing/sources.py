@@ -213,15 +213,13 @@ def _list_beside(
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
     """Say where the transforms of a log contradict each other, and which of them count."""
-    stated: dict[tuple[str, str], list[Edge]] = defaultdict(list)
-    for edge in (edge for edge in edges if edge.source is Source.TF):
-        stated[edge.parent, edge.child].append(edge)
+    tf = [edge for edge in edges if edge.source is Source.TF]
     doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
     parents: dict[str, list[str]] = defaultdict(list)
     for used in tree.edges:
         parents[used.child].append(used.parent)
-        same = stated[used.parent, used.child] if used.source is Source.TF else []
-        if _disagree(same):
+        same = [edge for edge in tf if (edge.parent, edge.child) == (used.parent, used.child)]
+        if used.source is Source.TF and _disagree(same):
             topics = join_names(sorted({edge.topic for edge in same}))
             doubles[topics, used.topic].append(f"{used.parent} -> {used.child}")
     for (topics, topic), names in doubles.items():

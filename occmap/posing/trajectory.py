@@ -9,7 +9,6 @@ times.txt beside it.
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
@@ -121,15 +120,14 @@ def _read_timed(
     path: Path, notes: list[str], moments: Moments | None
 ) -> tuple[Sequence[int], Float64]:
     """Read the times (ns) and poses (N, 7) of a file; its first line tells its format."""
-    lines = _read_lines(path)
-    first = next(lines, (0, ""))
-    whole = chain([first], lines) if NUMBER.match(first[1]) else lines
-    if whole is not lines and len(first[1].split()) == MATRIX:
-        return _read_matrices(path, whole, notes, moments)
+    lines = list(_read_lines(path))
+    begin = lines[0][1] if lines else ""
+    has_header = not NUMBER.match(begin)
+    if not has_header and len(begin.split()) == MATRIX:
+        return _read_matrices(path, lines, notes, moments)
     rows: list[Row] = []
-    if first[1]:
-        (parse,) = _parse_lines(path, [first], _find_format)
-        rows += _parse_lines(path, whole, parse)
+    for parse in _parse_lines(path, lines[:1], _find_format):
+        rows += _parse_lines(path, lines[has_header:], parse)
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])

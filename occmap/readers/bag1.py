@@ -20,15 +20,10 @@ _INFO_ENTRY = struct.Struct("<II")
 """An entry of the record about a chunk: a connection, and how many messages it has there."""
 _ENTRY_BYTES = {INDEX: 12, CHUNK_INFO: _INFO_ENTRY.size}
 """Bytes of an entry; the header states how many there are. Behind a chunk: a time and an offset."""
-_KINDS = {
-    MESSAGE: (records.OTHER, {"conn", "time"}),
-    CONNECTION: (records.DESCRIPTION, {"conn", "topic"}),
-    CHUNK: (records.CHUNK, {"compression", "size"}),
-    INDEX: (records.OTHER, {"conn", "count"}),
-    CHUNK_INFO: (records.OTHER, {"chunk_pos", "count"}),
-    BAG: (records.OTHER, {"index_pos"}),
-}
-"""What records are to `records` (a message is its channel), and the fields that each must have."""
+_KINDS = {CONNECTION: records.DESCRIPTION, CHUNK: records.CHUNK} | dict.fromkeys(
+    (INDEX, CHUNK_INFO, BAG), records.OTHER
+)
+"""What records are to `records`; a message is its channel."""
 _LONGEST_HEADER = 1 << 12
 """Bytes of a header and its lengths, at most; it is a hundred bytes, and the name of a topic."""
 
@@ -69,9 +64,9 @@ class Bag1Source(RecordSource):
             if opcode in _ENTRY_BYTES:
                 # There are bags whose recorder stated another length; the entries have one size.
                 length = _ENTRY_BYTES[opcode] * header.get_uint32("count")
+            return _KINDS[opcode], 0, at, at, start + length
         except self.errors:
             return None
-        return _KINDS[opcode][0], 0, at, at, start + length
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         try:
@@ -139,14 +134,11 @@ def parse_header(block: Buffer) -> tuple[Header, int, int]:
 
     Raises
     ------
-    ReaderError, LookupError, ValueError
+    ReaderError
         The block breaks off, or holds something else.
     """
     source = BytesIO(block)
     header, length = Header.read(source), read_uint32(source)
-    _, needed = _KINDS[header["op"][0]]
-    if not needed <= header.keys():
-        raise LookupError("a field is missing")
     return header, source.tell(), length
 
 

@@ -142,27 +142,6 @@ TELLING_LINE = re.compile(
 is that of a pose graph, which some begin with), or a parameter and its value."""
 
 
-class CarmenReader:
-    """CARMEN logs."""
-
-    name = "carmen"
-    description = "CARMEN text logs (FLASER, RLASER, ROBOTLASER1, RAWLASER1 + ODOM), plain or gzip"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
-        return any(map(TELLING_LINE.match, probe.lines))
-
-    def open(self, path: Path) -> "CarmenLog":
-        """Open a log and read it once.
-
-        Raises
-        ------
-        LogError
-            All lines of scans are malformed.
-        """
-        return CarmenLog(path)
-
-
 class CarmenLog(TextLog):
     """An opened CARMEN log; a stream is a keyword.
 
@@ -249,6 +228,18 @@ class CarmenLog(TextLog):
         if beams and not SCAN_LINES[topic].before and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
             self.notes.add(f"{topic} states no angles: {beams} beams are read as {spacing}")
+
+
+class CarmenReader:
+    """CARMEN logs."""
+
+    name = "carmen"
+    description = "CARMEN text logs (FLASER, RLASER, ROBOTLASER1, RAWLASER1 + ODOM), plain or gzip"
+    open = CarmenLog
+
+    def recognises(self, probe: Probe) -> bool:
+        """Whether the first lines are CARMEN messages; a keyword within a text does not count."""
+        return any(map(TELLING_LINE.match, probe.lines))
 
 
 def pick_odometry(block: Block) -> Mapping[str, Sequence[int]]:

@@ -5,13 +5,11 @@ are those of the files, one by one.
 
 The files are PCD, PLY, KITTI's .bin and NumPy's .npy:
 https://pointclouds.org/documentation/tutorials/pcd_file_format.html,
-http://paulbourke.net/dataformats/ply/. Every `read_` function takes the bytes of a file and raises
-DamageError where they are not what they should be.
+http://paulbourke.net/dataformats/ply/. Every `read_` function takes the bytes of a file.
 """
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -52,6 +50,8 @@ _PLY_KINDS = {
 _PLY_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_VALUES = 64
 """Of a point, in an array without names: one with more is turned the other way round."""
+_ERRORS = (LookupError, ValueError, TypeError, EOFError, OSError, SyntaxError, MemoryError)
+"""What is raised of bytes that are not as their format has them"""
 MOST_BYTES = 1 << 31
 """What a file may unpack to; a cloud of a hundred million points has less."""
 
@@ -66,22 +66,24 @@ def read_cloud(path: Path) -> Points:
     DamageError
         It is not what its suffix says.
     """
-    data = path.read_bytes()
+    data, suffix = path.read_bytes(), path.suffix.lower()
     is_nuscenes = path.name.lower().endswith(".pcd.bin")  # whose points have their ring, too
-    return read_bin(data, 5) if is_nuscenes else READERS[path.suffix.lower()](data)
+    try:
+        return read_bin(data, 5) if is_nuscenes else READERS[suffix](data)
+    except _ERRORS as error:
+        raise DamageError(f"is not a {suffix} that can be read ({shorten(str(error))})") from None
 
 
 def read_pcd(data: bytes) -> Points:
     """Read a PCD: ascii, binary or binary_compressed."""
     lines, at = _read_header(data, "DATA")
-    with _refuse_header():
-        header = {word.upper(): values for word, *values in lines}
-        names, points = header["FIELDS"], _read_count(header["POINTS"][0])
-        counts = map(int, header.get("COUNT", ["1"] * len(names)))
-        sizes = zip(header["TYPE"], header["SIZE"], strict=True)
-        kinds = [f"<{_PCD_KINDS[kind]}{size}" for kind, size in sizes]
-        layout = _make_layout(zip(names, kinds, counts, strict=True))
-        form = header["DATA"][0]
+    header = {word.upper(): values for word, *values in lines}
+    names, points = header["FIELDS"], _read_count(header["POINTS"][0])
+    counts = map(int, header.get("COUNT", ["1"] * len(names)))
+    sizes = zip(header["TYPE"], header["SIZE"], strict=True)
+    kinds = [f"<{_PCD_KINDS[kind]}{size}" for kind, size in sizes]
+    layout = _make_layout(zip(names, kinds, counts, strict=True))
+    form = header["DATA"][0]
     if form == "ascii":
         return _parse_text(data, at, layout, points)
     if form == "binary":
@@ -144,29 +146,19 @@ def read_ply(data: bytes) -> Points:
     elements: list[tuple[list[str], list[list[str]]]] = []
     form = ""
     lines, at = _read_header(data, "END_HEADER")
-    with _refuse_header():
-        for word, *values in lines:
-            if word == "format":
-                form = values[0]
-            elif word == "element":
-                elements.append((values, []))
-            elif word == "property":
-                elements[-1][1].append(values)
-        (name, count), properties = elements[0]
-        if name != "vertex" or any(len(each) != 2 for each in properties):
-            raise ValueError("vertices hold lists or are not first")
-        order, points = _PLY_ORDERS[form], _read_count(count)
-        layout = _make_layout((name, order + _PLY_KINDS[kind], 1) for kind, name in properties)
+    for word, *values in lines:
+        if word == "format":
+            form = values[0]
+        elif word == "element":
+            elements.append((values, []))
+        elif word == "property":
+            elements[-1][1].append(values)
+    (name, count), properties = elements[0]
+    if name != "vertex" or any(len(each) != 2 for each in properties):
+        raise ValueError("vertices hold lists or are not first")
+    order, points = _PLY_ORDERS[form], _read_count(count)
+    layout = _make_layout((name, order + _PLY_KINDS[kind], 1) for kind, name in properties)
     return (_parse_text if form == "ascii" else _view)(data, at, layout, points)
-
-
-@contextmanager
-def _refuse_header() -> Iterator[None]:
-    """Say that a header is not as its format has it."""
-    try:
-        yield
-    except (KeyError, IndexError, ValueError, TypeError) as error:
-        raise DamageError(f"has a header that cannot be read ({shorten(str(error))})") from None
 
 
 def _read_count(text: str) -> int:
@@ -185,10 +177,7 @@ def read_bin(data: bytes, values: int = 4) -> Points:
 
 def read_npy(data: bytes) -> Points:
     """Read an array of NumPy: rows of x, y, z and perhaps more, or fields of these names."""
-    try:
-        array = np.load(BytesIO(data), allow_pickle=False)
-    except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
-        raise DamageError(f"is no array of NumPy ({shorten(str(error))})") from None
+    array = np.load(BytesIO(data), allow_pickle=False)
     if array.dtype.names:
         names, rows = array.dtype.names, array.ravel()
         return Points({name: rows[name] for name in names if rows[name].ndim == 1}, len(rows))
@@ -231,10 +220,7 @@ def _parse_text(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Poi
     starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
     words = [line.split() for line in data[at:].split(b"\n", points)[:points]]
     whole = next((n for n, each in enumerate(words) if len(each) != starts[-1]), len(words))
-    try:
-        rows = np.array(words[:whole], np.float64).reshape(whole, starts[-1])
-    except ValueError as error:
-        raise DamageError(f"holds something else where numbers belong ({error})") from None
+    rows = np.array(words[:whole], np.float64).reshape(whole, starts[-1])
     columns = {name: rows[:, start] for name, start in zip(names, starts, strict=False)}
     return Points(columns, points)
 
@@ -255,21 +241,6 @@ _SECONDS = re.compile(r"(?<!\d)(\d{9,10})[._](\d{1,9})$")
 _WHOLE = re.compile(r"(?<!\d)(\d{13}|\d{16}|\d{19})$")
 """How names end that state a time: in s, or as a whole number of ms, us or ns"""
 _DIGITS = re.compile(r"(\d+)")
-
-
-class CloudFolderReader:
-    """Folders of clouds."""
-
-    name = "clouds"
-    description = "a folder of clouds, a file each (.pcd, .ply, KITTI .bin, .npy); poses apart"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Whether a folder holds clouds, and nothing of a bag."""
-        return probe.path.is_dir() and bool(list_clouds(probe.path))
-
-    def open(self, path: Path) -> "CloudFolder":
-        """Open a folder; its files are read when their clouds are asked for."""
-        return CloudFolder(path)
 
 
 class CloudFolder(Log):
@@ -323,6 +294,18 @@ class CloudFolder(Log):
             first = next(note.text for note in self.notes if note.damage)
             found = f"none of {count(lost, 'cloud')} can be read"
             raise LogError(found, where=self.path, fix=f"mend them: {first}")
+
+
+class CloudFolderReader:
+    """Folders of clouds."""
+
+    name = "clouds"
+    description = "a folder of clouds, a file each (.pcd, .ply, KITTI .bin, .npy); poses apart"
+    open = CloudFolder
+
+    def recognises(self, probe: Probe) -> bool:
+        """Whether a folder holds clouds, and nothing of a bag."""
+        return probe.path.is_dir() and bool(list_clouds(probe.path))
 
 
 def list_clouds(folder: Path) -> list[Path]:

@@ -116,36 +116,6 @@ MAX_NAMES = 5
 """Names in one note."""
 
 
-class CsvReader:
-    """occmap's CSV."""
-
-    name = "csv"
-    description = "CSV of one scan a row (stamp, x, y, yaw, angles, r0, ... or rostopic's), or gzip"
-
-    def recognises(self, probe: Probe) -> bool:
-        """Whether the header, or before it a constant, is of this dialect.
-
-        A header that lacks a column is recognised, so that the error can name the column.
-        """
-        lines = [line.strip() for line in probe.lines if line.strip()]
-        rows = [line for line in lines if not line.startswith("#")]
-        comments = [line for line in lines if line.startswith("#")]
-        stated = {split_comment(line)[0] for line in comments} & NAMES
-        if not rows:
-            return bool(stated)
-        return any(is_header(line, stated) for line in (rows[0], *comments))
-
-    def open(self, path: Path) -> "CsvLog":
-        """Open a log: read its header and count its rows.
-
-        Raises
-        ------
-        LogError
-            A column is missing, or a constant is not a number.
-        """
-        return CsvLog(path)
-
-
 class CsvLog(TextLog):
     """An opened CSV log; its scans are the stream `scan`.
 
@@ -236,6 +206,27 @@ class CsvLog(TextLog):
         pose = IDENTITY if "x" in self._stated else None
         scan = Scan(stamp_ns, ranges=ranges, pose=pose, topic=TOPIC, **shape)
         return Pattern(b",", self._kinds, self._places, self._columns, stated, scan)
+
+
+class CsvReader:
+    """occmap's CSV."""
+
+    name = "csv"
+    description = "CSV of one scan a row (stamp, x, y, yaw, angles, r0, ... or rostopic's), or gzip"
+    open = CsvLog
+
+    def recognises(self, probe: Probe) -> bool:
+        """Whether the header, or before it a constant, is of this dialect.
+
+        A header that lacks a column is recognised, so that the error can name the column.
+        """
+        lines = [line.strip() for line in probe.lines if line.strip()]
+        rows = [line for line in lines if not line.startswith("#")]
+        comments = [line for line in lines if line.startswith("#")]
+        stated = {split_comment(line)[0] for line in comments} & NAMES
+        if not rows:
+            return bool(stated)
+        return any(is_header(line, stated) for line in (rows[0], *comments))
 
 
 def _sort_lines(block: Block) -> tuple[list[int], list[Line]]:

@@ -34,7 +34,7 @@ _MESSAGE_DATA = 31
 """Where a message's own bytes start in its record."""
 _FOOTER_BODY = 20
 _LONGEST_PADDING = 64
-"""Bytes that a writer may add after the fields of a chunk."""
+"""Bytes that a writer may add after the fields of a record."""
 _MOST_HEAD = 1 << 10
 """The fields of a chunk before its records are shorter, with the name of its compression."""
 _LATEST_NS = 2**63 - 1
@@ -47,6 +47,8 @@ _KINDS = {
 _MESSAGE = int(Opcode.MESSAGE)
 _OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
 """Of the other records that may be anywhere, with those that anybody may use."""
+_LONGEST = {Opcode.SUMMARY_OFFSET: 17 + _LONGEST_PADDING, Opcode.DATA_END: 4 + _LONGEST_PADDING}
+"""Of bodies that only their length tells from those of other records"""
 
 
 class McapSource(RecordSource):
@@ -56,12 +58,13 @@ class McapSource(RecordSource):
     errors = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
     head = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
     """For records that are not longer than 2**32 - 1 bytes"""
+    described = (records.DESCRIPTION, records.OTHER)
+    """All but messages, as a chunk under another opcode would else be passed over"""
 
     def __init__(self, path: Path) -> None:
-        self._verified: set[int] = set()
-        """Where chunks begin whose checksums were looked at: poses and scans lie in the same"""
-        self._times: dict[int, tuple[int, int]] = {}
-        """The first and the last record time that chunks of a wrong checksum state of themselves"""
+        self._times: dict[int, tuple[int, int] | None] = {}
+        """By where chunks begin whose checksums were looked at, as poses and scans lie in the same:
+        the first and the last record time that one states, if its checksum is wrong"""
         super().__init__(path)
 
     def _parse(self, block: Bytes, at: int) -> Record | None:
@@ -77,7 +80,7 @@ class McapSource(RecordSource):
         end = at + _SHORT + length
         if opcode == Opcode.FOOTER and end == len(block) - len(self.magic):
             return records.OTHER, 0, at, at, len(block)
-        if opcode not in _OTHER_OPCODES:
+        if opcode not in _OTHER_OPCODES or length > _LONGEST.get(opcode, length):
             return None
         return _KINDS.get(opcode, records.OTHER), 0, at, at, end
 
@@ -114,11 +117,10 @@ class McapSource(RecordSource):
         block, problem = inflate(data[:length], compression, size)
         if not problem and (left := len(data) - length) > _LONGEST_PADDING:
             problem = f"has {count(left, 'byte')} that it does not state"
-        if not problem and position not in self._verified:
-            self._verified.add(position)
-            if crc and crc != zlib.crc32(block):
-                problem = "has a wrong checksum, and is used as far as it can be read"
-                self._times[position] = times
+        if not problem and position not in self._times:
+            is_wrong = crc > 0 and crc != zlib.crc32(block)
+            self._times[position] = times if is_wrong else None
+            problem = "has a wrong checksum, and is used as far as it can be read" * is_wrong
         if problem:
             self._note(position, problem)
         return block
@@ -128,8 +130,8 @@ class McapSource(RecordSource):
         for record, position in descriptions.items():
             try:
                 found.append(next(_parse_records(record)))
-            except self.errors:
-                self._note(position, "holds a channel that cannot be read")
+            except (*self.errors, StopIteration):
+                self._note(position, "is or holds a record that cannot be read")
         return _make_channels(found)
 
     def _read_summary(self, file: FileBytes) -> Summary:
