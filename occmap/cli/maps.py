@@ -18,9 +18,9 @@ from occmap.cli.declaring import CONFIG, PATH, Answer, Value, command, fail_if, 
 from occmap.cli.options import choose_saved_model
 from occmap.difference import MapDifference, tell_changes
 from occmap.errors import UsageError
-from occmap.explanation import Explanation, Numbers, Question, Visits, describe_numbers, explain
+from occmap.explanation import Explanation, Observation, Question, Visits, explain
 from occmap.grid.rendering import Framing
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.grid.tiles import EvidenceKind
 from occmap.options import FILES, OPTIONS, POSES, SCANS, BuildOptions
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import DIFF, SAVED, SCORE
@@ -171,7 +171,7 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
     else:
         yield "class", "unknown: nothing observed this cell"
     if seen.observations:
-        yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
+        yield "seen", str(seen)
         yield from list_forgotten(explanation)
         yield from list_builds(explanation)
     elif explanation.verdict != "unknown":
@@ -190,19 +190,17 @@ def list_forgotten(explanation: Explanation) -> Iterator[Row]:
     """Say what is left of a cell, and why, if the number of visits took some of it away."""
     kept = explanation.kept
     if kept and kept.numbers != explanation.seen.numbers:
-        told = describe_numbers(kept.numbers, kept.kind, explanation.unit)
         why = "half of its visits or more" if kept.hits else "fewer visits"
-        yield "kept", f"{told} by --min-passes {explanation.min_passes}, since {why} hit it"
+        yield "kept", f"{kept} by --min-passes {explanation.min_passes}, since {why} hit it"
 
 
 def list_around(explanation: Explanation) -> Iterator[str]:
     """Draw a table of what was seen in the cell and those beside it, if anything was."""
     if any(each.observations for row in explanation.around for each in row):
         yield f"{'/'.join(PAIRS[explanation.seen.kind])} of the cells beside it, y upwards"
-        rows = ([each.numbers for each in row] for row in explanation.around)
         yield from align(
-            ["/".join(split_pair(it, explanation)) if any(it) else "-" for it in row]
-            for row in rows
+            ["/".join(write_pair(each)) if any(each.numbers) else "-" for each in row]
+            for row in explanation.around
         )
 
 
@@ -226,12 +224,10 @@ def describe_visits(visits: Visits) -> str:
     return f"{found}, in slices of time from {since} to {until}"
 
 
-def split_pair(numbers: Numbers, explanation: Explanation) -> tuple[str, str]:
-    """Write the two numbers of a cell, in observations."""
-    first, second = (each / explanation.unit for each in numbers)
-    if explanation.seen.kind is EvidenceKind.LOG_ODDS:
-        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
-    return f"{first:.15g}", f"{second:.15g}"
+def write_pair(seen: Observation) -> tuple[str, str]:
+    """Write the two numbers of a cell."""
+    first, second = seen.pair
+    return f"{first:.15g}" if seen.log_odds is None else f"{first:.2f}", f"{second:.15g}"
 
 
 def list_scans(explanation: Explanation) -> Iterator[Row]:
@@ -244,19 +240,18 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
     if not scans:
         yield "scans", f"none {used} observed the cell"
         return
-    kind, unit = explanation.seen.kind, explanation.unit
-    yield "scans", f"{len(scans):,} {used}: {describe_numbers(explanation.explained, kind, unit)}"
+    yield "scans", f"{len(scans):,} {used}: {explanation.explained}"
     rows = [
         (
             f"{scan.stamp_ns / 1e9:.3f}",
-            *split_pair(scan.seen.numbers, explanation),
+            *write_pair(scan.seen),
             f"{scan.x:.3f}, {scan.y:.3f}",
             f"{scan.distance:.3f}",
             f"{Path(scan.log).name} {scan.topic}",
         )
         for scan in scans[:MOST_SCANS]
     ]
-    head = ("stamp (s)", *PAIRS[kind], "sensor at (m)", "away (m)", "from")
+    head = ("stamp (s)", *PAIRS[explanation.seen.kind], "sensor at (m)", "away (m)", "from")
     yield from (("", line) for line in align([head, *rows]))
     if len(scans) > MOST_SCANS:
         yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"
