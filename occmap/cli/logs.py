@@ -4,6 +4,7 @@ What is in them and what will go wrong; and what suits them better, as scored on
 """
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +14,13 @@ import click
 
 from occmap.choices import Form, take
 from occmap.cli import options
-from occmap.cli.console import Console, align, write_command, write_rows
+from occmap.cli.console import Console, align, write_rows
 from occmap.cli.declaring import CONFIG, Answer, command, fail_if
 from occmap.inspection import findings, inspect
-from occmap.inspection.findings import Inspection, LogFindings
+from occmap.inspection.findings import Inspection
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
-from occmap.readers import Role, Stream
-from occmap.report import Row, count, label_first
+from occmap.report import count
 from occmap.report.limits import CHECK, COMPARE, TUNE
 from occmap.scoring import SMALL, Gain
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
@@ -67,35 +67,16 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
     """Write all findings; problems and the recommended command come last."""
     for log in inspection.logs:
         yield log.path
-        yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
+        yield from write_rows(
+            ((f"  {name}", text) for name, text in findings.list_rows(log)), LABEL
+        )
         yield ""
     rows = [] if inspection.map is None else [("map", findings.describe_map(inspection.map))]
     rows += [("warning", text) for text in inspection.warnings]
     rows += [("problem", text) for text in inspection.problems]
     yield from write_rows(rows, LABEL)
     if inspection.command:
-        yield from (*[""] * bool(rows), write_command(inspection.command))
-
-
-def list_log(log: LogFindings) -> Iterator[Row]:
-    """List all about one log."""
-    yield from label_first("topics", list_streams(log.streams))
-    for topic in log.scans:
-        yield "", ""
-        yield from findings.list_facts(topic)
-    if log.coverage:
-        yield "", ""
-    yield from label_first("sources", findings.list_sources(log.coverage))
-    yield from label_first("note", log.other_notes)
-
-
-def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
-    """List the topics with their types and counts, and what each is good for."""
-    width = max((len(stream.topic) for stream in streams), default=0)
-    kinds = max((len(stream.type) for stream in streams), default=0)
-    for stream in streams:
-        role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
-        yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
+        yield from (*[""] * bool(rows), shlex.join(inspection.command))
 
 
 BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
@@ -169,10 +150,10 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
     ]
     if comparison.preference:
         lines.append(f"as good within the error: {comparison.preference}")
-    lines += [f"best: {best.name}", write_command(comparison.command)]
+    lines += [f"best: {best.name}", shlex.join(comparison.command)]
     if comparison.likeliest is not best:
         lines.append(f"where probabilities matter: {comparison.likeliest_name}")
-        lines.append(write_command(comparison.likeliest_command))
+        lines.append(shlex.join(comparison.likeliest_command))
     return lines
 
 
@@ -229,29 +210,27 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     unsure = disagree or found or tuning.doubt or tuning.mount.verdict is Verdict.UNSEEN
     unsure_of = ": ".join(["nothing is recommended", *tuning.doubts[:1]])
     nothing = unsure_of if unsure else "nothing to gain"
-    yield write_command(tuning.command) or nothing
+    yield shlex.join(tuning.command) or nothing
 
 
 def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    first, second = (describe_correction(half.correction, names) for half in finding.halves)
-    one, other = map(format_gain, finding.halves)
+    gains = [
+        f"{format_gain(it)} by {describe_correction(it.correction, names)}" for it in finding.halves
+    ]
+    halves = f"the first half of the scans gains {gains[0]}, the second {gains[1]}"
     if finding.verdict is Verdict.DISAGREE:
-        return (
-            f"the halves of the scans do not agree: the first gains {one} by {first}, "
-            f"the second {other} by {second}"
-        )
-    gain = format_gain(finding)
-    halves = f"the first half of the scans gains {one}, the second {other}"
+        return f"the two do not agree: {halves}"
+    best = finding.halves[0].correction
+    told = f"{describe_correction(best, names)} gains {format_gain(finding)}"
     if finding.verdict is Verdict.FOUND:
-        return f"{first} gains {gain}; {halves}"
-    if finding.halves[0].correction == finding.correction:
+        return f"{told}; {halves}"
+    if best == finding.correction:
         return "nothing to gain"
-    why = "too little to show in a map" if finding.gain <= SMALL else "which may be chance"
-    why = halves if finding.certain else why
-    return f"nothing sure to gain: the best, {first}, gains {gain}, {why}"
+    small = "too little to show in a map"
+    return f"nothing sure to gain: {told}, {small if finding.gain <= SMALL else halves}"
 
 
 TUNED = ("log", "share before", "share", "gain", "agreement")

@@ -24,9 +24,8 @@ from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.evidence.manifest import describe_files
 from occmap.inspection import findings
-from occmap.inspection.findings import Inspection, LogFindings
+from occmap.inspection.findings import Inspection
 from occmap.options import BuildOptions, spell_flags
-from occmap.readers import Role
 from occmap.report import Noted, count, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import ScoredVariant, Variant, VariantComparison, compare
@@ -197,24 +196,10 @@ def tell_findings(found: Inspection) -> Iterator[Section]:
         blocks.append(Block("code", title="Recommended", texts=[shlex.join(found.command)]))
     yield Section("What check finds", blocks)
     for log in found.logs[:MOST_LOGS]:
-        yield Section(f"In {log.path}", list(list_log(log)))
+        yield Section(f"In {log.path}", [Block("facts", list(findings.list_rows(log)))])
     if others := len(found.logs[MOST_LOGS:]):
         rest = [Block("list", texts=[f"{count(others, 'more log')}: see `occmap check`"])]
         yield Section("And", rest)
-
-
-def list_log(log: LogFindings) -> Iterator[Block]:
-    """All about one log."""
-    yield Block("list", title="Damage", texts=log.damage, tone="problem")
-    yield Block("list", title="Notes", texts=log.other_notes)
-    streams = [
-        (each.topic, each.type, f"{each.count:,}", each.role.replace(Role.OTHER, ""))
-        for each in log.streams
-    ]
-    yield Block("table", streams, ("topic", "type", "#messages", "used as"), title="Topics")
-    for topic in log.scans:
-        yield Block("facts", list(findings.list_facts(topic)), title=f"Scans on {topic.topic}")
-    yield Block("list", title="Pose sources", texts=list(findings.list_sources(log.coverage)))
 
 
 def tell_notes(result: Noted) -> Section:
