@@ -22,7 +22,7 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
 from occmap.report import count
 from occmap.report.limits import CHECK, COMPARE, TUNE
-from occmap.scoring import SMALL, Gain
+from occmap.scoring import SMALL
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
@@ -192,7 +192,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
     found = tuning.correction.is_any
     gained = f" -> {tuning.share:.4f}" if found else ""
-    rise = f", a gain of {format_gain(tuning)}" if found else ""
+    rise = f", a gain of {tuning}" if found else ""
     held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
     maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
     if tuning.deskew.verdict is not Verdict.UNSEEN:
@@ -217,14 +217,12 @@ def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
     if finding.verdict is Verdict.UNSEEN:
         return "not searched"
-    gains = [
-        f"{format_gain(it)} by {describe_correction(it.correction, names)}" for it in finding.halves
-    ]
+    gains = [f"{it} by {describe_correction(it.correction, names)}" for it in finding.halves]
     halves = f"the first half of the scans gains {gains[0]}, the second {gains[1]}"
     if finding.verdict is Verdict.DISAGREE:
         return f"the two do not agree: {halves}"
     best = finding.halves[0].correction
-    told = f"{describe_correction(best, names)} gains {format_gain(finding)}"
+    told = f"{describe_correction(best, names)} gains {finding}"
     if finding.verdict is Verdict.FOUND:
         return f"{told}; {halves}"
     if best == finding.correction:
@@ -246,7 +244,7 @@ def list_tuned(tuned: TunedLog) -> list[str]:
         return [tuned.log, *"----"]
     shares = f"{tuned.share_before:.4f}", f"{tuned.share:.4f}"
     agreement = "-" if tuned.agreement is None else f"{tuned.agreement:.1%}"
-    return [tuned.log, *shares, format_gain(tuned), agreement]
+    return [tuned.log, *shares, str(tuned), agreement]
 
 
 def describe_correction(correction: Correction, names: Sequence[str]) -> str:
@@ -260,9 +258,3 @@ def describe_correction(correction: Correction, names: Sequence[str]) -> str:
     }
     changed = [written[name] for name in names if getattr(correction, name)]
     return ", ".join(changed) or "no change"
-
-
-def format_gain(it: Gain) -> str:
-    """Write a gain and its standard error, where that is known."""
-    error = f" +- {it.gain_error:.4f}" if math.isfinite(it.gain_error) else ""
-    return f"{it.gain:.4f}{error}"

@@ -24,7 +24,7 @@ from occmap.grid.tiles import EvidenceKind
 from occmap.options import FILES, OPTIONS, POSES, SCANS, BuildOptions
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import DIFF, SAVED, SCORE
-from occmap.report.results import Report, tell_map, tell_scans
+from occmap.report.results import Report
 from occmap.scoring.maps import Against, MapScore, score
 from occmap.scoring.matching import STAY, Transform, lay_on
 from occmap.store import Blocks, open_saved
@@ -113,8 +113,7 @@ def put_out(
     view = {"model": choose_saved_model(evidence, values), "writing": writing}
     chosen = take(RenderOptions, values | view)
     report = options.hide_sent(publish(evidence, chosen, outputs))
-    rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
-    return Answer(report, write_rows(rows))
+    return Answer(report, write_rows(options.tell_report(report)))
 
 
 MOST_SCANS, MOST_BUILDS = 12, 6
@@ -183,7 +182,6 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         x, y = explanation.point
         if not (box[0] <= x < box[2] and box[1] <= y < box[3]):
             yield "", f"it lies outside of the map: {write_box(box)}"
-    yield from label_first("around", list_around(explanation))
 
 
 def list_forgotten(explanation: Explanation) -> Iterator[Row]:
@@ -192,16 +190,6 @@ def list_forgotten(explanation: Explanation) -> Iterator[Row]:
     if kept and kept.numbers != explanation.seen.numbers:
         why = "half of its visits or more" if kept.hits else "fewer visits"
         yield "kept", f"{kept} by --min-passes {explanation.min_passes}, since {why} hit it"
-
-
-def list_around(explanation: Explanation) -> Iterator[str]:
-    """Draw a table of what was seen in the cell and those beside it, if anything was."""
-    if any(each.observations for row in explanation.around for each in row):
-        yield f"{'/'.join(PAIRS[explanation.seen.kind])} of the cells beside it, y upwards"
-        yield from align(
-            ["/".join(write_pair(each)) if any(each.numbers) else "-" for each in row]
-            for row in explanation.around
-        )
 
 
 def list_builds(explanation: Explanation) -> list[Row]:
