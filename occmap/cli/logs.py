@@ -20,7 +20,7 @@ from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
-from occmap.report import count
+from occmap.report import Row, count
 from occmap.report.limits import CHECK, COMPARE, TUNE
 from occmap.scoring import SMALL
 from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
@@ -188,39 +188,46 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     return Answer(tuning, format_tuning(tuning))
 
 
+SEARCHES = {
+    "deskew": ["deskew"],
+    "time": ["time_s"],
+    "mount": ["yaw", "x", "y"],
+    "together": ["time_s", "yaw", "x", "y"],
+}
+"""By the name of a search the numbers of a correction that it changes"""
+
+
 def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
-    found = tuning.correction.is_any
-    gained = f" -> {tuning.share:.4f}" if found else ""
-    rise = f", a gain of {tuning}" if found else ""
-    held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
-    maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
-    if tuning.deskew.verdict is not Verdict.UNSEEN:
-        yield f"deskew   {format_finding(tuning.deskew, ['deskew'])}"
-    alone = "by itself " * (tuning.together.correction.time_s != tuning.time.correction.time_s)
-    yield f"time     {alone}{format_finding(tuning.time, ['time_s'])}"
-    yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
-    if tuning.together.verdict is Verdict.FOUND:
-        yield f"together {format_finding(tuning.together, ['time_s', 'yaw', 'x', 'y'])}"
-    yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
-    yield f"scored   by {held}, on {maps} each"
+    yield from write_rows(list_searches(tuning))
     if len(tuning.by_log) > 1:
         yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
-    disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or found or tuning.doubt or tuning.mount.verdict is Verdict.UNSEEN
-    unsure_of = ": ".join(["nothing is recommended", *tuning.doubts[:1]])
-    nothing = unsure_of if unsure else "nothing to gain"
-    yield shlex.join(tuning.command) or nothing
+    is_open = tuning.mount.verdict in {Verdict.UNSEEN, Verdict.DISAGREE}
+    is_open |= tuning.time.verdict is Verdict.DISAGREE
+    nothing = "nothing is recommended" if is_open or tuning.doubts else "nothing to gain"
+    yield shlex.join(tuning.command) or ": ".join([nothing, *tuning.doubts[:1]])
+
+
+def list_searches(tuning: Tuning) -> Iterator[Row]:
+    """Say what came of each search, and what that rests on; notes say why there was none."""
+    for name, numbers in SEARCHES.items():
+        finding = getattr(tuning, name)
+        if finding.verdict is not Verdict.UNSEEN:
+            yield name, format_finding(finding, numbers)
+    rise = f", {tuning.share:.4f} with what is found: a gain of {tuning}"
+    share = f"{tuning.share_before:.4f} of the beams are predicted"
+    yield "share", share + rise * tuning.correction.is_any
+    held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
+    maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
+    yield "scored", f"by {held}, on {maps} each"
 
 
 def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
-    if finding.verdict is Verdict.UNSEEN:
-        return "not searched"
     gains = [f"{it} by {describe_correction(it.correction, names)}" for it in finding.halves]
     halves = f"the first half of the scans gains {gains[0]}, the second {gains[1]}"
     if finding.verdict is Verdict.DISAGREE:
-        return f"the two do not agree: {halves}"
+        return f"the halves do not agree: {halves}"
     best = finding.halves[0].correction
     told = f"{describe_correction(best, names)} gains {finding}"
     if finding.verdict is Verdict.FOUND:
