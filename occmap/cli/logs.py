@@ -22,8 +22,7 @@ from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
 from occmap.report import Row, count
 from occmap.report.limits import CHECK, COMPARE, TUNE
-from occmap.scoring import SMALL
-from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
+from occmap.scoring import SMALL, compare
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.types import BEAM_UPDATES, Update
@@ -86,7 +85,7 @@ VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
 
 @command(
     "compare",
-    VariantComparison,
+    compare.VariantComparison,
     options.LOGS,
     options.field(
         replace(OPTIONS["update"], kind=BEAM_UPDATES, form=BEAMS, **VARIED),
@@ -95,7 +94,7 @@ VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
     ),
     options.field(
         replace(OPTIONS["model"], **VARIED),
-        show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
+        show_default="the default of each update, " + ", ".join(compare.DEFAULT_MODELS),
     ),
     options.one_output(
         "picture",
@@ -122,14 +121,14 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
       occmap compare intel.log.gz -o compare.png --resolution 0.1
       occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
     """
-    chosen = combine(values.pop("update"), values.pop("model"))
+    chosen = compare.combine(values.pop("update"), values.pop("model"))
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
     comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
     return Answer(comparison, format_comparison(comparison))
 
 
-def format_comparison(comparison: VariantComparison) -> list[str]:
+def format_comparison(comparison: compare.VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
     best, scans = comparison.recommended, comparison.scans
     beams, held = count(best.score.beams, "beam"), count(scans.held_out, "held-out scan")
@@ -139,22 +138,16 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
         ("found occupied", *(f"{each.observed:.3f}" for each in bins)),
         ("looks", *(f"{each.looks:,}" for each in bins)),
     ]
-    lines = [
-        *align([SCORES, *map(list_scores, comparison.results)], labels=1),
+    return [
+        *align([compare.SCORES, *map(compare.list_scores, comparison.results)], labels=1),
         "",
         f"cells of {best.name}, as held-out beams look at them",
         *align(reliability, labels=1),
         "",
         f"scored by {beams} of {held}; {scans.used:,} of {scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
+        *compare.tell_verdict(comparison),
     ]
-    if comparison.preference:
-        lines.append(f"as good within the error: {comparison.preference}")
-    lines += [f"best: {best.name}", shlex.join(comparison.command)]
-    if comparison.likeliest is not best:
-        lines.append(f"where probabilities matter: {comparison.likeliest_name}")
-        lines.append(shlex.join(comparison.likeliest_command))
-    return lines
 
 
 @command("tune", Tuning, *(options.LOGS, *options.OF_LOGS, fail_if(TUNE, "gain > 2%"), CONFIG))
@@ -212,7 +205,9 @@ def list_searches(tuning: Tuning) -> Iterator[Row]:
     """Say what came of each search, and what that rests on; notes say why there was none."""
     for name, numbers in SEARCHES.items():
         finding = getattr(tuning, name)
-        if finding.verdict is not Verdict.UNSEEN:
+        # All together are searched once more, and what that adds is told if it is sure.
+        passed_over = set(Verdict) - {Verdict.FOUND} if name == "together" else {Verdict.UNSEEN}
+        if finding.verdict not in passed_over:
             yield name, format_finding(finding, numbers)
     rise = f", {tuning.share:.4f} with what is found: a gain of {tuning}"
     share = f"{tuning.share_before:.4f} of the beams are predicted"
@@ -224,11 +219,11 @@ def list_searches(tuning: Tuning) -> Iterator[Row]:
 
 def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
-    gains = [f"{it} by {describe_correction(it.correction, names)}" for it in finding.halves]
-    halves = f"the first half of the scans gains {gains[0]}, the second {gains[1]}"
+    halves = "the first half of the scans gains {}, the second {}"
     if finding.verdict is Verdict.DISAGREE:
-        return f"the halves do not agree: {halves}"
-    best = finding.halves[0].correction
+        by = (f"{it} by {describe_correction(it.correction, names)}" for it in finding.halves)
+        return f"the halves do not agree: {halves.format(*by)}"
+    halves, best = halves.format(*finding.halves), finding.halves[0].correction
     told = f"{describe_correction(best, names)} gains {finding}"
     if finding.verdict is Verdict.FOUND:
         return f"{told}; {halves}"
