@@ -26,7 +26,7 @@ from occmap.evidence.manifest import describe_files
 from occmap.inspection import findings
 from occmap.inspection.findings import Inspection
 from occmap.options import BuildOptions, spell_flags
-from occmap.report import Noted, count, join_names, name_stdin
+from occmap.report import Noted, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import ScoredVariant, Variant, VariantComparison, compare
 from occmap.types import UInt8
@@ -160,10 +160,6 @@ def describe_maker(inputs: Iterable[Mapping[str, Any]]) -> Section:
     return Section("How it was made", blocks)
 
 
-MOST_LOGS = 20
-"""With all that is found in them; warnings and problems are those of all logs."""
-
-
 def write_inspection(path: Path, inspection: Inspection) -> None:
     """Write the page of an inspection.
 
@@ -195,11 +191,8 @@ def tell_findings(found: Inspection) -> Iterator[Section]:
     if found.command:
         blocks.append(Block("code", title="Recommended", texts=[shlex.join(found.command)]))
     yield Section("What check finds", blocks)
-    for log in found.logs[:MOST_LOGS]:
+    for log in found.logs:
         yield Section(f"In {log.path}", [Block("facts", list(findings.list_rows(log)))])
-    if others := len(found.logs[MOST_LOGS:]):
-        rest = [Block("list", texts=[f"{count(others, 'more log')}: see `occmap check`"])]
-        yield Section("And", rest)
 
 
 def tell_notes(result: Noted) -> Section:
