@@ -399,8 +399,13 @@ def check_bounds(options: Any) -> None:
     """Refuse a value out of the bounds of its option; raises UsageError with what to give."""
     for each in fields(options):
         value = getattr(options, each.name)
-        low, high = each.metadata.get("option", {}).get("bounds", (None, None))
-        if low is not None and isinstance(value, int | float) and not low <= value <= high:
+        declared = each.metadata.get("option", {})
+        is_number = isinstance(value, int | float)
+        is_possible = is_number or (value is None and "none" in declared)
+        if isinstance(each.default, float) and not is_possible:
+            raise UsageError(f"`{each.name}` is {value!r}", fix="give a number")
+        low, high = declared.get("bounds", UNBOUNDED)
+        if "bounds" in declared and is_number and not low <= value <= high:
             least = "more than 0" if low == ABOVE_ZERO else f"{low:g}"
             most = f" to {high:g}" if math.isfinite(high) else " or more" * (low != ABOVE_ZERO)
             raise UsageError(f"`{each.name}={value}` is not possible", fix=f"give {least}{most}")

@@ -35,6 +35,8 @@ YAML_BYTES = 1 << 16
 """A map's YAML has a dozen lines."""
 FARTHEST_M = 1e15
 """Farther out, or with larger cells, a float cannot tell one cell from the next."""
+BYTES = {0xDC80 + byte: 0xE080 + byte for byte in range(128)}
+"""Private characters for bytes of file names that are not UTF-8: YAML has no surrogates."""
 
 
 class Place(NamedTuple):
@@ -205,7 +207,8 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
     try:
         with refuse_unreadable(path, MapError), path.open("rb") as file:
-            values = YAML(typ="base", pure=True).load(file.read(YAML_BYTES).decode())
+            text = file.read(YAML_BYTES).decode("utf-8", "surrogateescape")
+        values = YAML(typ="base", pure=True).load(text.translate(BYTES))
     except (YAMLError, ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]
         if isinstance(error, MarkedYAMLError) and error.problem_mark:
@@ -235,8 +238,9 @@ def parse_meta(path: Path, values: dict[str, Any]) -> Meta:
     )
     wanted = f"no more than occupied_thresh ({occupied:g})"
     expect(path, "free_thresh", free, free <= occupied, wanted)
+    image = str(image).translate({private: byte for byte, private in BYTES.items()})
     place = parse_place(path, resolution, values.get("origin"))
-    return Meta(str(image), MapMode(mode), occupied, free, NEGATES[negate], place)
+    return Meta(image, MapMode(mode), occupied, free, NEGATES[negate], place)
 
 
 def parse_place(path: Path, resolution: float, origin: Any) -> Place:
