@@ -136,15 +136,13 @@ def recommend(
     # Those with poses, or with an option that gives some.
     mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
     advice = [advise(log) for log in mapped]
-    known = [each[1] for each in advice if each]
-    if not all(it.get("no_return") == "clear" for it in known):  # a map is as right without it
-        for advised in (it for it in known if it.get("no_return") == "clear"):
-            del advised["no_return"]
     if any(each != advice[0] for each in advice):
         return (), ("the logs need different options: check them one by one",)
     if not advice or advice[0] is None:
         return (), ()
     name, advised = advice[0]
+    if all(map(is_open, mapped)):  # else a map is as right without it
+        advised["no_return"] = "clear"
     command = compose_build([log.path for log in mapped], options, advised)
     if name == "tune":
         command = ("occmap", name, *command[2:-2])
@@ -171,11 +169,14 @@ def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
     yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
     betters = [it.better for it in log.scans if it.better and suits_all(it.better, it, log.scans)]
     yield from ((it.name, it.value) for it in betters[:1])  # each was tried alone
-    specials = (special for topic in log.scans for special in topic.ranges.specials)
-    if {special.no_return for special in specials} - {""} == {"clear"}:
-        yield "no_return", "clear"
     for concern in log.concerns:
         yield from (concern.remedy or {}).items()
+
+
+def is_open(log: LogFindings) -> bool:
+    """Whether space is open wherever a beam of a log does not come back."""
+    specials = (special for topic in log.scans for special in topic.ranges.specials)
+    return {special.no_return for special in specials} - {""} == {"clear"}
 
 
 def suits_all(better: findings.Better, topic: ScanFindings, topics: Sequence[ScanFindings]) -> bool:
