@@ -228,8 +228,8 @@ ABOVE_ZERO = math.ulp(0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
-    """Something that is given by name, to a function or on the command line, and how it is read."""
+class Option:
+    """All that is known of what is given by name: to a command, or to a function."""
 
     name: str
     kind: Any
@@ -241,6 +241,20 @@ class Parameter:
     """What a value looks like, or each of several"""
     none: tuple[str, str] = ("", "")
     """How None is typed and what it does, where it is a value of an option and not its default"""
+    default: Any = None
+    """MISSING: it has to be given"""
+    help: str = ""
+    """What it does; "" where a command declares it by itself"""
+    unit: str = ""
+    """Of the value, as a person calls it; "" where it has none"""
+    metavar: str = ""
+    """Stands for the value on the command line"""
+    flag: str = ""
+    """How it is typed"""
+    section: str = ""
+    """The heading of the help that it stands under"""
+    bounds: tuple[float, float] = UNBOUNDED
+    """The least and the largest value; nan is never within them"""
 
     @classmethod
     def of(cls, name: str, hint: Any, form: Form | None = None, **declared: Any) -> Self:
@@ -294,26 +308,6 @@ class Parameter:
         none = f", or {self.none[0]}, {self.none[1]}" if self.none[1] else ""
         return f"give {'a list, each item ' * is_list}{self.form.text}{none}"
 
-
-@dataclass(frozen=True, kw_only=True)
-class Option(Parameter):
-    """All that is known of an option of a command, which a field of a dataclass declares."""
-
-    default: Any
-    """MISSING: it has to be given"""
-    help: str
-    """What it does; "" where a command declares it by itself"""
-    unit: str
-    """Of the value, as a person calls it; "" where it has none"""
-    metavar: str
-    """Stands for the value on the command line"""
-    flag: str
-    """How it is typed"""
-    section: str
-    """The heading of the help that it stands under"""
-    bounds: tuple[float, float]
-    """The least and the largest value; nan is never within them"""
-
     def write(self, value: Any) -> list[str]:
         """Write its value as it is typed, once for each of several."""
         several = value if self.is_many else [value]
@@ -360,16 +354,12 @@ def list_options(kind: Any, section: str = "") -> dict[str, Option]:
             found |= list_options(hint, declared.get("section", section))
             continue
         make, plain = each.default_factory, name.removesuffix("_s").replace("_", "-")
-        usual = {
+        usual = {"metavar": declared.get("unit", "").upper(), "section": section}
+        known = {
             "default": each.default if make is MISSING else make(),
-            "help": "",
-            "unit": "",
-            "metavar": declared.get("unit", "").upper(),
-            "section": section,
-            "bounds": UNBOUNDED,
+            "flag": f"--{declared.get('flag', plain)}",
         }
-        flag = f"--{declared.get('flag', plain)}"
-        found[name] = Option.of(name, hint, **{**usual, **declared, "flag": flag})
+        found[name] = Option.of(name, hint, **{**usual, **declared, **known})
     return found
 
 
@@ -391,7 +381,7 @@ def read_value(name: str, hint: Any, value: Any, form: Form | None = None) -> An
     form
         What a value looks like, or each of several; None: as usual for the type.
     """
-    return Parameter.of(name, hint, form).read(value)
+    return Option.of(name, hint, form).read(value)
 
 
 def take(kind: type[Options], values: Mapping[str, Any]) -> Options:

@@ -77,7 +77,7 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
     LogError
         The evidence was not made of a log, or a file cannot be read.
     PoseError
-        A trajectory is missing, or none of these builds had it.
+        A trajectory is missing.
     """
     builds = part.manifest.builds
     held = [{entry["sha256"] for entry in records.list_inputs(build)} for build in builds]
@@ -89,10 +89,6 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
         if not times:
             refuse_stranger(part, log)
         uses += [Use(log, at, recall_build(builds[at], part.where, log, given)) for at in times]
-    used = {entry["sha256"] for use in uses for entry in records.list_trajectory(builds[use.build])}
-    if idle := given.keys() - used:
-        found = "is not a trajectory that these logs were built with"
-        raise PoseError(found, where=given[min(idle)], fix="leave it out")
     return uses
 
 
@@ -201,9 +197,6 @@ def recall(name: str, plain: Any) -> Any:
 FARTHEST_CELL = 1 << 44
 """Beyond this a float cannot tell the parts of a cell apart."""
 
-Numbers = tuple[int, int]
-"""Hits and misses, or log-odds in units of 1/65536 and observations"""
-
 
 @dataclass(frozen=True)
 class Observation:
@@ -218,18 +211,32 @@ class Observation:
     observations: Count
     """Observations: hits and misses, or those that the sum is of"""
 
-    numbers: Numbers = field(metadata=HIDDEN)
-    """The two numbers of the cell"""
+    numbers: tuple[int, int] = field(metadata=HIDDEN)
+    """Hits and misses, or log-odds in units of 1/65536 and observations"""
     kind: EvidenceKind = field(metadata=HIDDEN)
-    """What these are"""
+    """Which of the two"""
+    unit: int = field(metadata=HIDDEN)
+    """What one observation counts in all of these"""
 
     @classmethod
-    def read(cls, numbers: Iterable[int], kind: EvidenceKind) -> Self:
+    def read(cls, numbers: Iterable[int], kind: EvidenceKind, unit: int) -> Self:
         """Read the two numbers of a cell."""
         first, second = numbers
         if kind is EvidenceKind.LOG_ODDS:
-            return cls(None, None, first * LOG_ODDS_UNIT, second, (first, second), kind)
-        return cls(first, second, None, first + second, (first, second), kind)
+            return cls(None, None, first * LOG_ODDS_UNIT, second, (first, second), kind, unit)
+        return cls(first, second, None, first + second, (first, second), kind, unit)
+
+    @property
+    def pair(self) -> tuple[float, float]:
+        """Hits and misses, or log-odds and observations; a whole observation is 1."""
+        first, second = (each / self.unit for each in self.numbers)
+        return first if self.log_odds is None else first * LOG_ODDS_UNIT, second
+
+    def __str__(self) -> str:
+        first, second = self.pair
+        if self.kind is EvidenceKind.LOG_ODDS:
+            return f"log-odds {first:.3f} of {count(second, 'observation')}"
+        return f"{count(first, 'hit')} and {count(second, 'miss')}"
 
 
 @dataclass(frozen=True)
@@ -290,7 +297,8 @@ class Cell:
         A cell that is in no tile has zeros.
         """
         rows = np.moveaxis(grid.gather(self.box.grow(1), np.int64), 0, -1)[::-1]
-        return [[Observation.read(numbers, grid.kind) for numbers in row] for row in rows.tolist()]
+        like = grid.kind, grid.unit
+        return [[Observation.read(numbers, *like) for numbers in row] for row in rows.tolist()]
 
     def read_visits(self, slices: Slices, manifest: Manifest) -> Visits | None:
         """Read from the slices of its tile when the cell was observed; None: never."""
@@ -359,16 +367,10 @@ def find_sightings(
             rays, _ = interpret(posed, use.options.returns)
             numbers = look_at_cell(rays, spec, cell.lattice_row, cell.lattice_column)
             for scan in np.flatnonzero(numbers.any(axis=1)).tolist():
-                seen = Observation.read(numbers[scan].tolist(), spec.kind)
+                seen = Observation.read(numbers[scan].tolist(), spec.kind, spec.unit)
                 sightings.append(Sighting.note(use, posed, scan, seen, cell))
             used += len(numbers)
     return sorted(sightings, key=lambda each: each.stamp_ns), used
-
-
-def sum_sightings(sightings: Sequence[Sighting]) -> Numbers:
-    """Sum up what scans added to the cell."""
-    first, second = (sum(each.seen.numbers[part] for each in sightings) for part in (0, 1))
-    return first, second
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -430,9 +432,10 @@ class Explanation(Printed):
     """What else to know of the evidence, and what the scans leave unexplained"""
 
     @property
-    def explained(self) -> Numbers:
+    def explained(self) -> Observation:
         """What the scans add up to."""
-        return sum_sightings(self.scans)
+        numbers = (sum(each.seen.numbers[part] for each in self.scans) for part in (0, 1))
+        return Observation.read(numbers, self.seen.kind, self.seen.unit)
 
 
 def explain(saved: Blocks, question: Question, progress: Progress = ignore_progress) -> Explanation:
@@ -458,8 +461,7 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
     made = evidence.paint_box(lasting, model, cell.box)
     uses = find_uses(part, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, cell, progress)
-    unexplained = list_unexplained(part, around[1][1], uses, sightings)
-    return Explanation(
+    explanation = Explanation(
         point=(question.x, question.y),
         cell=cell,
         map_extent=open_map(saved, model).extent if saved.blocks else None,
@@ -476,8 +478,10 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
         builds=tuple(list_visits(cell, layers, manifest)),
         scans_used=scans_used,
         scans=tuple(sightings),
-        notes=(*records.list_doubts(manifest), *unexplained),
+        notes=tuple(records.list_doubts(manifest)),
     )
+    unexplained = list_unexplained(explanation, part, uses)
+    return replace(explanation, notes=(*explanation.notes, *unexplained))
 
 
 def list_visits(cell: Cell, layers: Sequence[Slices], manifest: Manifest) -> Iterator[BuildVisits]:
@@ -505,28 +509,16 @@ def measure_ground(saved: Blocks, question: Question) -> float | None:
     return None if math.isnan(height) else height
 
 
-def list_unexplained(
-    part: Evidence, seen: Observation, uses: Sequence[Use], sightings: Sequence[Sighting]
-) -> Iterator[str]:
+def list_unexplained(found: Explanation, part: Evidence, uses: Sequence[Use]) -> Iterator[str]:
     """Say what is not explained by the scans that were found."""
-    found, manifest = sum_sightings(sightings), part.manifest
-    if uses and found != seen.numbers:
-        unit = find_unit(manifest.update)
-        parts = (describe_numbers(each, seen.kind, unit) for each in (found, seen.numbers))
-        told, named = f"these logs explain {' of '.join(parts)}", {use.log.name for use in uses}
-        if missing := [name for name in records.list_logs(*manifest.builds) if name not in named]:
+    if uses and found.explained != found.seen:
+        told = f"these logs explain {found.explained} of {found.seen}"
+        builds, named = part.manifest.builds, {use.log.name for use in uses}
+        if missing := [name for name in records.list_logs(*builds) if name not in named]:
             yield f"{told}; the rest is in {join_names(missing)}"
             return
-        makers = ", ".join(sorted({build["occmap"] for build in manifest.builds}))
+        makers = ", ".join(sorted({build["occmap"] for build in builds}))
         yield (
             f"{told}: a build read one of them twice, evidence was subtracted or moved by `occmap "
             f"merge`, or the occmap that built it ({makers}) read them differently"
         )
-
-
-def describe_numbers(numbers: Numbers, kind: EvidenceKind, unit: int) -> str:
-    """Spell out the two numbers of a cell, in observations."""
-    first, second = (each / unit for each in numbers)
-    if kind is EvidenceKind.LOG_ODDS:
-        return f"log-odds {first * LOG_ODDS_UNIT:.3f} of {count(second, 'observation')}"
-    return f"{count(first, 'hit')} and {count(second, 'miss')}"

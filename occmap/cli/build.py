@@ -23,7 +23,7 @@ from occmap.plugins import guess
 from occmap.readers import open_log
 from occmap.report import Note, label_first
 from occmap.report.limits import BUILD
-from occmap.report.results import Report, tell_beams, tell_map, tell_scans
+from occmap.report.results import Report
 from occmap.scans.mounts import open_drive
 from occmap.types import Update
 from occmap.writers.atomic import refuse_unwritable
@@ -91,19 +91,13 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
     rate = report.scans.used / max(seconds, 1e-9)
     # What took long; the stages of several threads add up.
     stages = ", ".join(f"{name} {spent:.2f}" for name, spent in report.seconds.items())
-    rows = [
-        *tell_map(report.map, report.hint),
-        *tell_scans(report),
-        *tell_beams(report),
-        ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})"),
-        *label_first("files", report.files),
-    ]
+    took = ("time", f"{seconds:.2f} s, {rate:,.0f} scans/s ({stages})")
     failure = None
     if values["strict"] and report.damage:
         first, *others = report.damage
         more = f"; {len(others)} more" if others else ""
         failure = LogError(f"{first} (--strict{more})", fix="the map was written")
-    return Answer(report, write_rows(rows), failure)
+    return Answer(report, write_rows(options.tell_report(report, took)), failure)
 
 
 def read_request(words: Sequence[str], values: dict[str, Any]) -> tuple[list[Path], BuildOptions]:
@@ -206,14 +200,8 @@ def demo_command(console: Console, /, folder: Path) -> Answer:
         f"occmap score {folder / 'map.yaml'} --truth {folder / SAMPLES[2]}",
         "occmap build YOUR_LOG -o map.pgm",
     )
-    rows = [
-        *tell_map(report.map),
-        *tell_scans(report),
-        *label_first("files", report.files),
-        ("look at", str(made[1])),
-        *label_first("next", commands),
-    ]
-    return Answer(report, write_rows(rows))
+    rows = [("look at", str(made[1])), *label_first("next", commands)]
+    return Answer(report, write_rows([*options.tell_report(report), *rows]))
 
 
 def find_sample(name: str) -> Path:

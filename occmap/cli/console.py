@@ -2,7 +2,6 @@
 
 import os
 import re
-import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -182,20 +181,6 @@ def put_on_stdout(text: str | bytes, nl: bool = True) -> None:
     except OSError as error:
         discard(sys.stdout)
         raise OutputError(f"cannot be written ({error.strerror})", where="stdout") from None
-
-
-PLAIN_WORD = re.compile(r"[\w@+=:./\\-]+", re.ASCII)
-"""What cmd.exe and PowerShell take as one word without quotes."""
-
-
-def write_command(words: Iterable[str]) -> str:
-    """Write a command line as it can be typed here."""
-    return quote_for_windows(words) if os.name == "nt" else shlex.join(words)
-
-
-def quote_for_windows(words: Iterable[str]) -> str:
-    """Quote the words of a command line for cmd.exe and PowerShell, which know double quotes."""
-    return " ".join(word if PLAIN_WORD.fullmatch(word) else f'"{word}"' for word in words)
 
 
 def spell(text: str) -> str:

@@ -41,13 +41,13 @@ class Value(click.ParamType):  # type: ignore[type-arg]  # in older versions it 
 
     name = "value"
 
-    def __init__(self, known: choices.Parameter) -> None:
+    def __init__(self, known: choices.Option) -> None:
         self.known = known
 
     @classmethod
     def of(cls, kind: Any, name: str = "", form: choices.Form | None = None) -> "Value":
         """Make one of a type; without a name, errors have that of the parameter."""
-        return cls(choices.Parameter.of(name, kind, form))
+        return cls(choices.Option.of(name, kind, form))
 
     def convert(self, value: Any, param: click.Parameter | None, _: click.Context | None) -> Any:
         """Read what was typed, or what a file of options states; raises UsageError."""

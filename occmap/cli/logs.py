@@ -4,6 +4,7 @@ What is in them and what will go wrong; and what suits them better, as scored on
 """
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,17 +14,15 @@ import click
 
 from occmap.choices import Form, take
 from occmap.cli import options
-from occmap.cli.console import Console, align, write_command, write_rows
+from occmap.cli.console import Console, align, write_rows
 from occmap.cli.declaring import CONFIG, Answer, command, fail_if
 from occmap.inspection import findings, inspect
-from occmap.inspection.findings import Inspection, LogFindings
+from occmap.inspection.findings import Inspection
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
-from occmap.readers import Role, Stream
-from occmap.report import Row, count, label_first
+from occmap.report import Row, count
 from occmap.report.limits import CHECK, COMPARE, TUNE
-from occmap.scoring import SMALL, Gain
-from occmap.scoring.compare import DEFAULT_MODELS, SCORES, VariantComparison, combine, list_scores
+from occmap.scoring import SMALL, compare
 from occmap.tuning import TunedLog, Tuning, tune
 from occmap.tuning.search import Correction, Finding, Verdict
 from occmap.types import BEAM_UPDATES, Update
@@ -67,35 +66,16 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
     """Write all findings; problems and the recommended command come last."""
     for log in inspection.logs:
         yield log.path
-        yield from write_rows(((f"  {name}", text) for name, text in list_log(log)), LABEL)
+        yield from write_rows(
+            ((f"  {name}", text) for name, text in findings.list_rows(log)), LABEL
+        )
         yield ""
     rows = [] if inspection.map is None else [("map", findings.describe_map(inspection.map))]
     rows += [("warning", text) for text in inspection.warnings]
     rows += [("problem", text) for text in inspection.problems]
     yield from write_rows(rows, LABEL)
     if inspection.command:
-        yield from (*[""] * bool(rows), write_command(inspection.command))
-
-
-def list_log(log: LogFindings) -> Iterator[Row]:
-    """List all about one log."""
-    yield from label_first("topics", list_streams(log.streams))
-    for topic in log.scans:
-        yield "", ""
-        yield from findings.list_facts(topic)
-    if log.coverage:
-        yield "", ""
-    yield from label_first("sources", findings.list_sources(log.coverage))
-    yield from label_first("note", log.other_notes)
-
-
-def list_streams(streams: Sequence[Stream]) -> Iterator[str]:
-    """List the topics with their types and counts, and what each is good for."""
-    width = max((len(stream.topic) for stream in streams), default=0)
-    kinds = max((len(stream.type) for stream in streams), default=0)
-    for stream in streams:
-        role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
-        yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
+        yield from (*[""] * bool(rows), shlex.join(inspection.command))
 
 
 BEAMS = Form(Update, " or ".join(f'"{update}"' for update in BEAM_UPDATES))
@@ -105,7 +85,7 @@ VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
 
 @command(
     "compare",
-    VariantComparison,
+    compare.VariantComparison,
     options.LOGS,
     options.field(
         replace(OPTIONS["update"], kind=BEAM_UPDATES, form=BEAMS, **VARIED),
@@ -114,7 +94,7 @@ VARIED: dict[str, Any] = {"section": "What to compare", "is_many": True}
     ),
     options.field(
         replace(OPTIONS["model"], **VARIED),
-        show_default="the default of each update, " + ", ".join(DEFAULT_MODELS),
+        show_default="the default of each update, " + ", ".join(compare.DEFAULT_MODELS),
     ),
     options.one_output(
         "picture",
@@ -141,14 +121,14 @@ def compare_command(console: Console, /, logs: tuple[Path, ...], **values: Any) 
       occmap compare intel.log.gz -o compare.png --resolution 0.1
       occmap compare room.bag --update beam --model counting --model simple:p_hit=0.8
     """
-    chosen = combine(values.pop("update"), values.pop("model"))
+    chosen = compare.combine(values.pop("update"), values.pop("model"))
     common = take(BuildOptions, values)
     found = options.gather_logs(console, logs, common)
     comparison = compare_logs(found, chosen, common, values["picture"], console.advance)
     return Answer(comparison, format_comparison(comparison))
 
 
-def format_comparison(comparison: VariantComparison) -> list[str]:
+def format_comparison(comparison: compare.VariantComparison) -> list[str]:
     """Write the table, on what it rests, and the command line of the best."""
     best, scans = comparison.recommended, comparison.scans
     beams, held = count(best.score.beams, "beam"), count(scans.held_out, "held-out scan")
@@ -158,22 +138,16 @@ def format_comparison(comparison: VariantComparison) -> list[str]:
         ("found occupied", *(f"{each.observed:.3f}" for each in bins)),
         ("looks", *(f"{each.looks:,}" for each in bins)),
     ]
-    lines = [
-        *align([SCORES, *map(list_scores, comparison.results)], labels=1),
+    return [
+        *align([compare.SCORES, *map(compare.list_scores, comparison.results)], labels=1),
         "",
         f"cells of {best.name}, as held-out beams look at them",
         *align(reliability, labels=1),
         "",
         f"scored by {beams} of {held}; {scans.used:,} of {scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
+        *compare.tell_verdict(comparison),
     ]
-    if comparison.preference:
-        lines.append(f"as good within the error: {comparison.preference}")
-    lines += [f"best: {best.name}", write_command(comparison.command)]
-    if comparison.likeliest is not best:
-        lines.append(f"where probabilities matter: {comparison.likeliest_name}")
-        lines.append(write_command(comparison.likeliest_command))
-    return lines
 
 
 @command("tune", Tuning, *(options.LOGS, *options.OF_LOGS, fail_if(TUNE, "gain > 2%"), CONFIG))
@@ -207,51 +181,56 @@ def tune_command(console: Console, /, logs: tuple[Path, ...], **values: Any) -> 
     return Answer(tuning, format_tuning(tuning))
 
 
+SEARCHES = {
+    "deskew": ["deskew"],
+    "time": ["time_s"],
+    "mount": ["yaw", "x", "y"],
+    "together": ["time_s", "yaw", "x", "y"],
+}
+"""By the name of a search the numbers of a correction that it changes"""
+
+
 def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
-    found = tuning.correction.is_any
-    gained = f" -> {tuning.share:.4f}" if found else ""
-    rise = f", a gain of {format_gain(tuning)}" if found else ""
-    held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
-    maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
-    if tuning.deskew.verdict is not Verdict.UNSEEN:
-        yield f"deskew   {format_finding(tuning.deskew, ['deskew'])}"
-    alone = "by itself " * (tuning.together.correction.time_s != tuning.time.correction.time_s)
-    yield f"time     {alone}{format_finding(tuning.time, ['time_s'])}"
-    yield f"mount    {format_finding(tuning.mount, ['yaw', 'x', 'y'])}"
-    if tuning.together.verdict is Verdict.FOUND:
-        yield f"together {format_finding(tuning.together, ['time_s', 'yaw', 'x', 'y'])}"
-    yield f"share    {tuning.share_before:.4f}{gained} of the beams are predicted{rise}"
-    yield f"scored   by {held}, on {maps} each"
+    yield from write_rows(list_searches(tuning))
     if len(tuning.by_log) > 1:
         yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
-    disagree = Verdict.DISAGREE in (tuning.time.verdict, tuning.mount.verdict)
-    unsure = disagree or found or tuning.doubt or tuning.mount.verdict is Verdict.UNSEEN
-    unsure_of = ": ".join(["nothing is recommended", *tuning.doubts[:1]])
-    nothing = unsure_of if unsure else "nothing to gain"
-    yield write_command(tuning.command) or nothing
+    is_open = tuning.mount.verdict in {Verdict.UNSEEN, Verdict.DISAGREE}
+    is_open |= tuning.time.verdict is Verdict.DISAGREE
+    nothing = "nothing is recommended" if is_open or tuning.doubts else "nothing to gain"
+    yield shlex.join(tuning.command) or ": ".join([nothing, *tuning.doubts[:1]])
+
+
+def list_searches(tuning: Tuning) -> Iterator[Row]:
+    """Say what came of each search, and what that rests on; notes say why there was none."""
+    for name, numbers in SEARCHES.items():
+        finding = getattr(tuning, name)
+        # All together are searched once more, and what that adds is told if it is sure.
+        passed_over = set(Verdict) - {Verdict.FOUND} if name == "together" else {Verdict.UNSEEN}
+        if finding.verdict not in passed_over:
+            yield name, format_finding(finding, numbers)
+    rise = f", {tuning.share:.4f} with what is found: a gain of {tuning}"
+    share = f"{tuning.share_before:.4f} of the beams are predicted"
+    yield "share", share + rise * tuning.correction.is_any
+    held = f"{count(tuning.beams, 'beam')} of {count(tuning.scans.held_out, 'held-out scan')}"
+    maps = f"{count(len(tuning.tried), 'map')} of {count(tuning.scans.kept, 'scan')}"
+    yield "scored", f"by {held}, on {maps} each"
 
 
 def format_finding(finding: Finding, names: Sequence[str]) -> str:
     """Write what came of the search for some numbers of a correction."""
-    if finding.verdict is Verdict.UNSEEN:
-        return "not searched"
-    first, second = (describe_correction(half.correction, names) for half in finding.halves)
-    one, other = map(format_gain, finding.halves)
+    halves = "the first half of the scans gains {}, the second {}"
     if finding.verdict is Verdict.DISAGREE:
-        return (
-            f"the halves of the scans do not agree: the first gains {one} by {first}, "
-            f"the second {other} by {second}"
-        )
-    gain = format_gain(finding)
-    halves = f"the first half of the scans gains {one}, the second {other}"
+        by = (f"{it} by {describe_correction(it.correction, names)}" for it in finding.halves)
+        return f"the halves do not agree: {halves.format(*by)}"
+    halves, best = halves.format(*finding.halves), finding.halves[0].correction
+    told = f"{describe_correction(best, names)} gains {finding}"
     if finding.verdict is Verdict.FOUND:
-        return f"{first} gains {gain}; {halves}"
-    if finding.halves[0].correction == finding.correction:
+        return f"{told}; {halves}"
+    if best == finding.correction:
         return "nothing to gain"
-    why = "too little to show in a map" if finding.gain <= SMALL else "which may be chance"
-    why = halves if finding.certain else why
-    return f"nothing sure to gain: the best, {first}, gains {gain}, {why}"
+    small = "too little to show in a map"
+    return f"nothing sure to gain: {told}, {small if finding.gain <= SMALL else halves}"
 
 
 TUNED = ("log", "share before", "share", "gain", "agreement")
@@ -267,7 +246,7 @@ def list_tuned(tuned: TunedLog) -> list[str]:
         return [tuned.log, *"----"]
     shares = f"{tuned.share_before:.4f}", f"{tuned.share:.4f}"
     agreement = "-" if tuned.agreement is None else f"{tuned.agreement:.1%}"
-    return [tuned.log, *shares, format_gain(tuned), agreement]
+    return [tuned.log, *shares, str(tuned), agreement]
 
 
 def describe_correction(correction: Correction, names: Sequence[str]) -> str:
@@ -281,9 +260,3 @@ def describe_correction(correction: Correction, names: Sequence[str]) -> str:
     }
     changed = [written[name] for name in names if getattr(correction, name)]
     return ", ".join(changed) or "no change"
-
-
-def format_gain(it: Gain) -> str:
-    """Write a gain and its standard error, where that is known."""
-    error = f" +- {it.gain_error:.4f}" if math.isfinite(it.gain_error) else ""
-    return f"{it.gain:.4f}{error}"

@@ -18,13 +18,13 @@ from occmap.cli.declaring import CONFIG, PATH, Answer, Value, command, fail_if, 
 from occmap.cli.options import choose_saved_model
 from occmap.difference import MapDifference, tell_changes
 from occmap.errors import UsageError
-from occmap.explanation import Explanation, Numbers, Question, Visits, describe_numbers, explain
+from occmap.explanation import Explanation, Observation, Question, Visits, explain
 from occmap.grid.rendering import Framing
-from occmap.grid.tiles import LOG_ODDS_UNIT, EvidenceKind
+from occmap.grid.tiles import EvidenceKind
 from occmap.options import FILES, OPTIONS, POSES, SCANS, BuildOptions
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import DIFF, SAVED, SCORE
-from occmap.report.results import Report, tell_map, tell_scans
+from occmap.report.results import Report
 from occmap.scoring.maps import Against, MapScore, score
 from occmap.scoring.matching import STAY, Transform, lay_on
 from occmap.store import Blocks, open_saved
@@ -113,12 +113,11 @@ def put_out(
     view = {"model": choose_saved_model(evidence, values), "writing": writing}
     chosen = take(RenderOptions, values | view)
     report = options.hide_sent(publish(evidence, chosen, outputs))
-    rows = [*tell_map(report.map), *tell_scans(report), *label_first("files", report.files)]
-    return Answer(report, write_rows(rows))
+    return Answer(report, write_rows(options.tell_report(report)))
 
 
-MOST_SCANS, MOST_BUILDS = 12, 6
-"""Longer lists are cut: --json has all"""
+MOST_SCANS = 12
+"""A longer list is cut: --json has all"""
 PAIRS = {
     EvidenceKind.COUNTS: ("hits", "misses"),
     EvidenceKind.LOG_ODDS: ("log-odds", "observations"),
@@ -171,7 +170,7 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
     else:
         yield "class", "unknown: nothing observed this cell"
     if seen.observations:
-        yield "seen", describe_numbers(seen.numbers, seen.kind, explanation.unit)
+        yield "seen", str(seen)
         yield from list_forgotten(explanation)
         yield from list_builds(explanation)
     elif explanation.verdict != "unknown":
@@ -183,35 +182,20 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         x, y = explanation.point
         if not (box[0] <= x < box[2] and box[1] <= y < box[3]):
             yield "", f"it lies outside of the map: {write_box(box)}"
-    yield from label_first("around", list_around(explanation))
 
 
 def list_forgotten(explanation: Explanation) -> Iterator[Row]:
     """Say what is left of a cell, and why, if the number of visits took some of it away."""
     kept = explanation.kept
     if kept and kept.numbers != explanation.seen.numbers:
-        told = describe_numbers(kept.numbers, kept.kind, explanation.unit)
         why = "half of its visits or more" if kept.hits else "fewer visits"
-        yield "kept", f"{told} by --min-passes {explanation.min_passes}, since {why} hit it"
-
-
-def list_around(explanation: Explanation) -> Iterator[str]:
-    """Draw a table of what was seen in the cell and those beside it, if anything was."""
-    if any(each.observations for row in explanation.around for each in row):
-        yield f"{'/'.join(PAIRS[explanation.seen.kind])} of the cells beside it, y upwards"
-        rows = ([each.numbers for each in row] for row in explanation.around)
-        yield from align(
-            ["/".join(split_pair(it, explanation)) if any(it) else "-" for it in row]
-            for row in rows
-        )
+        yield "kept", f"{kept} by --min-passes {explanation.min_passes}, since {why} hit it"
 
 
 def list_builds(explanation: Explanation) -> list[Row]:
     """Say on how many visits each build observed the cell, and when; and then all together."""
     builds = explanation.builds
-    shown = [f"{join_names(each.logs)}: {describe_visits(each)}" for each in builds[:MOST_BUILDS]]
-    if len(builds) > MOST_BUILDS:
-        shown.append(f"and {len(builds) - MOST_BUILDS:,} more builds: --json lists all")
+    shown = [f"{join_names(each.logs)}: {describe_visits(each)}" for each in builds]
     if len(builds) > 1 and explanation.visits:
         shown.append(f"together: {describe_visits(explanation.visits)}")
     return label_first("visits", shown)
@@ -226,12 +210,10 @@ def describe_visits(visits: Visits) -> str:
     return f"{found}, in slices of time from {since} to {until}"
 
 
-def split_pair(numbers: Numbers, explanation: Explanation) -> tuple[str, str]:
-    """Write the two numbers of a cell, in observations."""
-    first, second = (each / explanation.unit for each in numbers)
-    if explanation.seen.kind is EvidenceKind.LOG_ODDS:
-        return f"{first * LOG_ODDS_UNIT:.2f}", f"{second:.15g}"
-    return f"{first:.15g}", f"{second:.15g}"
+def write_pair(seen: Observation) -> tuple[str, str]:
+    """Write the two numbers of a cell."""
+    first, second = seen.pair
+    return f"{first:.15g}" if seen.log_odds is None else f"{first:.2f}", f"{second:.15g}"
 
 
 def list_scans(explanation: Explanation) -> Iterator[Row]:
@@ -244,19 +226,18 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
     if not scans:
         yield "scans", f"none {used} observed the cell"
         return
-    kind, unit = explanation.seen.kind, explanation.unit
-    yield "scans", f"{len(scans):,} {used}: {describe_numbers(explanation.explained, kind, unit)}"
+    yield "scans", f"{len(scans):,} {used}: {explanation.explained}"
     rows = [
         (
             f"{scan.stamp_ns / 1e9:.3f}",
-            *split_pair(scan.seen.numbers, explanation),
+            *write_pair(scan.seen),
             f"{scan.x:.3f}, {scan.y:.3f}",
             f"{scan.distance:.3f}",
             f"{Path(scan.log).name} {scan.topic}",
         )
         for scan in scans[:MOST_SCANS]
     ]
-    head = ("stamp (s)", *PAIRS[kind], "sensor at (m)", "away (m)", "from")
+    head = ("stamp (s)", *PAIRS[explanation.seen.kind], "sensor at (m)", "away (m)", "from")
     yield from (("", line) for line in align([head, *rows]))
     if len(scans) > MOST_SCANS:
         yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"

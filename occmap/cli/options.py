@@ -23,7 +23,8 @@ from occmap.cli.declaring import PATH, CliOption, Value
 from occmap.errors import UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
-from occmap.report.results import Report
+from occmap.report import Row, label_first
+from occmap.report.results import Report, tell_beams, tell_map, tell_scans
 from occmap.scans.logs import find_inputs, keep_stdin
 from occmap.sensor.models import PARAMETERS, SensorModel, describe_model, parse_model
 from occmap.writers import WriteOptions, find_writer
@@ -204,6 +205,12 @@ def place_outputs(console: Console, outputs: Sequence[Path], first: Path) -> tup
     console.stdout_is_taken = True
     saved = click.get_current_context().with_resource(send_to_stdout(f"stdout{suffix}"))
     return tuple(saved if path in sent else path for path in placed)
+
+
+def tell_report(report: Report, *more: Row) -> list[Row]:
+    """Say all about a map: what it is, how it came about, `more`, and in which files it is."""
+    made = [*tell_map(report.map, report.hint), *tell_scans(report), *tell_beams(report)]
+    return [*made, *more, *label_first("files", report.files)]
 
 
 def hide_sent(report: Report) -> Report:

@@ -143,10 +143,8 @@ def tell_changes(difference: MapDifference) -> Iterator[Row]:
     total = f"{report.count(difference.changed_cells, 'cell')}, {known}"
     yield from report.label_first("changed", [total, *by_class])
     if difference.edited is not None:
-        yield (
-            "edits",
-            f"{report.count(difference.edited, 'changed cell')} in shapes that were drawn",
-        )
+        drawn = report.count(difference.edited, "changed cell")
+        yield "edits", f"{drawn} in shapes that were drawn"
     if difference.largest:
         low_x, low_y, high_x, high_y = report.write_metres(difference.largest.extent)
         blob = report.count(difference.largest.cells, "connected cell")

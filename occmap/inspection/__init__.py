@@ -136,15 +136,13 @@ def recommend(
     # Those with poses, or with an option that gives some.
     mapped = [log for log in logs if any(it.poses.posed or it.better for it in log.scans)]
     advice = [advise(log) for log in mapped]
-    known = [each[1] for each in advice if each]
-    if not all(it.get("no_return") == "clear" for it in known):  # a map is as right without it
-        for advised in (it for it in known if it.get("no_return") == "clear"):
-            del advised["no_return"]
     if any(each != advice[0] for each in advice):
         return (), ("the logs need different options: check them one by one",)
     if not advice or advice[0] is None:
         return (), ()
     name, advised = advice[0]
+    if all(map(is_open, mapped)):  # else a map is as right without it
+        advised["no_return"] = "clear"
     command = compose_build([log.path for log in mapped], options, advised)
     if name == "tune":
         command = ("occmap", name, *command[2:-2])
@@ -171,11 +169,14 @@ def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
     yield from (("sensor_pose", it.poses.assumed) for it in log.scans if it.poses.assumed)
     betters = [it.better for it in log.scans if it.better and suits_all(it.better, it, log.scans)]
     yield from ((it.name, it.value) for it in betters[:1])  # each was tried alone
-    specials = (special for topic in log.scans for special in topic.ranges.specials)
-    if {special.no_return for special in specials} - {""} == {"clear"}:
-        yield "no_return", "clear"
     for concern in log.concerns:
         yield from (concern.remedy or {}).items()
+
+
+def is_open(log: LogFindings) -> bool:
+    """Whether space is open wherever a beam of a log does not come back."""
+    specials = (special for topic in log.scans for special in topic.ranges.specials)
+    return {special.no_return for special in specials} - {""} == {"clear"}
 
 
 def suits_all(better: findings.Better, topic: ScanFindings, topics: Sequence[ScanFindings]) -> bool:
@@ -336,15 +337,16 @@ def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
 
 
 def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and add to what is known of it.
-
-    A part that was read says nothing of a damaged log, so that its topics are not described.
-    """
-    poser = posing.poser
-    survey, problem = read_log(log, poser, options)
-    drive, seen = survey.drive, list(survey.topics.values())
-    described = (describe_topic(log, each, posing, options) for each in seen if each.frames)
-    scans = () if problem else tuple(described)
+    """Read the scans of an opened log, and add to what is known of it."""
+    poser, drive = posing.poser, Drive(log, posing.poser, options)
+    try:
+        for _ in drive.rounds():  # once more if the first ones hid "no return", or some leap away
+            survey = Survey(drive)
+            survey.survey()
+    except LogError as error:  # a part that was read says nothing of the log
+        return replace(known, notes=tuple(log.notes), problem=str(error.placed(log.path)))
+    seen = list(survey.topics.values())
+    scans = tuple(describe_topic(log, each, posing, options) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)
     doubts += ((topic, warn_of_misfit(mended)) for topic, mended in mounts)
@@ -352,11 +354,11 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         # What would mend the poses given does not go with others.
         doubts = [(topic, Concern(concern.text)) for topic, concern in doubts]
     doubts += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
-    box, ground = survey.box, list[str]()
+    box, ground, problem = survey.box, list[str](), ""
     if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
         box, ground, against, problem = inspect_ground(log, survey, poser, options)
         doubts += against
-    elif not scans and not problem:
+    elif not scans:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {lack}"
@@ -402,24 +404,6 @@ def inspect_ground(
         box = poses.enclose_clouds(log, level, options, ground)
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
-
-
-def read_log(log: Log, poser: Poser, options: BuildOptions) -> tuple[Survey, str]:
-    """Read the scans of a log, once more if the first ones hid "no return", or some leap away.
-
-    Returns
-    -------
-    survey, problem
-        And why the log cannot be read to its end, "" where it can.
-    """
-    drive, problem = Drive(log, poser, options), ""
-    for _ in drive.rounds():
-        survey = Survey(drive)
-        try:
-            survey.survey()
-        except LogError as error:
-            problem = str(error.placed(log.path))
-    return survey, problem
 
 
 def describe_topic(

@@ -9,7 +9,7 @@ from occmap import report
 from occmap.cells import Box, CellBox
 from occmap.posing import Concern, Stamps
 from occmap.posing.frames import Source
-from occmap.readers import Stream
+from occmap.readers import Role, Stream
 from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
 from occmap.scans.tally import count_wanted
 
@@ -325,6 +325,27 @@ class Inspection(Printed):
         ranges = [topic.ranges for topic in self.topics]
         share = sum(it.measured for it in ranges) / max(sum(it.total for it in ranges), 1)
         return {} if any(topic.is_of_clouds for topic in self.topics) else {"hits": share}
+
+
+def list_rows(log: LogFindings) -> Iterator[Row]:
+    """List all about one log, for a terminal and for a page."""
+    yield from report.label_first("topics", list_streams(log.streams))
+    for topic in log.scans:
+        yield "", ""
+        yield from list_facts(topic)
+    if log.coverage:
+        yield "", ""
+    yield from report.label_first("sources", list_sources(log.coverage))
+    yield from report.label_first("note", log.other_notes)
+
+
+def list_streams(streams: tuple[Stream, ...]) -> Iterator[str]:
+    """List the topics with their types and counts, and what each is good for."""
+    width = max((len(stream.topic) for stream in streams), default=0)
+    kinds = max((len(stream.type) for stream in streams), default=0)
+    for stream in streams:
+        role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
+        yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
 
 
 def list_facts(topic: ScanFindings) -> Iterator[Row]:

@@ -24,10 +24,9 @@ from occmap.difference import MapDifference, compare_maps, paint
 from occmap.difference.maps import load_map
 from occmap.evidence.manifest import describe_files
 from occmap.inspection import findings
-from occmap.inspection.findings import Inspection, LogFindings
+from occmap.inspection.findings import Inspection
 from occmap.options import BuildOptions, spell_flags
-from occmap.readers import Role
-from occmap.report import Noted, count, join_names, name_stdin
+from occmap.report import Noted, join_names, name_stdin
 from occmap.scans.tracing import Progress, ignore_progress
 from occmap.scoring.compare import ScoredVariant, Variant, VariantComparison, compare
 from occmap.types import UInt8
@@ -161,10 +160,6 @@ def describe_maker(inputs: Iterable[Mapping[str, Any]]) -> Section:
     return Section("How it was made", blocks)
 
 
-MOST_LOGS = 20
-"""With all that is found in them; warnings and problems are those of all logs."""
-
-
 def write_inspection(path: Path, inspection: Inspection) -> None:
     """Write the page of an inspection.
 
@@ -196,25 +191,8 @@ def tell_findings(found: Inspection) -> Iterator[Section]:
     if found.command:
         blocks.append(Block("code", title="Recommended", texts=[shlex.join(found.command)]))
     yield Section("What check finds", blocks)
-    for log in found.logs[:MOST_LOGS]:
-        yield Section(f"In {log.path}", list(list_log(log)))
-    if others := len(found.logs[MOST_LOGS:]):
-        rest = [Block("list", texts=[f"{count(others, 'more log')}: see `occmap check`"])]
-        yield Section("And", rest)
-
-
-def list_log(log: LogFindings) -> Iterator[Block]:
-    """All about one log."""
-    yield Block("list", title="Damage", texts=log.damage, tone="problem")
-    yield Block("list", title="Notes", texts=log.other_notes)
-    streams = [
-        (each.topic, each.type, f"{each.count:,}", each.role.replace(Role.OTHER, ""))
-        for each in log.streams
-    ]
-    yield Block("table", streams, ("topic", "type", "#messages", "used as"), title="Topics")
-    for topic in log.scans:
-        yield Block("facts", list(findings.list_facts(topic)), title=f"Scans on {topic.topic}")
-    yield Block("list", title="Pose sources", texts=list(findings.list_sources(log.coverage)))
+    for log in found.logs:
+        yield Section(f"In {log.path}", [Block("facts", list(findings.list_rows(log)))])
 
 
 def tell_notes(result: Noted) -> Section:

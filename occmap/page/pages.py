@@ -1,6 +1,5 @@
 """The pages of one map, of several ways to map the same logs, and of two maps."""
 
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from occmap.difference import COLOURS, MapDifference, tell_changes
 from occmap.evidence.manifest import describe_files, list_logs
 from occmap.page import Block, Page, Section, Stage, raster
 from occmap.report.results import tell_beams, tell_map, tell_scans
-from occmap.scoring.compare import SCORES, ScoredVariant, VariantComparison, list_scores
+from occmap.scoring import compare
 from occmap.types import Journey
 from occmap.writers import Product, WriteOptions
 from occmap.writers.edits import Change
@@ -110,7 +109,7 @@ def pack_scans(journey: Journey) -> dict[str, Any]:
     return {"scans": known, "origin": origin, "unit": HIT_UNIT_M}
 
 
-def write_comparison(path: Path, comparison: VariantComparison) -> None:
+def write_comparison(path: Path, comparison: compare.VariantComparison) -> None:
     """Write the page of a comparison.
 
     Raises
@@ -124,7 +123,7 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
         f"scored on {scans.held_out:,} that were held out"
     )
     sections = [
-        tell_verdict(comparison),
+        Section("Verdict", [Block("list", texts=list(compare.tell_verdict(comparison)))]),
         Section("Scores", [tell_scores(comparison)]),
         Section("Do probabilities mean what they say?", [tell_reliability(results)]),
         page.tell_notes(comparison),
@@ -134,29 +133,18 @@ def write_comparison(path: Path, comparison: VariantComparison) -> None:
     page.write_page(path, Page(title, subtitle, sections, stage_variants(results)))
 
 
-def tell_verdict(comparison: VariantComparison) -> Section:
-    """Say which variant to use, and how."""
-    rows = [("best", comparison.best)]
-    if comparison.preference:
-        rows.append(("as good within the error", comparison.preference))
-    blocks = [Block("facts", rows), Block("code", texts=[shlex.join(comparison.command)])]
-    if comparison.likeliest is not comparison.recommended:
-        command = shlex.join(comparison.likeliest_command)
-        rows = [("where probabilities matter", comparison.likeliest_name)]
-        blocks += [Block("facts", rows), Block("code", texts=[command])]
-    return Section("Verdict", blocks)
-
-
-def tell_scores(comparison: VariantComparison) -> Block:
+def tell_scores(comparison: compare.VariantComparison) -> Block:
     """Tabulate the scores of all variants."""
-    variant, *numbers = SCORES
+    variant, *numbers = compare.SCORES
     head = [variant, *(f"#{name}" for name in numbers), "as good within the error"]
-    rows = [[*list_scores(each), "yes" if each.as_good else ""] for each in comparison.results]
+    rows = [
+        [*compare.list_scores(each), "yes" if each.as_good else ""] for each in comparison.results
+    ]
     rows[comparison.results.index(comparison.recommended)][-1] = "preferred"
     return Block("table", rows, head)
 
 
-def tell_reliability(results: Sequence[ScoredVariant]) -> Block:
+def tell_reliability(results: Sequence[compare.ScoredVariant]) -> Block:
     """Draw what maps say of their cells over what held-out beams found in them."""
     plot = figure(
         height=380,
@@ -186,7 +174,7 @@ def tell_reliability(results: Sequence[ScoredVariant]) -> Block:
     return Block("plot", plot=plot)
 
 
-def stage_variants(results: Sequence[ScoredVariant]) -> Stage:
+def stage_variants(results: Sequence[compare.ScoredVariant]) -> Stage:
     """Set out the maps side by side; what one shows, all show."""
     share = raster.MOST_BYTES // len(results)
     rasters = [raster.make_raster(result.map, None, share) for result in results]

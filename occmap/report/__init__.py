@@ -182,25 +182,20 @@ class Note(str):
 
     damage: bool
     """True: the log is not as its recorder meant it; the sentence says where, and what is lost."""
-    parts: tuple[str, str] | None = None
-    """The log that it names, and the sentence without it; None of damage, which stays apart"""
+    log: str
+    """The log that it names; "" where it names none"""
+    text: str
+    """The sentence without it"""
 
-    def __new__(cls, text: str, damage: bool = False) -> "Note":
+    def __new__(cls, text: str, damage: bool = False, log: str = "") -> "Note":
         """Make a note of a sentence."""
-        made = super().__new__(cls, text)
-        made.damage = damage
+        made = super().__new__(cls, f"{log}: {text}" if log else text)
+        made.damage, made.log, made.text = damage, log, str(text)
         return made
-
-    @property
-    def text(self) -> str:
-        """The sentence alone."""
-        return str(self)
 
     def placed(self, log: str | Path) -> "Note":
         """Name the log that it is about."""
-        named = Note(f"{log}: {self}", self.damage)
-        named.parts = None if self.damage else (str(log), self.text)
-        return named
+        return Note(self, self.damage, str(log))
 
 
 class NoteList(list[Note]):
@@ -249,7 +244,9 @@ def fold_notes(notes: Iterable[str]) -> tuple[str, ...]:
     """Say once what holds for several logs, where it is said first; damage stays as it is."""
     logs: dict[tuple[str, bool], dict[str, None]] = {}
     for note in notes:
-        log, text = getattr(note, "parts", None) or ("", note)
+        log, text = "", note
+        if isinstance(note, Note) and not note.damage:  # each of these stands for itself
+            log, text = note.log, note.text
         logs.setdefault((text, is_damage(note)), {})[log] = None
     return tuple(f"{join_names(it)}: {text}" if any(it) else text for (text, _), it in logs.items())
 

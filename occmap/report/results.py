@@ -3,7 +3,7 @@
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -257,8 +257,6 @@ def tell_beams(report: Report) -> Iterator[Row]:
 
 MOST_DROPPED = 0.5
 """Where more of the scans that were asked for are not used, hardly anybody wants the map"""
-LEAST_OBSTACLES = 0.001
-"""Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
 
 def list_notes(
@@ -270,7 +268,6 @@ def list_notes(
 ) -> Iterator[str]:
     """Say what a user should know of the options, the logs and the map of a build."""
     yield from list_idle(outputs, options.writing)
-    yield from list_vain_edits(facts, options.writing)
     yield from list_unwritten(facts, options.model, options.writing, outputs)
     yield from list_shared_stamps(outputs, tally.trajectories)
     yield from options.list_idle()
@@ -289,7 +286,6 @@ def list_notes(
         _, occupied, *_ = facts.counts
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
-    yield from list_odd_points(tally.points)
     misfits = list(list_misfits(paths, options, facts.agreement, tally))
     yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
@@ -305,15 +301,6 @@ def list_shared_stamps(outputs: Sequence[Path], ways: Sequence[Trajectory]) -> I
                 f"{written}: {count(shared, 'scan')} of {way.topic} in {way.log} have the stamp of "
                 "the one before and another pose, so with `poses=FILE` this builds another map"
             )
-
-
-def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
-    """Say where hardly a point of clouds lies in the robot's band."""
-    if points and points["obstacle"] < LEAST_OBSTACLES * sum(points.values()):
-        yield (
-            f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
-            f"{sum(points.values()):,}; see `min_height`, `max_height` and the line `points`"
-        )
 
 
 def name_frames(tally: Tally) -> str:
@@ -349,7 +336,9 @@ def list_disagreement(
 def list_unwritten(
     facts: MapFacts, model: SensorModel, writing: WriteOptions, outputs: Sequence[Path]
 ) -> Iterator[str]:
-    """Say what loaders do not find again: walls, by the YAML's own thresholds, and the unknown."""
+    """Say what loaders do not find: edits, walls by the YAML's own thresholds, and the unknown."""
+    if writing.edits and not writing.shapes:
+        yield f"{writing.edits}: holds no shape, so it edits nothing"
     observed, occupied, _, walls = facts.counts.tolist()
     unknown = math.prod(facts.shape) - observed
     is_pgm = any(re.search(r"(?<!\.keepout)\.pgm$", path.name.lower()) for path in outputs)
@@ -369,22 +358,3 @@ def list_unwritten(
             f"occupied for `agree` are not by the occupied_thresh that is written, {limit:g}; with "
             f"`occupied_thresh={cut:.5g}`{lower} all are"
         )
-
-
-def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
-    """Say that the user's edits hold no shape, or that some change no cell of a map."""
-    if writing.edits and not writing.shapes:
-        yield f"{writing.edits}: holds no shape, so it edits nothing"
-    map_low, map_high = np.reshape(facts.extent, (2, 2))
-    vain = []
-    for shape in writing.shapes:
-        low, high = shape.measure(facts.resolution)
-        # The first and the last cell of the map whose middle may be inside
-        first = np.ceil(np.maximum(low, map_low) / facts.resolution - 0.5)
-        last = np.floor(np.minimum(high, map_high) / facts.resolution - 0.5)
-        if (first > last).any():
-            vain.append([*low.round(3), *high.round(3)])
-    if vain:
-        lie = f"{count(len(vain), 'shape')} outside of the map, or between the middles of cells"
-        at = "at" if len(vain) == 1 else "the first at"
-        yield f"{writing.edits}: without effect: {lie}: {at} {write_box(vain[0])}"

@@ -141,6 +141,10 @@ class Gain:
         gain = math.fsum(more) / max(math.fsum(beams), 1)
         return Gain(gain=gain, gain_error=estimate_error(more, beams))
 
+    def __str__(self) -> str:
+        error = f" +- {self.gain_error:.4f}" if math.isfinite(self.gain_error) else ""
+        return f"{self.gain:.4f}{error}"
+
     @property
     def certain(self) -> bool:
         """Whether it is more than noise, and so much that it shows in a map."""

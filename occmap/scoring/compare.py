@@ -5,7 +5,8 @@ that are kept from the maps of all variants.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import thread_time
@@ -362,3 +363,14 @@ def list_scores(result: ScoredVariant) -> list[str]:
         f"{result.seconds:.2f}",
         f"{result.bytes / 1e6:.1f}",
     ]
+
+
+def tell_verdict(comparison: VariantComparison) -> Iterator[str]:
+    """Say which variants to use, each with the command line that builds its map."""
+    if comparison.preference:
+        yield f"as good within the error: {comparison.preference}"
+    yield f"best: {comparison.best}"
+    yield shlex.join(comparison.command)
+    if comparison.likeliest is not comparison.recommended:
+        yield f"where probabilities matter: {comparison.likeliest_name}"
+        yield shlex.join(comparison.likeliest_command)

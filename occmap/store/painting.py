@@ -423,7 +423,6 @@ def summarise(
         notes=(
             *list_doubts(manifest),
             *writers.list_idle(outputs, options.writing),
-            *results.list_vain_edits(facts, options.writing),
             *results.list_unwritten(facts, parse_model(manifest.model), options.writing, outputs),
             *facts.lost,
             *results.list_disagreement(facts, options.min_passes),

@@ -287,5 +287,5 @@ def list_unlike(scorer: Scorer, best: Correction) -> Iterator[str]:
     for part, predicted in parts.items():
         gain = Gain.measure(*predicted)
         if not gain.certain:
-            found = f"{part} gains only {gain.gain:.4f} +- {gain.gain_error:.4f}"
-            yield f"{found} by what is found, which may be chance or make up for another fault"
+            why = "which may be chance or make up for another fault"
+            yield f"{part} gains only {gain} by what is found, {why}"

@@ -1,13 +1,11 @@
 """What a log or a path says reaches the terminal as text: it moves no cursor and starts no line."""
 
 import json
-import shlex
 from pathlib import Path
 
 import pytest
 
-from occmap.cli import console
-from occmap.cli.console import clean, quote_for_windows, write_command
+from occmap.cli.console import clean
 from tests.cli.runner import occmap, spawn
 from tests.readers.ros import ROS2, SECOND, Written, drive, scan, write_mcap
 from tests.samples import write_csv
@@ -73,14 +71,3 @@ def test_a_path_that_is_no_text(here: Path) -> None:
         assert (done.returncode, done.stderr) == (0, "")
         assert "lo\\udcffg" in done.stdout or "m\\udcfe" in done.stdout
     assert json.loads(done.stdout)["logs"][0]["path"] == name
-
-
-def test_a_command_line_is_quoted_as_the_shell_here_wants_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    words = ["occmap", "build", r"C:\my logs\a.bag", "--sensor-pose", "0,0,3.14159", "-o", "a.pgm"]
-    windows = r'occmap build "C:\my logs\a.bag" --sensor-pose "0,0,3.14159" -o a.pgm'
-    assert quote_for_windows(words) == windows
-    assert shlex.split(write_command(words)) == words
-    monkeypatch.setattr(console.os, "name", "nt")  # type: ignore[attr-defined]
-    assert write_command(words) == windows

@@ -12,7 +12,7 @@ import pytest
 
 from occmap.cells import Evidence
 from occmap.evidence import keep_lasting, render, to_grid
-from occmap.explanation import Explanation, Question, explain, sum_sightings
+from occmap.explanation import Explanation, Question, explain
 from occmap.grid.tiles import EvidenceKind
 from occmap.options import BuildOptions, Selection
 from occmap.posing import Deskew, PosingOptions
@@ -58,12 +58,12 @@ def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
 
 
 @each_combination
-def test_scans_of_the_drive_sum_sightings(update: Update, model: str) -> None:
+def test_scans_of_the_drive_add_up(update: Update, model: str) -> None:
     evidence = save(Path("m.npz"), choose(update, model))
     for point in choose_points(evidence, 4):
         found = ask(evidence, point, DRIVE)
         assert found.seen.observations
-        assert sum_sightings(found.scans) == found.seen.numbers
+        assert found.explained == found.seen
         assert found.scans_used == 414
         assert found.notes == ()
 
@@ -90,11 +90,11 @@ def test_a_cell_is_judged_as_the_map_is() -> None:
                 assert found.map_extent == pytest.approx(grid.extent)
 
 
-def test_scans_of_a_real_log_sum_sightings() -> None:
+def test_scans_of_a_real_log_add_up() -> None:
     log = find_real("carmen/freiburg-079-corrected.log.gz")
     evidence = save(Path("m.npz"), BuildOptions(jobs=2), log)
     found = ask(evidence, choose_points(evidence, 0)[0], log)
-    assert sum_sightings(found.scans) == found.seen.numbers
+    assert found.explained == found.seen
     assert found.seen.numbers[0] > 20
 
 
@@ -217,7 +217,7 @@ def test_what_was_subtracted_is_said() -> None:
 
 @pytest.mark.parametrize("model", ["simple", "quadratic"])
 @pytest.mark.parametrize("update", BEAM_UPDATES)
-def test_deskewed_scans_sum_sightings(update: Update, model: str) -> None:
+def test_deskewed_scans_add_up(update: Update, model: str) -> None:
     shape = {"angle_min": -0.4, "angle_increment": 0.1, "time_increment": 0.1}
     log = write_scans(Path("turning.csv"), [0, 0.8], np.ones((2, 8)), **shape)
     path = write_poses(Path("path.csv"), [0, 1, 2], [(0, 0, 0), (0.5, 0.1, 1), (1, 0.5, 2)])
@@ -226,7 +226,7 @@ def test_deskewed_scans_sum_sightings(update: Update, model: str) -> None:
     evidence = save(Path("m.npz"), options, log)
     for point in choose_points(evidence, 8):
         found = ask(evidence, point, log, poses=(path,))
-        assert sum_sightings(found.scans) == found.seen.numbers
+        assert found.explained == found.seen
 
 
 def test_thresholds_decide_what_a_cell_is() -> None:
