@@ -29,6 +29,7 @@ from occmap.grid import Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
+from occmap.report import join_names
 from occmap.report.results import MapFacts, Report, list_notes
 from occmap.scans import tracing
 from occmap.scans.align import settle_align
@@ -176,9 +177,8 @@ class Fleet:
         """
         with self.work(paths, options, keep, progress) as crew, crew.tally.time("fold"):
             pieces = crew.cluster.run(tasks.reduce_block, crew.setting, crew.blocks)
-            seen = tasks.add_up_pieces(crew.setting, pieces)
-            settled = crew.setting.keep.ground, crew.setting.options
-            return Observed(*seen, crew.tally, crew.remarks, *settled)
+            seen = replace(tasks.add_up(crew.setting, pieces), where=join_names(crew.remarks.logs))
+            return Observed(seen, crew.tally, crew.remarks, crew.setting.options)
 
     def _build_store(
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress

@@ -19,13 +19,13 @@ import zstandard
 
 from occmap.cells import CellBox, Evidence, Slices
 from occmap.errors import MapError, name_log
+from occmap.evidence import make_empty
 from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid.rendering import count_agreeing
-from occmap.grid.tiles import TileGrid, unite
+from occmap.grid.tiles import unite
 from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.report.results import count_cells
-from occmap.scans import make_grid
 from occmap.scans.logs import count_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
@@ -244,7 +244,7 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
         yield pickle.loads(data)
 
 
-def add_up_pieces(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[Slices, ...]]:
+def add_up(setting: Setting, pieces: Iterable[Piece]) -> Evidence:
     """Add up parts of blocks: what was observed, and, where that is kept, when.
 
     Raises
@@ -252,19 +252,15 @@ def add_up_pieces(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, 
     MapError
         A run file cannot be read.
     """
-    grid = make_grid(setting.options)
+    manifest = plan_manifest(setting.options)
+    grid = make_empty(manifest)
     layers: list[Slices] = []
     for content in read_pieces(setting.folder, pieces):
         bound = max((int(np.abs(tile).max()) for tile in content.tiles.values()), default=0)
         grid.add(content.tiles, bound)
         layers += content.slices
-    return grid, (unite(layers),) if setting.keep.slices else ()
-
-
-def add_up_block(setting: Setting, job: BlockJob) -> Evidence:
-    """Add up all that was observed in a block; raises MapError as `add_up`."""
-    grid, slices = add_up_pieces(setting, job.pieces)
-    return Evidence(plan_manifest(setting.options), grid.tiles, slices)
+    slices = (unite(layers),) if setting.keep.slices else ()
+    return Evidence(manifest, grid.tiles, slices, ground=setting.keep.ground)
 
 
 @once
@@ -276,7 +272,7 @@ def reduce_block(setting: Setting, job: BlockJob) -> Piece:
     OccmapError
         A run file cannot be read, or the scratch folder cannot be written.
     """
-    parts = [(job.block, add_up_block(setting, job))]
+    parts = [(job.block, add_up(setting, job.pieces))]
     return write_run(setting.folder, f"{job.name}.run", parts)[job.block]
 
 
@@ -288,7 +284,7 @@ def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    return write_block(setting.store, job.block, add_up_block(setting, job))
+    return write_block(setting.store, job.block, add_up(setting, job.pieces))
 
 
 def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:

@@ -1,8 +1,7 @@
 """The steps of a build: from the path of a log to what its scans observe.
 
 `tracing.trace_drive` is the way of a log. `check`, `compare`, `tune` and `explain` go it, too. Here
-are the engine for rays, and the empty grids, for an update and a model; and what a sample of scans
-is judged by.
+are the engine for rays, for an update and a model; and what a sample of scans is judged by.
 """
 
 import math
@@ -15,7 +14,7 @@ import numpy as np
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid import Lattice
-from occmap.grid.tiles import WINDOW_CELLS, GridSpec, TileGrid, tabulate
+from occmap.grid.tiles import WINDOW_CELLS, GridSpec, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor import interpret
 from occmap.sensor.models import CountingModel, RadialModel
@@ -32,12 +31,6 @@ def make_engine(
     from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: it brings numba
 
     return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
-
-
-def make_grid(options: BuildOptions) -> TileGrid:
-    """Make a grid with no observations yet."""
-    spec = plan_grid(options)
-    return TileGrid(spec.lattice, spec.kind, spec.unit)
 
 
 def plan_grid(options: BuildOptions) -> GridSpec:

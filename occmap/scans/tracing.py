@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
-from occmap.cells import Ground, Slices
+from occmap.cells import Evidence, Ground, Slices
 from occmap.errors import MapError, name_log
-from occmap.evidence import list_misfit, refuse_other
+from occmap.evidence import list_misfit, make_empty, refuse_other
+from occmap.evidence.manifest import plan_manifest
 from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
 from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
@@ -20,7 +21,7 @@ from occmap.posing import measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import open_log
 from occmap.report import Note, is_damage, join_names
-from occmap.scans import encode_cells, make_engine, make_grid
+from occmap.scans import encode_cells, make_engine
 from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
@@ -388,13 +389,10 @@ def choose_engine(
 class Observed(NamedTuple):
     """What the logs showed, and what there is to say of them."""
 
-    tiles: TileGrid
-    slices: tuple[Slices, ...]
-    """In which slices of time; none where they are not kept"""
+    evidence: Evidence
+    """Its manifest does not say yet what it was made of"""
     tally: Tally
     remarks: Remarks
-    ground: Ground | None
-    """What clouds were traced over"""
     options: BuildOptions
     """With the update that suits what the logs hold"""
 
@@ -428,7 +426,7 @@ def observe(
             ground, found, options = find_ground(known, options, keep.ground)
         keep, drives = keep._replace(ground=ground), (drive.renew(options) for drive in known)
         remarks.notes += found
-    tiles = make_grid(options)
+    tiles = make_empty(plan_manifest(options))
     slices: list[Slices] = []
     begin = partial(choose_engine, options, keep)
     for drive, scans in zip(tally.time_each("poses", drives), counts, strict=True):
@@ -439,11 +437,11 @@ def observe(
         with tally.time("fold"):
             misfit = add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
-        log_notes = drive.list_notes(keep.ground)
-        remarks.note(drive.log.path, drive.log.notes, [*log_notes, *misfit])
+        remarks.note(drive.log.path, drive.log.notes, [*drive.list_notes(keep.ground), *misfit])
     with tally.time("fold"):
-        kept = (unite(slices),) if keep.slices else ()
-        return Observed(tiles, kept, tally, remarks, keep.ground, options)
+        seen = tiles.tiles, (unite(slices),) if keep.slices else (), join_names(remarks.logs)
+    evidence = Evidence(plan_manifest(options), *seen, ground=keep.ground)
+    return Observed(evidence, tally, remarks, options)
 
 
 def add_seen(tiles: TileGrid, seen: TileGrid, drive: Drive) -> list[str]:
