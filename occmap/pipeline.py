@@ -15,14 +15,15 @@ from occmap.options import BuildOptions
 from occmap.readers import Role
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
+from occmap.scans import Keep
 from occmap.scans.align import settle_align
 from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
+from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
 from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, open_saved, read_all
-from occmap.store.merging import merge, refuse_different
+from occmap.store.merging import add, refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
 from occmap.writers.atomic import hold_alone
@@ -55,10 +56,10 @@ def build(
         )
         options, unaligned = settle_align(paths, options)
         options, keep = choose_keep(options, outputs, past)
-        seen, tally, remarks, options = observe(paths, options, keep, progress)
+        seen, tally, options = observe(paths, options, keep, progress)
         evidence = add_past(seen, past, options.model)
-        refuse_unused(paths, tally)
-        refuse_unseen(paths, tally, evidence.tiles)
+        refuse_unused(tally)
+        refuse_unseen(tally, evidence.tiles)
 
         with tally.time("render"):
             grid, facts = paint_seen(paths, evidence, options, writers.want_whole(outputs))
@@ -73,12 +74,12 @@ def build(
         evidence = replace(evidence, manifest=manifest)
         observed = to_grid(evidence)
         steady = measure_steady(observed) if tally.points else 1.0
-        remarks.notes += [
+        tally.notes += [
             *(*unaligned, *fitted, *facts.lost, *list_doubts(manifest)),
             *list_contradictions(steady, tally.points),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
-        report = make_report(options, tally, remarks, facts, past)
+        report = make_report(options, tally, facts, past)
 
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
@@ -168,7 +169,7 @@ def add_past(seen: Evidence, past: Evidence | None, model: SensorModel) -> Evide
         return seen
     # The ground of the build grew from that of the evidence.
     manifest = replace(past.manifest, model=seen.manifest.model)
-    return merge([replace(past, manifest=manifest, ground=None), seen], model)
+    return add(replace(past, manifest=manifest, ground=None), seen, model)
 
 
 def paint_seen(
@@ -188,22 +189,22 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
 
 
 def make_report(
-    options: BuildOptions, tally: Tally, remarks: Remarks, facts: MapFacts, past: Evidence | None
+    options: BuildOptions, tally: Tally, facts: MapFacts, past: Evidence | None = None
 ) -> Report:
     """Sum up what was done, and what it was added to."""
     resumed = None
     if past is not None:
         before = sum_scans(past.manifest.builds)
         resumed = Resumed(past.where, before.read, before.used)
-    hint = results.hint_at_tune(facts.agreement, remarks.logs, options)
+    hint = results.hint_at_tune(facts.agreement, tally.logs, options)
     return Report(
-        logs=tuple(remarks.logs),
+        logs=tuple(tally.logs),
         scans=tally.scans,
         resumed=resumed,
         beams=tally.beams,
         points=tally.points,
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
-        notes=tuple(remarks.notes),
+        notes=tuple(tally.notes),
         seconds=tally.list_seconds(),
         hint=hint if tally.looked_up else "",
     )

@@ -73,7 +73,7 @@ def combine(
         model = read_model(held[0])
     if lay is None:
         return Blocks.of(add_and_take(held, len(added), model))
-    fitted = reduce(lambda past, other: merge([past, lay(other, past)], model), held[: len(added)])
+    fitted = reduce(lambda past, other: add(past, lay(other, past), model), held[: len(added)])
     return Blocks.of(add_and_take([fitted, *held[len(added) :]], 1))
 
 
@@ -121,26 +121,20 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     MapError
         Their resolutions, updates or kinds differ.
     """
-    first, *others = evidences
-    if not others:
-        return first
-    grid = to_grid(first)
-    slices, ground = first.slices, first.ground
-    builds, subtracted = first.manifest.builds, first.manifest.subtracted
-    notes = list(first.notes)
-    for other in others:
-        refuse_different(first.manifest, other)
-        ground = join_grounds(ground, other)
-        notes += other.notes
-        if model is not None:
-            found = list_misfit(grid, other.tiles, model, "the evidence before it")
-            notes += (f"{other.where}: {text}" for text in found)
-        grid = grid.like(tiles.add_tiles(grid.tiles, other.tiles))
-        slices += other.slices
-        builds += other.manifest.builds
-        subtracted += other.manifest.subtracted
-    manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return Evidence(manifest, grid.tiles, slices, notes=tuple(notes), ground=ground)
+    return reduce(lambda past, other: add(past, other, model), evidences)
+
+
+def add(evidence: Evidence, other: Evidence, model: SensorModel | None) -> Evidence:
+    """Add evidence to other evidence, as `merge` does."""
+    mine, its = evidence.manifest, other.manifest
+    refuse_different(mine, other)
+    ground, notes = join_grounds(evidence.ground, other), [*evidence.notes, *other.notes]
+    if model is not None:
+        found = list_misfit(to_grid(evidence), other.tiles, model, "the evidence before it")
+        notes += (f"{other.where}: {text}" for text in found)
+    both = {name: getattr(mine, name) + getattr(its, name) for name in ("builds", "subtracted")}
+    whole, slices = tiles.add_tiles(evidence.tiles, other.tiles), evidence.slices + other.slices
+    return Evidence(replace(mine, **both), whole, slices, notes=tuple(notes), ground=ground)
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:

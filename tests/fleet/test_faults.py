@@ -26,7 +26,8 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.report.results import Report
-from occmap.scans.tracing import Keep, ignore_progress
+from occmap.scans import Keep
+from occmap.scans.tracing import ignore_progress
 from occmap.store import open_store, read_all
 from tests.cli.runner import occmap, spawn
 from tests.samples import DRIVES

@@ -16,7 +16,8 @@ from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scans.tracing import Keep, ignore_progress, observe
+from occmap.scans import Keep
+from occmap.scans.tracing import ignore_progress, observe
 from occmap.scoring.matching import Transform, Walls, find_match, fit_logs, lay_on, move_evidence
 from occmap.store.merging import merge
 from occmap.types import Pose, Update
