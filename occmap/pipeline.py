@@ -64,16 +64,14 @@ def build(
         with tally.time("render"):
             grid, facts = paint_seen(paths, evidence, options, writers.want_whole(outputs))
         with tally.time("write"):  # to hash the logs takes time
-            wants_evidence = writers.want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
             is_compared = past or len(set(map(measure_files, paths))) < len(paths)
-            is_told = wants_evidence or is_compared
+            is_told = writers.want_evidence(outputs) or is_compared
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = evidence.manifest
         manifest = replace(manifest, builds=(*manifest.builds, *made))
         evidence = replace(evidence, manifest=manifest)
-        observed = to_grid(evidence)
-        steady = measure_steady(observed) if tally.points else 1.0
+        steady = measure_steady(to_grid(evidence)) if tally.points else 1.0
         tally.notes += [
             *(*unaligned, *fitted, *facts.lost, *list_doubts(manifest)),
             *list_contradictions(steady, tally.points),
@@ -88,7 +86,7 @@ def build(
             product = writers.Product(grid, lambda: evidence, way, report, check)
             files = writers.write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
-        return Build(grid, report, observed, evidence if wants_evidence else None)
+        return Build(grid, report, evidence)
 
 
 def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]:

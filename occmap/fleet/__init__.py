@@ -15,6 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -170,7 +171,7 @@ class Fleet:
             As there, or the workers cannot do it.
         """
         with self.work(paths, options, keep, progress) as crew, crew.tally.time("fold"):
-            pieces = crew.cluster.run(tasks.reduce_block, crew.setting, crew.blocks)
+            pieces = chain.from_iterable(job.pieces for job in crew.blocks)
             seen = replace(tasks.add_up(crew.setting, pieces), where=join_names(crew.tally.logs))
             return Observed(seen, crew.tally, crew.setting.options)
 

@@ -162,5 +162,5 @@ def test_a_log_that_is_read_twice_counts_once(
     assert len(list(folder.glob("*.run"))) > len(files)
     assert tally.scans_used == 60
     assert tally.beams == alone.report.beams
-    assert are_equal(seen.tiles, alone.observed.tiles)
+    assert are_equal(seen.tiles, alone.evidence.tiles)
     assert any("30 m" in note for note in tally.notes)
