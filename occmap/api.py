@@ -11,7 +11,8 @@ from occmap import difference, explanation, inspection, page, tuning
 from occmap.cells import Evidence, OccupancyMap
 from occmap.choices import describe_options, read_options, read_value
 from occmap.errors import UsageError, refuse_failures, require
-from occmap.grid.tiles import CellNumbers, EvidenceKind, TileGrid
+from occmap.evidence import to_grid
+from occmap.grid.tiles import CellNumbers, EvidenceKind
 from occmap.options import OF_A_SCORED_MAP, OF_ONE_MAP, BuildOptions
 from occmap.pipeline import build, list_input_files
 from occmap.readers import DEFAULT_OPTIONS, Log, open_log
@@ -36,10 +37,8 @@ class Map(OccupancyMap):
     """How it is saved"""
     inputs: tuple[Path, ...]
     """The files it was made of, which are never written over"""
-    tiles: TileGrid
-    """What was observed, in tiles"""
-    evidence: Evidence | None
-    """What an .npz of it holds; None where the build was not asked for one"""
+    evidence: Evidence
+    """What was observed; without slices of time where no .npz was asked for"""
 
     @classmethod
     def of(cls, made: Build, writing: WriteOptions, inputs: Sequence[Path]) -> Self:
@@ -49,7 +48,7 @@ class Map(OccupancyMap):
             painted, _ = whole.paint_all()
             whole = replace(painted, about=whole.about)
         found: dict[str, Any] = {it.name: getattr(whole, it.name) for it in fields(OccupancyMap)}
-        found |= {"report": made.report, "tiles": made.observed, "evidence": made.evidence}
+        found |= {"report": made.report, "evidence": made.evidence}
         return cls(**found, writing=writing, inputs=tuple(inputs))
 
     @property
@@ -110,17 +109,17 @@ class Map(OccupancyMap):
         return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
 
     def _take_evidence(self) -> Evidence:
-        if self.evidence is None:
+        if not (self.evidence.slices and self.evidence.manifest.builds):
             found = "this map did not keep when its cells were seen, which an .npz holds"
             raise UsageError(found, fix='build it with outputs="map.npz"')
         return self.evidence
 
     def _read_counts(self) -> CellNumbers:
-        if self.tiles.kind is not EvidenceKind.COUNTS:
+        if self.evidence.manifest.kind != EvidenceKind.COUNTS:
             name, _, _ = self.report.map.model.partition(":")
             found = f"the model {name} sums up log-odds: it keeps no hits and misses"
             raise UsageError(found, fix='build with model="counting" or model="simple"')
-        return self.tiles.read(self.box)
+        return to_grid(self.evidence).read(self.box)
 
 
 AnyPath = str | Path

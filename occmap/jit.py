@@ -195,6 +195,8 @@ def compile_function(dispatcher: Any, kind: Any) -> bytes:
         raise NotImplementedError(f"{compiled.fndesc.qualname}: its code cannot be kept")
     described = json.dumps([compiled.fndesc.llvm_func_name, result])
     machine: bytes = compiled.library._get_compiled_object()
+    if b"numba_" in machine:  # a helper, as of `array.reshape`, that a process without numba lacks
+        raise NotImplementedError(f"{compiled.fndesc.qualname}: it calls a helper of numba")
     return described.encode() + b"\n" + machine
 
 

@@ -7,22 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from occmap import writers
-from occmap.cells import Evidence, Manifest
+from occmap.cells import Evidence
 from occmap.errors import MapError
-from occmap.evidence import list_contradictions, list_misfit, measure_steady
+from occmap.evidence import list_contradictions, measure_steady, to_grid
 from occmap.evidence.manifest import describe_build, list_doubts, measure_files, plan_manifest
-from occmap.grid.tiles import add_tiles
 from occmap.options import BuildOptions
 from occmap.readers import Role
 from occmap.report import results
 from occmap.report.results import Build, MapFacts, Report, Resumed
+from occmap.scans import Keep
 from occmap.scans.align import settle_align
 from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import Keep, Observe, Observed, Progress, Remarks, ignore_progress
+from occmap.scans.tracing import Observe, Observed, Progress, ignore_progress
 from occmap.scans.tracing import observe as observe_here
+from occmap.sensor.models import SensorModel
 from occmap.store import Blocks, open_saved, read_all
-from occmap.store.merging import refuse_different
+from occmap.store.merging import add, refuse_different
 from occmap.store.painting import RenderOptions, paint_saved, sum_scans
 from occmap.types import Journey, Update
 from occmap.writers.atomic import hold_alone
@@ -55,30 +56,29 @@ def build(
         )
         options, unaligned = settle_align(paths, options)
         options, keep = choose_keep(options, outputs, past)
-        seen, misfit = add_past(observe(paths, options, keep, progress), past)
-        options, tally = seen.options, seen.tally
-        refuse_unused(paths, tally)
-        refuse_unseen(paths, tally, seen.tiles.tiles)
+        seen, tally, options = observe(paths, options, keep, progress)
+        evidence = add_past(seen, past, options.model)
+        refuse_unused(tally)
+        refuse_unseen(tally, evidence.tiles)
 
-        manifest = plan_manifest(options, past.manifest if past else None)
         with tally.time("render"):
-            grid, facts = paint_seen(paths, seen, manifest, writers.want_whole(outputs))
+            grid, facts = paint_seen(paths, evidence, options, writers.want_whole(outputs))
         with tally.time("write"):  # to hash the logs takes time
-            wants_evidence = writers.want_evidence(outputs)
             # Notes compare logs that may be one with another, and builds.
             is_compared = past or len(set(map(measure_files, paths))) < len(paths)
-            is_told = wants_evidence or is_compared
+            is_told = writers.want_evidence(outputs) or is_compared
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
+        manifest = evidence.manifest
         manifest = replace(manifest, builds=(*manifest.builds, *made))
-        steady = measure_steady(seen.tiles) if tally.points else 1.0
-        seen.remarks.notes += [
-            *(*unaligned, *fitted, *misfit, *facts.lost, *list_doubts(manifest)),
+        evidence = replace(evidence, manifest=manifest)
+        steady = measure_steady(to_grid(evidence)) if tally.points else 1.0
+        tally.notes += [
+            *(*unaligned, *fitted, *facts.lost, *list_doubts(manifest)),
             *list_contradictions(steady, tally.points),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
-        report = make_report(options, tally, seen.remarks, facts, past)
+        report = make_report(options, tally, facts, past)
 
-        evidence = Evidence(manifest, seen.tiles.tiles, seen.slices, ground=seen.ground)
         # A fleet's logs are not inspected: this process would have to read them all again.
         check = partial(inspect_logs, paths, options) if observe is observe_here else None
         with tally.time("write"):
@@ -86,7 +86,7 @@ def build(
             product = writers.Product(grid, lambda: evidence, way, report, check)
             files = writers.write_outputs(outputs, product, options.writing)
         report = replace(report, files=tuple(files), seconds=tally.list_seconds())
-        return Build(grid, report, seen.tiles, evidence if wants_evidence else None)
+        return Build(grid, report, evidence)
 
 
 def list_input_files(paths: Sequence[Path], options: BuildOptions) -> list[Path]:
@@ -155,31 +155,28 @@ def choose_keep(
     return options, Keep(slices, writers.want_journey(outputs), ground)
 
 
-def add_past(seen: Observed, past: Evidence | None) -> tuple[Observed, list[str]]:
-    """Add the evidence that a build goes on from to what it observed; say what does not fit.
+def add_past(seen: Evidence, past: Evidence | None, model: SensorModel) -> Evidence:
+    """Add what a build observed to the evidence that it goes on from; notes say what does not fit.
 
     Raises
     ------
     MapError
-        It is evidence of another kind.
+        It is evidence of another kind: only the logs say if they hold clouds.
     """
     if past is None:
-        return seen, []
-    refuse_different(plan_manifest(seen.options), past)  # only the logs say if they hold clouds
-    whom = "the logs that are added to it"
-    misfit = list(list_misfit(seen.tiles, past.tiles, seen.options.model, whom))
-    both = seen.tiles.like(add_tiles(seen.tiles.tiles, past.tiles))
-    seen = seen._replace(tiles=both, slices=past.slices + seen.slices)
-    return seen, [f"{past.where}: {text}" for text in misfit]
+        return seen
+    # The ground of the build grew from that of the evidence.
+    manifest = replace(past.manifest, model=seen.manifest.model)
+    return add(replace(past, manifest=manifest, ground=None), seen, model)
 
 
 def paint_seen(
-    paths: Sequence[Path], seen: Observed, manifest: Manifest, is_whole: bool
+    paths: Sequence[Path], seen: Evidence, options: BuildOptions, is_whole: bool
 ) -> tuple[Any, MapFacts]:
     """Render what was observed, as `paint_saved` does."""
-    it, kept = seen.options, Blocks.of(Evidence(manifest, seen.tiles.tiles, seen.slices))
-    options = RenderOptions(None, it.writing, it.max_cells, it.framing, it.min_passes)
-    return paint_saved(kept, it.model, options, is_whole, [path.name for path in paths])
+    how = options.writing, options.max_cells, options.framing, options.min_passes
+    named = [path.name for path in paths]
+    return paint_saved(Blocks.of(seen), options.model, RenderOptions(None, *how), is_whole, named)
 
 
 def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
@@ -190,22 +187,22 @@ def inspect_logs(paths: Sequence[Path], options: BuildOptions) -> Any:
 
 
 def make_report(
-    options: BuildOptions, tally: Tally, remarks: Remarks, facts: MapFacts, past: Evidence | None
+    options: BuildOptions, tally: Tally, facts: MapFacts, past: Evidence | None = None
 ) -> Report:
     """Sum up what was done, and what it was added to."""
     resumed = None
     if past is not None:
         before = sum_scans(past.manifest.builds)
         resumed = Resumed(past.where, before.read, before.used)
-    hint = results.hint_at_tune(facts.agreement, remarks.logs, options)
+    hint = results.hint_at_tune(facts.agreement, tally.logs, options)
     return Report(
-        logs=tuple(remarks.logs),
+        logs=tuple(tally.logs),
         scans=tally.scans,
         resumed=resumed,
         beams=tally.beams,
         points=tally.points,
         map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
-        notes=tuple(remarks.notes),
+        notes=tuple(tally.notes),
         seconds=tally.list_seconds(),
         hint=hint if tally.looked_up else "",
     )

@@ -15,7 +15,7 @@ from occmap.grid.rendering import Framing
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions
-from occmap.scans import stream, tracing
+from occmap.scans import make_engine, stream, tracing
 from occmap.scoring.compare import combine, compare
 from occmap.sensor import NoReturn, ReturnOptions
 from occmap.sensor.models import parse_model
@@ -136,9 +136,7 @@ def test_the_way_it_is_made_changes_nothing(
     update, model, expected = reference
     monkeypatch.setattr(stream, "BATCH_BEAMS", beams)
     if window:
-        monkeypatch.setattr(
-            tracing, "choose_engine", partial(tracing.choose_engine, window_cells=window)
-        )
+        monkeypatch.setattr(tracing, "make_engine", partial(make_engine, window_cells=window))
     logs = DRIVES[1::-1] if backwards else DRIVES[:2]
     assert write_map(tmp_path, logs, choose(update, model, jobs)) == expected
 

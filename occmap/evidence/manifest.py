@@ -180,14 +180,8 @@ def write_value(value: Any) -> Any:
     return value if isinstance(value, int | float | str | None) else str(value)
 
 
-def plan_manifest(options: Any, past: Manifest | None = None) -> Manifest:
-    """Say what evidence a build makes, before it is known what it makes it of.
-
-    Parameters
-    ----------
-    past
-        The manifest of the evidence that it is added to.
-    """
+def plan_manifest(options: Any) -> Manifest:
+    """Say what evidence a build makes, before it is known what it makes it of."""
     profile = describe_profile(options.model)
     kind = EvidenceKind.LOG_ODDS if profile else EvidenceKind.COUNTS
     return Manifest(
@@ -198,8 +192,7 @@ def plan_manifest(options: Any, past: Manifest | None = None) -> Manifest:
         options.pass_gap_s,
         options.hit_offset,
         describe_model(options.model),
-        builds=past.builds if past else (),
-        subtracted=past.subtracted if past else (),
+        builds=(),
         align=options.posing.align,
     )
 

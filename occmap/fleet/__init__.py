@@ -7,6 +7,7 @@ counts and notes.
 
 import hashlib
 import json
+import operator
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -14,27 +15,29 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from occmap import pipeline, writers
 from occmap.cells import CellBox
-from occmap.errors import require
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.tasks import BlockJob, Job, Piece, Setting, Traced
+from occmap.fleet.tasks import BlockJob, Job, Pieces, Setting
 from occmap.grid import Lattice
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
+from occmap.report import join_names
 from occmap.report.results import MapFacts, Report, list_notes
-from occmap.scans import tracing
+from occmap.scans import Keep, tracing
 from occmap.scans.align import settle_align
+from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
-from occmap.scans.tracing import Keep, Observed, Progress, Remarks
-from occmap.store.layout import Block, BlockRecord, list_blocks
+from occmap.scans.tracing import Observed, Progress
+from occmap.store.layout import BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
 from occmap.writers.atomic import lock, make_folder, refuse_unwritable
@@ -55,7 +58,6 @@ class Crew:
     setting: Setting
     logs: list[Job]
     tally: Tally
-    remarks: Remarks
     blocks: Sequence[BlockJob] = ()
     """Those in which anything was observed, each with all of it"""
 
@@ -69,13 +71,9 @@ class Crew:
         """
         with self.tally.time("open"):
             surveyed = self.cluster.run(tasks.survey_log, self.setting, self.logs)
-        counts, settled = zip(*surveyed, strict=True)
-        require(
-            len({each.update for each in settled}) == 1,
-            "some of the logs hold laser scans, others clouds of points",
-            "map one kind at a time: choose with `topics`",
-        )
-        self.setting = replace(self.setting, options=settled[0], scans=sum(counts))
+        counts, kinds = zip(*surveyed, strict=True)
+        options = suit_kinds(reduce(operator.or_, kinds), self.setting.options)
+        self.setting = replace(self.setting, options=options, scans=sum(counts))
         if self.setting.options.update is Update.CLOUD:
             with self.tally.time("ground"):
                 self.find_ground()
@@ -95,22 +93,20 @@ class Crew:
 
         known = self.setting.keep
         found = tracing.level_ground(count, self.setting.options, known.ground)
-        self.remarks.notes += found.notes
+        self.tally.notes += found.notes
         keep = known._replace(ground=found.ground)
         self.setting = replace(self.setting, keep=keep, options=found.options)
 
     def trace(self, progress: Progress) -> None:
         """Trace all scans, and sort what was observed by the blocks that it lies in."""
 
-        def tell(log: Traced) -> None:
-            progress(log.tally.scans_read, self.setting.scans)
+        def tell(traced: tuple[Tally, Pieces]) -> None:
+            progress(traced[0].scans_read, self.setting.scans)
 
-        blocks: dict[Block, list[Piece]] = defaultdict(list)
-        traced = self.cluster.run(tasks.trace_log, self.setting, self.logs, tell)
-        for job, log in zip(self.logs, traced, strict=True):
-            self.remarks.note(Path(job.where), log.notes, ())
-            self.tally.add(log.tally)
-            for block, pieces in log.pieces.items():
+        blocks: Pieces = defaultdict(list)
+        for tally, of_log in self.cluster.run(tasks.trace_log, self.setting, self.logs, tell):
+            self.tally.add(tally)
+            for block, pieces in of_log.items():
                 blocks[block] += pieces
         self.blocks = [BlockJob.of(*each) for each in sorted(blocks.items())]
 
@@ -175,10 +171,9 @@ class Fleet:
             As there, or the workers cannot do it.
         """
         with self.work(paths, options, keep, progress) as crew, crew.tally.time("fold"):
-            pieces = crew.cluster.run(tasks.reduce_block, crew.setting, crew.blocks)
-            seen = tasks.add_up_pieces(crew.setting, pieces)
-            settled = crew.setting.keep.ground, crew.setting.options
-            return Observed(*seen, crew.tally, crew.remarks, *settled)
+            pieces = chain.from_iterable(job.pieces for job in crew.blocks)
+            seen = replace(tasks.add_up(crew.setting, pieces), where=join_names(crew.tally.logs))
+            return Observed(seen, crew.tally, crew.setting.options)
 
     def _build_store(
         self, paths: Sequence[Path], options: BuildOptions, output: Path, progress: Progress
@@ -188,9 +183,9 @@ class Fleet:
         options, unaligned = settle_align(paths, options)
         options, keep = pipeline.choose_keep(options, [output], None)
         with self.work(paths, options, keep, progress) as crew:
-            tally, remarks, options = crew.tally, crew.remarks, crew.setting.options
-            refuse_unused(paths, tally)
-            refuse_unseen(paths, tally, crew.blocks)
+            tally, options = crew.tally, crew.setting.options
+            refuse_unused(tally)
+            refuse_unseen(tally, crew.blocks)
             with tally.time("fold"):
                 hashed = crew.cluster.run(tasks.hash_log, crew.setting, crew.logs)
                 known = dict(zip(paths, hashed, strict=True))
@@ -205,9 +200,9 @@ class Fleet:
                     facts = crew.paint(records)
                 with tally.time("write"):
                     finish_store(store, manifest, records, crew.setting.keep.ground)
-        remarks.notes += [*unaligned, *manifests.list_doubts(manifest)]
-        remarks.notes += list_notes(paths, options, [output], tally, facts)
-        report = pipeline.make_report(options, tally, remarks, facts, None)
+        tally.notes += [*unaligned, *manifests.list_doubts(manifest)]
+        tally.notes += list_notes(paths, options, [output], tally, facts)
+        report = pipeline.make_report(options, tally, facts)
         return replace(report, files=(str(output),))
 
     @contextmanager
@@ -231,8 +226,8 @@ class Fleet:
             window = min(1 << (spare // WINDOW_CELL_BYTES).bit_length() - 1, WINDOW_CELLS)
             setting = Setting(options, keep, folder, len(paths), window, spare)
             logs = [Job(f"log{place:05}", str(each)) for place, each in enumerate(paths)]
-            remarks = Remarks([str(path) for path in paths], list(list_other_builds(folder)))
-            crew = Crew(cluster, setting, logs, Tally(), remarks)
+            tally = Tally(logs=list(map(str, paths)), notes=list(list_other_builds(folder)))
+            crew = Crew(cluster, setting, logs, tally)
             crew.settle()
             crew.trace(progress)
             yield crew

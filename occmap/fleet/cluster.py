@@ -84,7 +84,8 @@ class Cluster:
         phase, _, _ = task.__name__.partition("_")
         results: dict[Any, Result] = {}
         try:
-            self._refuse_gone()
+            if self._client.status != "running":  # Dask would wait for ever
+                raise CancelledError
             # Not pure: Dask takes equal calls for one, and a log that is given twice counts twice.
             futures = self._client.map(partial(task, setting), jobs, pure=False, retries=0)
             for future in as_completed(futures):
@@ -102,11 +103,6 @@ class Cluster:
             done = max(kept, len(results))
             so_far = f"; {done} of {len(jobs)} tasks of {phase!r} are done"
             raise self._explain(error, so_far, str(setting.folder)) from None
-
-    def _refuse_gone(self) -> None:
-        """Raise what Dask raises if the scheduler goes later; now Dask would wait for ever."""
-        if self._client.status != "running":
-            raise CancelledError
 
     def _wait_for(self, job: Job, future: Any) -> Any:
         """Wait for the result of a job.

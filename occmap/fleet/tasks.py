@@ -19,17 +19,18 @@ import zstandard
 
 from occmap.cells import CellBox, Evidence, Slices
 from occmap.errors import MapError, name_log
+from occmap.evidence import make_empty
 from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.grid.rendering import count_agreeing
-from occmap.grid.tiles import TileGrid, unite
+from occmap.grid.tiles import unite
 from occmap.options import BuildOptions
-from occmap.readers import open_log
+from occmap.readers import Role, open_log
 from occmap.report.results import count_cells
-from occmap.scans import make_grid
-from occmap.scans.logs import count_scans, settle_update
+from occmap.scans import Keep, make_engine
+from occmap.scans.logs import count_scans, list_kinds
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import Keep, choose_engine, count_ground, trace_drive
+from occmap.scans.tracing import count_ground, trace_drive
 from occmap.store.layout import Block, BlockRecord, split_evidence
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64
@@ -99,16 +100,8 @@ class BlockJob(Job):
         return cls(name, where, block, tuple(pieces))
 
 
-@dataclass(frozen=True, eq=False)
-class Traced:
-    """What a log showed."""
-
-    tally: Tally
-    notes: list[str]
-    """On its poses, scans and ranges, and those of its reader"""
-    pieces: dict[Block, list[Piece]]
-
-
+Pieces: TypeAlias = dict[Block, list[Piece]]
+"""What was observed in each block"""
 Task: TypeAlias = Callable[[Setting, AnyJob], Result]
 
 
@@ -133,11 +126,11 @@ def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
 
 
 @once
-def survey_log(setting: Setting, job: Job) -> tuple[int, BuildOptions]:
-    """Count the scans of a log, and choose its update; raises LogError if it cannot be read."""
-    options = setting.options
-    log = open_log(Path(job.where), options.reading)
-    return count_scans(log, options.selection.topics), settle_update([log], options)
+def survey_log(setting: Setting, job: Job) -> tuple[int, dict[Role, str]]:
+    """Count the scans of a log, and say of what kinds; raises LogError if it cannot be read."""
+    log = open_log(Path(job.where), setting.options.reading)
+    topics = setting.options.selection.topics
+    return count_scans(log, topics), list_kinds(log, topics)
 
 
 @once
@@ -151,8 +144,8 @@ def survey_ground(setting: Setting, job: Job) -> "Counted":
 
 
 @once
-def trace_log(setting: Setting, job: Job) -> Traced:
-    """Trace all scans of a log, and leave what they observed in run files.
+def trace_log(setting: Setting, job: Job) -> tuple[Tally, Pieces]:
+    """Trace all scans of a log, leave what they observed in run files, and say where it lies.
 
     Raises
     ------
@@ -171,8 +164,8 @@ def trace_log(setting: Setting, job: Job) -> Traced:
     with name_log(log.path):
         runs.flush()
     tally.count_points(runs.points)
-    notes = [*drive.list_notes(setting.keep.ground), *log.notes]
-    return Traced(tally, notes, runs.pieces)
+    tally.note(log.path, [*drive.list_notes(setting.keep.ground), *log.notes])
+    return tally, runs.pieces
 
 
 class RunWriter:
@@ -186,7 +179,7 @@ class RunWriter:
 
     def _begin(self) -> None:
         setting = self._setting
-        self._engine = choose_engine(setting.options, setting.keep, setting.window_cells)
+        self._engine = make_engine(setting.options, setting.keep, setting.window_cells)
 
     def add(self, seen: Any) -> None:
         """Observe rays, or posed clouds."""
@@ -244,7 +237,7 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
         yield pickle.loads(data)
 
 
-def add_up_pieces(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, tuple[Slices, ...]]:
+def add_up(setting: Setting, pieces: Iterable[Piece]) -> Evidence:
     """Add up parts of blocks: what was observed, and, where that is kept, when.
 
     Raises
@@ -252,32 +245,15 @@ def add_up_pieces(setting: Setting, pieces: Iterable[Piece]) -> tuple[TileGrid, 
     MapError
         A run file cannot be read.
     """
-    grid = make_grid(setting.options)
+    manifest = plan_manifest(setting.options)
+    grid = make_empty(manifest)
     layers: list[Slices] = []
     for content in read_pieces(setting.folder, pieces):
         bound = max((int(np.abs(tile).max()) for tile in content.tiles.values()), default=0)
         grid.add(content.tiles, bound)
         layers += content.slices
-    return grid, (unite(layers),) if setting.keep.slices else ()
-
-
-def add_up_block(setting: Setting, job: BlockJob) -> Evidence:
-    """Add up all that was observed in a block; raises MapError as `add_up`."""
-    grid, slices = add_up_pieces(setting, job.pieces)
-    return Evidence(plan_manifest(setting.options), grid.tiles, slices)
-
-
-@once
-def reduce_block(setting: Setting, job: BlockJob) -> Piece:
-    """Add up a block, and leave it in a run file of its own.
-
-    Raises
-    ------
-    OccmapError
-        A run file cannot be read, or the scratch folder cannot be written.
-    """
-    parts = [(job.block, add_up_block(setting, job))]
-    return write_run(setting.folder, f"{job.name}.run", parts)[job.block]
+    slices = (unite(layers),) if setting.keep.slices else ()
+    return Evidence(manifest, grid.tiles, slices, ground=setting.keep.ground)
 
 
 def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
@@ -288,7 +264,7 @@ def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    return write_block(setting.store, job.block, add_up_block(setting, job))
+    return write_block(setting.store, job.block, add_up(setting, job.pieces))
 
 
 def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:

@@ -33,7 +33,7 @@ from occmap.grid.tiles import (
     refuse_large,
     unite,
 )
-from occmap.types import Bool, Float64, Int64, Kind, Rays, Update
+from occmap.types import Bool, Int64, Kind, Rays, Update
 
 
 def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
@@ -134,9 +134,8 @@ class BeamWindow(DenseWindow):
 
     def allocate(self, rows: int, cols: int) -> None:
         super().allocate(rows, cols)
-        self.canvas = Canvas(
-            self.cells.reshape(-1), cols + PAD, self.changes, make_notes(rows, cols)
-        )
+        notes = np.empty(MANY + max(rows, cols) + AT_A_TIME)  # a line always fits
+        self.canvas = Canvas(self.cells.reshape(-1), cols + PAD, self.changes, notes)
 
     def trace(self, beams: Beams, corner: Int64) -> None:
         trace_beams(beams, self.spec.radial, corner, self.canvas, None, self.find_clipped(beams))
@@ -162,46 +161,28 @@ class RadialPolygonWindow(DenseWindow):
 
 
 class SparseBeamWindow(Window):
-    """Beam by beam where scans are few for the place: cells are visited, in tiles made on demand.
+    """Hits and misses, beam by beam, where scans are few for the place: cells are visited.
 
-    Only what a beam crosses costs anything.
+    They lie in tiles made on demand, so that only what a beam crosses costs anything.
     """
 
     most_cells_times = 4
 
     def allocate(self, rows: int, cols: int) -> None:
-        # Hits and misses have a layer each; log-odds share a number with that of observations.
-        counts, size = self.spec.radial is None, rows * cols
-        layers = 2 if counts else 1
-        numbers = np.zeros(2 * size, np.int32) if counts else np.zeros(size, np.int64)
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
-        self.tiles = Tiles(table, np.zeros(1, np.int64), layers)
-        stride = 1 << (cols - 1).bit_length()
+        self.tiles = Tiles(table, np.zeros(1, np.int64), np.zeros(2 * rows * cols, np.int32))
         no_changes = Changes(np.zeros(0, np.int32), rows, cols)
-        self.canvas = Canvas(numbers, stride, no_changes, make_notes(rows, cols))
+        self.canvas = Canvas(np.zeros(0, np.int64), 0, no_changes, np.zeros(0))
 
     def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_beams(
-            beams, self.spec.radial, corner, self.canvas, self.tiles, self.find_clipped(beams)
-        )
+        trace_beams(beams, None, corner, self.canvas, self.tiles, self.find_clipped(beams))
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
         places = np.empty((used, 2), np.int64)
         places[table[table >= 0]] = np.argwhere(table >= 0)
-        tiles: Tile = self.canvas.numbers.reshape(-1, self.tiles.layers, TILE, TILE)[:used]
-        if self.spec.radial is not None:
-            # A beam may reach a tile and add nothing to it.
-            seen, bits = tiles.any(axis=(1, 2, 3)), self.spec.tables.bits
-            places, tiles = places[seen], np.repeat(tiles[seen], 2, axis=1)
-            tiles[:, 0] >>= bits
-            tiles[:, 1] &= (1 << bits) - 1
+        tiles = self.tiles.counts.reshape(-1, 2, TILE, TILE)[:used]
         return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
-
-
-def make_notes(rows: int, cols: int) -> Float64:
-    """Room for notes of cells, in which a line of a window always fits."""
-    return np.empty(MANY + max(rows, cols) + AT_A_TIME)
 
 
 CROSSED_OFTEN = 6
@@ -221,6 +202,7 @@ def choose_windows(spec: GridSpec, beams: Beams) -> tuple[type[Window], ...]:
     up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
     cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
     often = cells.mean() * beams.ends_x.size >= CROSSED_OFTEN * beams.box.cells
+    often |= spec.radial is not None  # it lists what cells get, wherever they are
     # Few scans cost less in a window that is there already than one of their own does.
     return (BeamWindow,) if often else (SparseBeamWindow, BeamWindow)
 

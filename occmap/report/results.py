@@ -11,7 +11,6 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from occmap.cells import Box, Evidence, Manifest, OccupancyMap
-from occmap.grid.tiles import TileGrid
 from occmap.options import BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
@@ -170,10 +169,8 @@ class Build(NamedTuple):
     map: OccupancyMap
     """Maybe a `BlockMap`, where no output needs the whole of a large one"""
     report: Report
-    observed: TileGrid
-    """What the map was made of, before `min_passes` forgets anything"""
-    evidence: Evidence | None
-    """The same with its slices of time, to write and to merge; None where no output needs it"""
+    evidence: Evidence
+    """What the map was made of; it has slices of time only where an output or an option needs it"""
 
 
 def measure_map(grid: OccupancyMap, writing: WriteOptions) -> MapFacts:

@@ -1,43 +1,66 @@
 """The steps of a build: from the path of a log to what its scans observe.
 
 `tracing.trace_drive` is the way of a log. `check`, `compare`, `tune` and `explain` go it, too. Here
-are the engine for rays, and the empty grids, for an update and a model; and what a sample of scans
-is judged by.
+are the engine for an update and a model, and what a sample of scans is judged by.
 """
 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from occmap.cells import Ground
 from occmap.errors import MapError
 from occmap.evidence import render
 from occmap.grid import Lattice
-from occmap.grid.tiles import WINDOW_CELLS, GridSpec, TileGrid, tabulate
+from occmap.grid.tiles import WINDOW_CELLS, GridSpec, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor import interpret
 from occmap.sensor.models import CountingModel, RadialModel
-from occmap.types import Float64, Int64, PosedScans, Rays, ScanBatch
+from occmap.types import Float64, Int64, PosedScans, Rays, ScanBatch, Update
 
 if TYPE_CHECKING:
-    from occmap.grid.engine import GridEngine
+    from occmap.grid.engine import Engine
+
+
+SHOWN_SCANS = 400
+"""How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
+
+
+class Keep(NamedTuple):
+    """What is kept of single scans, beside the sum of what all of them observe."""
+
+    slices: bool = False
+    """In which slices of time cells were observed"""
+    journey: bool = False
+    """Where the robot went"""
+    ground: Ground | None = None
+    """What clouds are traced over, if it is known, or what it grows from"""
+
+    def choose_shown(self, scans: int) -> int:
+        """Choose n, where the hits of every n-th of so many scans are shown; 0: of none."""
+        return max(scans // SHOWN_SCANS, 1) if self.journey else 0
+
+
+SUM_ALONE = Keep()
 
 
 def make_engine(
-    options: BuildOptions, window_cells: int = WINDOW_CELLS, slice_ns: int | None = None
-) -> "GridEngine":
-    """Make an engine for rays by an update and a model."""
-    from occmap.grid.engine import GridEngine  # noqa: PLC0415  late: it brings numba
+    options: BuildOptions, keep: Keep = SUM_ALONE, window_cells: int = WINDOW_CELLS
+) -> "Engine":
+    """Make an engine for what the update is for: rays, or clouds over ground that is known."""
+    slice_ns = round(options.pass_gap_s * 1e9) if keep.slices else None
+    if options.update is Update.CLOUD and keep.ground is not None:
+        from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
+
+        band = make_band(options.clouds, options.returns)
+        over = Lattice(options.resolution), band, keep.ground
+        return CloudEngine(*over, options.max_cells, slice_ns)
+    from occmap.grid.engine import GridEngine  # noqa: PLC0415  likewise
 
     return GridEngine(plan_grid(options), window_cells, options.max_cells, slice_ns)
-
-
-def make_grid(options: BuildOptions) -> TileGrid:
-    """Make a grid with no observations yet."""
-    spec = plan_grid(options)
-    return TileGrid(spec.lattice, spec.kind, spec.unit)
 
 
 def plan_grid(options: BuildOptions) -> GridSpec:

@@ -1,6 +1,7 @@
 """What is known of a log before its scans are read: its topics, and where the robot went."""
 
 import glob
+import operator
 import os
 import re
 import shutil
@@ -9,6 +10,7 @@ import tempfile
 from collections.abc import Collection, Iterator, Mapping, MutableSequence, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import reduce
 from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
@@ -60,12 +62,14 @@ def settle_update(logs: Sequence[Log], options: BuildOptions) -> BuildOptions:
     UsageError
         An update is named that is not for what a log holds, or logs hold one and the other.
     """
-    kinds: dict[Role, str] = {}
-    for log in logs:
-        topics = choose_topics(log, options.selection.topics)
-        roles = {s.topic: s.role for s in log.streams if s.topic in topics}
-        kinds |= {role: f"{topic} of {log.path}" for topic, role in roles.items()}
-    return suit_kinds(kinds, options)
+    kinds = (list_kinds(log, options.selection.topics) for log in logs)
+    return suit_kinds(reduce(operator.or_, kinds), options)
+
+
+def list_kinds(log: Log, wanted: Sequence[str]) -> dict[Role, str]:
+    """Say whether a log holds scans, or clouds, and on which topic; raises as `choose_topics`."""
+    topics = choose_topics(log, wanted)
+    return {s.role: f"{s.topic} of {log.path}" for s in log.streams if s.topic in topics}
 
 
 def suit_kinds(kinds: Mapping[Role, str], options: BuildOptions) -> BuildOptions:

@@ -1,9 +1,10 @@
 """What becomes of scans, what is timed meanwhile, and where the robot went."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from threading import Lock
 from time import perf_counter
 from typing import Any, TypeVar
@@ -12,12 +13,10 @@ import numpy as np
 
 from occmap.errors import LogError, MapError, PoseError
 from occmap.posing import DropReason
-from occmap.report import Count, write_counts, write_unused
+from occmap.report import Count, Note, is_damage, write_counts, write_unused
 from occmap.sensor import ReturnCounts
 from occmap.types import Kind, Rays, ScanHits, Trajectory
 
-SHOWN_SCANS = 400
-"""How many scans of all logs are shown: a slider with more steps cannot be set by hand."""
 SHOWN_HITS = 400
 """How many hits of a scan are shown: enough to draw its walls, however many beams it has."""
 
@@ -76,7 +75,7 @@ class ScanCounts:
 
 @dataclass(eq=False)
 class Tally:
-    """Counts and times that grow while a map is built.
+    """Counts, times and notes that grow while a map is built.
 
     Any thread may call `time`; all other methods belong to one thread.
     """
@@ -85,6 +84,10 @@ class Tally:
     """Called now and then with the scans read since the last call"""
     shown_every: int = 0
     """The hits of every n-th used scan are kept, to be shown; 0: an output wants none"""
+    logs: list[str] = field(default_factory=list)
+    """Those that are read, by their paths"""
+    notes: list[str] = field(default_factory=list)
+    """What there is to say of them beside numbers"""
     trajectories: list[Trajectory] = field(default_factory=list)
     """Where lasers went, if an output wants that"""
     shown: list[ScanHits] = field(default_factory=list)
@@ -123,6 +126,7 @@ class Tally:
 
     def add(self, other: "Tally") -> None:
         """Add the counts and times of another tally."""
+        self.notes += other.notes
         self.trajectories += other.trajectories
         self.shown += other.shown
         self.frames |= other.frames
@@ -133,6 +137,10 @@ class Tally:
         self.count_points(other.points)
         for stage, seconds in other.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
+    def note(self, log: Path, notes: Iterable[str]) -> None:
+        """Keep notes on a log; those of a plugin's reader may be text."""
+        self.notes += [Note(note, is_damage(note)).placed(log) for note in notes]
 
     def drop(self, reasons: dict[Any, int]) -> None:
         """Count scans that are not used, by reason."""
@@ -200,7 +208,7 @@ def advise_on_dropped(dropped: Mapping[str, int]) -> str:
     return "`occmap check` shows the times of scans and poses"
 
 
-def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
+def refuse_unused(tally: Tally) -> None:
     """Refuse to make a map of nothing.
 
     Raises
@@ -210,7 +218,7 @@ def refuse_unused(logs: Sequence[object], tally: Tally) -> None:
     """
     if tally.scans_used:
         return
-    where = ", ".join(map(str, logs))
+    where = ", ".join(tally.logs)
     if tally.scans_read:
         found = write_unused(tally.scans_read, tally.dropped)
         raise PoseError(found, where=where, fix=advise_on_dropped(tally.dropped))
@@ -225,7 +233,7 @@ MEND_CLOUDS = (
 )
 
 
-def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]) -> None:
+def refuse_unseen(tally: Tally, seen: Collection[object]) -> None:
     """Refuse to make a map in which no tile, or block of tiles, was seen.
 
     Raises
@@ -239,4 +247,4 @@ def refuse_unseen(logs: Sequence[object], tally: Tally, seen: Collection[object]
     fix = "see the ranges in `occmap check`"
     if tally.points:
         found, fix = f"{UNSEEN_CLOUDS}: {write_counts(tally.points)}", MEND_CLOUDS
-    raise MapError(found, where=", ".join(map(str, logs)), fix=fix)
+    raise MapError(found, where=", ".join(tally.logs), fix=fix)

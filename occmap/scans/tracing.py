@@ -1,38 +1,37 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
-from occmap.cells import Ground, Slices
+from occmap.cells import Evidence, Ground, Slices
 from occmap.errors import MapError, name_log
-from occmap.evidence import list_misfit, refuse_other
+from occmap.evidence import list_misfit, make_empty, refuse_other
+from occmap.evidence.manifest import plan_manifest
 from occmap.grid import Lattice
 from occmap.grid.rendering import Reach
-from occmap.grid.tiles import WINDOW_CELLS, TileGrid, unite
+from occmap.grid.tiles import TileGrid, unite
 from occmap.options import BuildOptions
 from occmap.posing import measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.readers import open_log
-from occmap.report import Note, is_damage, join_names
-from occmap.scans import encode_cells, make_engine, make_grid
+from occmap.report import Note, join_names
+from occmap.scans import Keep, encode_cells, make_engine
 from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
-from occmap.scans.tally import SHOWN_SCANS, Tally, refuse_unused
+from occmap.scans.tally import Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
 from occmap.types import Float64, PosedScans, Rays, Update
 
 if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
-    from occmap.clouds.engine import CloudEngine
     from occmap.clouds.ground import GroundFinder
-    from occmap.grid.engine import GridEngine
 
 
 HANDED_BEAMS = 1 << 12
@@ -151,7 +150,7 @@ def level_ground(
     finder, level = count(options), (0.0, 0.0)
     if known is not None:
         return extend_ground(finder, options, known)
-    found = keep_drifts(BuildGround(*finder.find(options.clouds), options), finder)
+    found = keep_drifts(finder, options, *finder.find(options.clouds))
     if options.posing.level is not None:
         return found
     place = place_logs(options.posing)
@@ -170,7 +169,7 @@ def level_ground(
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
         finder = count(laid)
-        found = keep_drifts(BuildGround(*finder.find(options.clouds), laid), finder)
+        found = keep_drifts(finder, laid, *finder.find(options.clouds))
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
@@ -202,23 +201,23 @@ def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) 
             with name_log(join_names(logs)):
                 refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
     found = (known, []) if is_whole else finder.find(options.clouds, known)
-    return keep_drifts(BuildGround(*found, options), finder)
+    return keep_drifts(finder, options, *found)
 
 
-def keep_drifts(found: BuildGround, finder: "GroundFinder") -> BuildGround:
+def keep_drifts(
+    finder: "GroundFinder", options: BuildOptions, ground: Ground, notes: list[str]
+) -> BuildGround:
     """Keep by what heights were corrected while clouds were counted, and say so."""
-    if not finder.drifts:
-        return found
-    told = (
+    notes += (
         Note(
             f"heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where the "
             "drive comes by again: they are corrected; `height_drift=off` leaves them"
         ).placed(log)
         for log, drift in finder.drifts.items()
     )
-    posing = replace(found.options.posing, height_drift=finder.drifts)
-    options = replace(found.options, posing=posing)
-    return BuildGround(found.ground, [*found.notes, *told], options)
+    if finder.drifts:
+        options = replace(options, posing=replace(options.posing, height_drift=finder.drifts))
+    return BuildGround(ground, notes, options)
 
 
 def measure_spread(points: Float64) -> float:
@@ -295,33 +294,6 @@ def ignore_progress(_scans: int, _total: int) -> None:
     """Show no progress."""
 
 
-class Keep(NamedTuple):
-    """What is kept of single scans, beside the sum of what all of them observe."""
-
-    slices: bool = False
-    """In which slices of time cells were observed"""
-    journey: bool = False
-    """Where the robot went"""
-    ground: Ground | None = None
-    """What clouds are traced over, if it is known, or what it grows from"""
-
-    def choose_shown(self, scans: int) -> int:
-        """Choose n, where the hits of every n-th of so many scans are shown; 0: of none."""
-        return max(scans // SHOWN_SCANS, 1) if self.journey else 0
-
-
-@dataclass
-class Remarks:
-    """What is said of logs beside numbers; it grows while they are read."""
-
-    logs: list[str]
-    notes: list[str] = field(default_factory=list)
-
-    def note(self, log: Path, notes: Sequence[str], others: Iterable[str]) -> None:
-        """Keep the notes of others on a log, and of its reader; a plugin may give text."""
-        self.notes += [Note(note, is_damage(note)).placed(log) for note in (*others, *notes)]
-
-
 class Reading:
     """Logs whose scans are read one after the other, and nothing is mapped on the way.
 
@@ -344,8 +316,8 @@ class Reading:
         self.options, logs = options, open_scans(paths, options, takes_clouds=takes_clouds)
         self.total = sum(count_scans(log, options.selection.topics) for log in logs)
         """Of what progress is told; more may be added to it"""
-        self.tally = Tally(lambda scans: progress(scans, self.total))
-        self.remarks = Remarks([str(log.path) for log in logs])
+        names = [str(log.path) for log in logs]
+        self.tally = Tally(lambda scans: progress(scans, self.total), logs=names)
         self._drives = [open_drive(log, options) for log in logs]
 
     def list_drives(self) -> Iterator[Drive]:
@@ -353,7 +325,7 @@ class Reading:
         for drive in self._drives:
             drive.foresee()
             yield drive
-            self.remarks.note(drive.log.path, drive.log.notes, drive.list_notes())
+            self.tally.note(drive.log.path, [*drive.list_notes(), *drive.log.notes])
 
     def list_rays(self) -> Iterator[Rays]:
         """Read the usable scans of all logs, batch by batch.
@@ -368,33 +340,15 @@ class Reading:
                 for seen in read_seen(drive, self.tally):
                     assert isinstance(seen, Rays)  # `open_scans` refuses clouds
                     yield seen
-        refuse_unused(self.remarks.logs, self.tally)
-
-
-def choose_engine(
-    options: BuildOptions, keep: Keep, window_cells: int = WINDOW_CELLS
-) -> "GridEngine | CloudEngine":
-    """Make an engine for what the update is for: rays, or clouds over ground that is known."""
-    slice_ns = round(options.pass_gap_s * 1e9) if keep.slices else None
-    if options.update is Update.CLOUD and keep.ground is not None:
-        from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
-
-        band = make_band(options.clouds, options.returns)
-        over = Lattice(options.resolution), band, keep.ground
-        return CloudEngine(*over, options.max_cells, slice_ns)
-    return make_engine(options, window_cells, slice_ns)
+        refuse_unused(self.tally)
 
 
 class Observed(NamedTuple):
     """What the logs showed, and what there is to say of them."""
 
-    tiles: TileGrid
-    slices: tuple[Slices, ...]
-    """In which slices of time; none where they are not kept"""
+    evidence: Evidence
+    """Its manifest does not say yet what it was made of"""
     tally: Tally
-    remarks: Remarks
-    ground: Ground | None
-    """What clouds were traced over"""
     options: BuildOptions
     """With the update that suits what the logs hold"""
 
@@ -413,13 +367,12 @@ def observe(
     OccmapError
         A log cannot be read, has no scans or no poses, or the map would be too large.
     """
-    tally = Tally()
+    tally = Tally(logs=list(map(str, paths)))
     with tally.time("open"):
         logs = [open_log(path, options.reading) for path in paths]
     options = settle_update(logs, options)
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
-    remarks = Remarks([str(log.path) for log in logs])
     drives = (open_drive(log, options) for log in logs)
     if options.update is Update.CLOUD:  # which are read twice, by the same poses
         with tally.time("poses"):
@@ -427,10 +380,10 @@ def observe(
         with tally.time("ground"):
             ground, found, options = find_ground(known, options, keep.ground)
         keep, drives = keep._replace(ground=ground), (drive.renew(options) for drive in known)
-        remarks.notes += found
-    tiles = make_grid(options)
+        tally.notes += found
+    tiles = make_empty(plan_manifest(options))
     slices: list[Slices] = []
-    begin = partial(choose_engine, options, keep)
+    begin = partial(make_engine, options, keep)
     for drive, scans in zip(tally.time_each("poses", drives), counts, strict=True):
         of_log = Tally(tally.tell, keep.choose_shown(scans * len(logs)))
         engine = trace_drive(drive, begin, of_log)
@@ -439,11 +392,11 @@ def observe(
         with tally.time("fold"):
             misfit = add_seen(tiles, engine.finish(), drive)
             slices += engine.read_slices()
-        log_notes = drive.list_notes(keep.ground)
-        remarks.note(drive.log.path, drive.log.notes, [*log_notes, *misfit])
+        tally.note(drive.log.path, [*drive.list_notes(keep.ground), *misfit, *drive.log.notes])
     with tally.time("fold"):
-        kept = (unite(slices),) if keep.slices else ()
-        return Observed(tiles, kept, tally, remarks, keep.ground, options)
+        seen = tiles.tiles, (unite(slices),) if keep.slices else (), join_names(tally.logs)
+    evidence = Evidence(plan_manifest(options), *seen, ground=keep.ground)
+    return Observed(evidence, tally, options)
 
 
 def add_seen(tiles: TileGrid, seen: TileGrid, drive: Drive) -> list[str]:

@@ -23,8 +23,8 @@ from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model, compose_b
 from occmap.report import HIDDEN, IN_PLACE, Count, Finite, Noted, Share, count, printed_as
 from occmap.report.results import name_frames
 from occmap.scans import make_engine
-from occmap.scans.tally import ScanCounts
-from occmap.scans.tracing import Progress, Reading, Remarks, ignore_progress
+from occmap.scans.tally import ScanCounts, Tally
+from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, score_map
 from occmap.sensor.models import SensorModel, parse_model, shorten_model
 from occmap.threads import Threads
@@ -272,23 +272,22 @@ def compare(
             seen = hold_out.split(rays)
             for evidence in shared.values() if len(seen.kind) else ():
                 threads.give((evidence, seen))
-    tally, remarks = reading.tally, reading.remarks
+    tally = reading.tally
     fix = "choose one with `map_frame`, or compare each log by itself"
     if apart := name_frames(tally):
         raise UsageError(apart, fix=fix)
     held_out = hold_out.sample.scans
-    refuse_unscored(remarks.logs, held_out, hold_out.hits)
-    remarks.notes += hold_out.sample.list_notes("held-out scans")
+    refuse_unscored(tally.logs, held_out, hold_out.hits)
+    tally.notes += hold_out.sample.list_notes("held-out scans")
     if held_out < FEW_SCANS:
         few = count(held_out, "held-out scan")
-        remarks.notes.append(f"{few}: too few to tell variants apart; give a longer log")
-    scans = HeldOutScans(**vars(tally.scans), held_out=held_out)
+        tally.notes.append(f"{few}: too few to tell variants apart; give a longer log")
     results = score_variants(variants, shared, hold_out.sample.parts, options)
-    return choose_best(results, options, remarks, scans)
+    return choose_best(results, options, tally, held_out)
 
 
 def choose_best(
-    results: Sequence[ScoredVariant], options: BuildOptions, remarks: Remarks, scans: HeldOutScans
+    results: Sequence[ScoredVariant], options: BuildOptions, tally: Tally, held_out: int
 ) -> VariantComparison:
     """Choose the variants to use, of those whose share is as good as the best."""
     equals = [each for each in results if each.as_good]
@@ -301,14 +300,15 @@ def choose_best(
     names = ", ".join(each.name for each in equals)
     why = "the default" if default else "the best log-likelihood"
     return VariantComparison(
-        **vars(remarks),
-        scans=scans,
+        logs=tally.logs,
+        notes=tuple(tally.notes),
+        scans=HeldOutScans(**vars(tally.scans), held_out=held_out),
         resolution=options.resolution,
         results=tuple(results),
         best=recommended.name,
-        command=compose_variant(remarks.logs, options, recommended),
+        command=compose_variant(tally.logs, options, recommended),
         likeliest_name=likeliest.name,
-        likeliest_command=compose_variant(remarks.logs, options, likeliest),
+        likeliest_command=compose_variant(tally.logs, options, likeliest),
         recommended=recommended,
         likeliest=likeliest,
         preference=f"{names}; of these, {why} is preferred" if len(equals) > 1 else "",

@@ -228,26 +228,26 @@ def score_by_logs(
     reading = Reading(against.logs, options, progress)
     for rays in reading.list_rays():
         sample.add(rays)
-    tally, remarks = reading.tally, reading.remarks
-    remarks.notes += sample.list_notes()
+    tally = reading.tally
+    tally.notes += sample.list_notes()
     hits = list_hits(sample.parts)
     if not len(hits):
-        where = ", ".join(remarks.logs)
+        where = ", ".join(tally.logs)
         raise MapError("no beam measured a range", where=where, fix="see `occmap check`")
     walls = Walls.of(written.classes == OCCUPIED, place)
     found = find_match(hits, walls) if against.fit else AS_THEY_LIE
     moved = found.transform
     if doubt := found.doubt("the drive", "the map"):
-        remarks.notes.append(f"{doubt}: try again with a first `transform`")
+        tally.notes.append(f"{doubt}: try again with a first `transform`")
     seen = [move_rays(rays, moved) for rays in sample.parts]
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
     if not against.fit and (doubt := doubt_agreement(agreement)):
-        remarks.notes.append(
+        tally.notes.append(
             f"{doubt} or beside one: if the logs have another frame, `fit` may find it"
         )
     score = LogScore(
-        logs=remarks.logs,
+        logs=tally.logs,
         scans=tally.scans,
         beams=trial.score.beams,
         share=trial.score.share,
@@ -258,7 +258,7 @@ def score_by_logs(
         stops_in_free=free,
         transform=moved.after(options.posing.transform or IDENTITY) if against.fit else STAY,
     )
-    return score, remarks.notes
+    return score, tally.notes
 
 
 def move_rays(rays: Rays, by: Transform) -> Rays:

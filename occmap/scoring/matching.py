@@ -312,8 +312,7 @@ def fit_logs(
     if options.update is Update.CLOUD:
         seen = observe(replace(options, fit=False))
         level = seen.options.posing.level or (0.0, 0.0)  # not that of the evidence
-        alone = Evidence(past.manifest, seen.tiles.tiles, where=logs, ground=seen.ground)
-        found = match(alone, past, options.model, options.max_cells)
+        found = match(replace(seen.evidence, where=logs), past, options.model, options.max_cells)
     else:
         walls = find_walls(past, options.model, options.max_cells)
         deeper = np.float32(options.hit_offset * options.resolution)  # where a map has its hits

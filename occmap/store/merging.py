@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -47,23 +48,23 @@ def join_grounds(ground: Ground | None, evidence: Evidence) -> Ground | None:
     return Ground(blocks, height, mine.measured | its.measured)
 
 
-def combine(
-    added: Sequence[Path],
-    taken: Sequence[Path] = (),
-    lay: Callable[[Evidence, Evidence], Evidence] | None = None,
-) -> Blocks:
+Lay: TypeAlias = Callable[[Evidence, Evidence], Evidence]
+"""Moves evidence onto other evidence"""
+
+
+def combine(added: Sequence[Path], taken: Sequence[Path] = (), lay: Lay | None = None) -> Blocks:
     """Add saved evidence and take some away, block by block where any of it is in a store.
 
     Parameters
     ----------
     lay
-        Moves each part that is added onto the sum of those before it, all of them in memory; None:
+        For each part that is added, and the sum of those before it, all of them in memory; None:
         they are in one frame.
 
     Raises
     ------
     MapError
-        As `merge` and `subtract`; of blocks, maybe only when they are read.
+        As `add` and `subtract`; of blocks, maybe only when they are read.
     """
     parts = [open_saved(path) for path in (*added, *taken)]
     if lay is None and not all(each.whole for each in parts):
@@ -71,24 +72,11 @@ def combine(
     held, model = list(map(read_all, parts)), None
     with suppress(MapError):  # without a model, no note says what does not fit
         model = read_model(held[0])
-    if lay is None:
-        return Blocks.of(add_and_take(held, len(added), model))
-    fitted = reduce(lambda past, other: merge([past, lay(other, past)], model), held[: len(added)])
-    return Blocks.of(add_and_take([fitted, *held[len(added) :]], 1))
-
-
-def add_and_take(
-    parts: Sequence[Evidence], added: int, model: SensorModel | None = None
-) -> Evidence:
-    """Add so many of the parts, the first ones, and take the others away; raises as `combine`."""
-    total = merge(parts[:added], model)
-    for other in parts[added:]:
-        total = subtract(total, other)
-    return total
+    return Blocks.of(merge(held[: len(added)], held[len(added) :], model, lay))
 
 
 def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
-    """Combine evidence as `add_up` does, but block by block, each only when it is read.
+    """Combine evidence as `merge` does, but block by block, each only when it is read.
 
     Raises
     ------
@@ -96,20 +84,25 @@ def combine_blocks(parts: Sequence[Blocks], added: int) -> Blocks:
         The parts do not go together.
     """
     nothing = [join_blocks(each, ()) for each in parts]
-    whole = add_and_take(nothing, added)  # what differs is refused at once
+    whole = merge(nothing[:added], nothing[added:])  # what differs is refused at once
 
     def read_block(block: Block) -> Evidence:
         pairs = zip(parts, nothing, strict=True)
         found = [of.read_block(block) if block in of.blocks else none for of, none in pairs]
-        return add_and_take(found, added)
+        return merge(found[:added], found[added:])
 
     blocks = sorted({block for part in parts for block in part.blocks})
     reach = {block: block.box for block in blocks}
     return Blocks(whole.manifest, "", reach, read_block, whole.ground)
 
 
-def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Evidence:
-    """Add evidence; the cells are those of a build of all logs together, over one ground.
+def merge(
+    added: Sequence[Evidence],
+    taken: Sequence[Evidence] = (),
+    model: SensorModel | None = None,
+    lay: Lay | None = None,
+) -> Evidence:
+    """Add evidence, and take some away; the cells are those of a build of all logs that are left.
 
     Parameters
     ----------
@@ -119,28 +112,31 @@ def merge(evidences: Sequence[Evidence], model: SensorModel | None = None) -> Ev
     Raises
     ------
     MapError
-        Their resolutions, updates or kinds differ.
+        As `add` and `subtract`.
     """
-    first, *others = evidences
-    if not others:
-        return first
-    grid = to_grid(first)
-    slices, ground = first.slices, first.ground
-    builds, subtracted = first.manifest.builds, first.manifest.subtracted
-    notes = list(first.notes)
+    total, *others = added
     for other in others:
-        refuse_different(first.manifest, other)
-        ground = join_grounds(ground, other)
-        notes += other.notes
-        if model is not None:
-            found = list_misfit(grid, other.tiles, model, "the evidence before it")
-            notes += (f"{other.where}: {text}" for text in found)
-        grid = grid.like(tiles.add_tiles(grid.tiles, other.tiles))
-        slices += other.slices
-        builds += other.manifest.builds
-        subtracted += other.manifest.subtracted
-    manifest = replace(first.manifest, builds=builds, subtracted=subtracted)
-    return Evidence(manifest, grid.tiles, slices, notes=tuple(notes), ground=ground)
+        total = add(total, lay(other, total) if lay else other, model)
+    return reduce(subtract, taken, total)
+
+
+def add(evidence: Evidence, other: Evidence, model: SensorModel | None) -> Evidence:
+    """Add evidence to other evidence, over one ground.
+
+    Raises
+    ------
+    MapError
+        Their resolutions, updates or kinds differ, or their grounds.
+    """
+    mine, its = evidence.manifest, other.manifest
+    refuse_different(mine, other)
+    ground, notes = join_grounds(evidence.ground, other), [*evidence.notes, *other.notes]
+    if model is not None:
+        found = list_misfit(to_grid(evidence), other.tiles, model, "the evidence before it")
+        notes += (f"{other.where}: {text}" for text in found)
+    both = {name: getattr(mine, name) + getattr(its, name) for name in ("builds", "subtracted")}
+    whole, slices = tiles.add_tiles(evidence.tiles, other.tiles), evidence.slices + other.slices
+    return Evidence(replace(mine, **both), whole, slices, notes=tuple(notes), ground=ground)
 
 
 def subtract(evidence: Evidence, other: Evidence) -> Evidence:
@@ -153,7 +149,7 @@ def subtract(evidence: Evidence, other: Evidence) -> Evidence:
     Raises
     ------
     MapError
-        As `merge`, or `other` holds something that is not there.
+        As `add`, or `other` holds something that is not there.
     """
     refuse_different(evidence.manifest, other)
     less = {key: -tile.astype(np.int64) for key, tile in other.tiles.items()}

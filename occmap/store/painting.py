@@ -316,7 +316,7 @@ def render_kept(kept: Evidence, options: RenderOptions) -> Build:
     saved, model = settle_model(Blocks.of(kept), options)
     grid, facts = paint_saved(saved, model, options, is_whole=True)
     report = summarise(saved.manifest, facts, options)
-    return Build(grid, report, evidence.to_grid(kept), read_all(saved))
+    return Build(grid, report, read_all(saved))
 
 
 def settle_model(saved: Blocks, options: RenderOptions) -> tuple[Blocks, SensorModel]:

@@ -117,7 +117,7 @@ def tune(
         As `build`, or no held-out beam measured a range.
     """
     reading = Reading(paths, options, progress, takes_clouds=True)
-    logs, tally, remarks = search.keep_logs(reading), reading.tally, reading.remarks
+    logs, tally = search.keep_logs(reading), reading.tally
     kept = sum(log.scans for log in logs)
     scorer = Scorer(logs, options, search.find_common_mount(logs), lambda: tally.advance(kept))
     findings, unsearched = search_all(scorer)
@@ -126,7 +126,8 @@ def tune(
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
     told = after if best.is_any else leading
     tuning = Tuning(
-        **vars(remarks),
+        logs=tally.logs,
+        notes=(),
         scans=KeptScans(
             **vars(tally.scans),
             held_out=len(before.predicted),
@@ -142,7 +143,7 @@ def tune(
         ],
         by_log=[
             TunedLog(**improve(old, new), log=log, agreement=new.agreement)
-            for log, old, new in zip(remarks.logs, before.parts, told.parts, strict=True)
+            for log, old, new in zip(tally.logs, before.parts, told.parts, strict=True)
         ],
         command=(),
         agreement=after.agreement,
@@ -151,7 +152,7 @@ def tune(
     if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
         doubts += list_other_cures(paths, options)
     command = search.compose(scorer, best) if best.is_any and not doubts else ()
-    notes = (*remarks.notes, *unsearched, *doubts)
+    notes = (*tally.notes, *unsearched, *doubts)
     return replace(tuning, command=command, notes=notes, doubts=doubts)
 
 

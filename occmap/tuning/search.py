@@ -93,20 +93,20 @@ def keep_logs(reading: Reading) -> list[KeptLog]:
     OccmapError
         As a build, or no scan is left.
     """
-    tally, remarks = reading.tally, reading.remarks
-    logs = len(remarks.logs)
+    tally = reading.tally
+    logs = len(tally.logs)
     most = max(min(MOST_SCANS, MOST_OF_ALL // logs), 1)
     reading.total += USUAL_SCORINGS * min(reading.total, most * logs)
     kept = [keep_log(drive, most, tally) for drive in reading.list_drives()]
-    refuse_unused(remarks.logs, tally)
+    refuse_unused(tally)
     read, used = sum(log.scans for log in kept), tally.scans_used
     if read < used:
-        remarks.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
+        tally.notes.append(f"{read:,} of {used:,} scans are tried, spread over the logs")
     kept = [drop_outer(log, reading.options.posing) for log in kept]
     if not any(log.scans for log in kept):
         reach = f"{REACH_S:g} s"
         found = f"no scan has a pose both {reach} before its time and {reach} after it"
-        raise PoseError(found, where=", ".join(remarks.logs), fix="give a longer log")
+        raise PoseError(found, where=", ".join(tally.logs), fix="give a longer log")
     return kept
 
 

@@ -12,7 +12,6 @@ import struct
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -183,41 +182,40 @@ class TileTree:
         self.top = (max(self.tiles.shape) - 1).bit_length()
         """The level at which a pixel is a cell"""
 
-    def write(self, level: int, x: int, y: int) -> UInt8 | None:
-        """Write a tile and all above it; return its classes, or None where there is nothing."""
+    def write(self, level: int, x: int, y: int) -> UInt8:
+        """Write a tile and all above it, unless they show nothing; return its classes."""
         if level == self.top:
             classes = self.paint(x, y)
-        else:
-            quarters = product((2 * y, 2 * y + 1), (2 * x, 2 * x + 1))
-            parts = [self.write(level + 1, right, down) for down, right in quarters]
-            blank = np.full((TILE_PIXELS,) * 2, CellClass.NEITHER, np.uint8)
-            one, two, three, four = (blank if part is None else part for part in parts)
-            # The two upper ones come first; row 0 is the lowest y.
-            whole = np.block([[three, four], [one, two]])
-            is_seen = any(part is not None for part in parts)
-            classes = keep_largest(whole, 2) if is_seen else None
-        if classes is not None:
+        else:  # row 0 is the lowest y
+            down, right = (2 * y + 1, 2 * y), (2 * x, 2 * x + 1)
+            parts = [[self.write(level + 1, across, along) for across in right] for along in down]
+            classes = keep_largest(np.block(parts), 2)
+        if classes.any():
             file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
             file.parent.mkdir(parents=True, exist_ok=True)
             Image.fromarray(GREYS[classes][::-1]).save(file)
+            if level == self.top:
+                self.describe(file, self.find_cells(x, y))
         return classes
 
-    def paint(self, x: int, y: int) -> UInt8 | None:
-        """Paint the cells of a tile at the top level, and say where it lies."""
-        tile = CellBox.at(self.tiles.row_end - 1 - y, self.tiles.col + x).scale(TILE_PIXELS)
-        seen = tile.clip(self.grid.box)
-        if not seen.cells:
-            return None
-        part = self.grid.take(*seen.within(self.grid.box))
-        if not part.observed.any():
-            return None
-        decision = self.options.decide(part.decision)
-        classes = np.full(tile.shape, CellClass.NEITHER, np.uint8)
-        classes[seen.within(tile)] = replace(part, decision=decision).classes
-        file = self.folder / f"{self.top}" / f"{x}" / f"{y}.yaml"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        x_min, y_min = (round(edge * part.resolution, 12) for edge in (tile.col, tile.row))
-        lying = replace(part, origin=(x_min, y_min))
-        with file.open("wb") as opened:
-            write_yaml(opened, describe_image(f"{y}.png", lying, TRINARY), self.grid.about)
+    def find_cells(self, x: int, y: int) -> CellBox:
+        """The cells of a tile at the top level."""
+        return CellBox.at(self.tiles.row_end - 1 - y, self.tiles.col + x).scale(TILE_PIXELS)
+
+    def paint(self, x: int, y: int) -> UInt8:
+        """Find the classes of the cells of a tile at the top level."""
+        tile = self.find_cells(x, y)
+        seen, classes = tile.clip(self.grid.box), np.full(tile.shape, CellClass.NEITHER, np.uint8)
+        if seen.cells:
+            part = self.grid.take(*seen.within(self.grid.box))
+            decision = self.options.decide(part.decision)
+            classes[seen.within(tile)] = replace(part, decision=decision).classes
         return classes
+
+    def describe(self, image: Path, tile: CellBox) -> None:
+        """Write beside the image of a tile where its cells lie."""
+        size = self.grid.resolution
+        origin = round(tile.col * size, 12), round(tile.row * size, 12)
+        fields = describe_image(image.name, size, origin, TRINARY)
+        with image.with_suffix(".yaml").open("wb") as opened:
+            write_yaml(opened, fields, self.grid.about)

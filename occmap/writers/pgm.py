@@ -60,7 +60,8 @@ class PgmWriter(Writer):
             decision = options.decide(grid.decision)
             for band in bands_from_top(grid):
                 image.write(to_pixels(replace(band, decision=decision))[::-1].tobytes())
-            write_yaml(yaml, describe_image(image_path.name, grid, options), grid.about)
+            fields = describe_image(image_path.name, grid.resolution, grid.origin, options)
+            write_yaml(yaml, fields, grid.about)
         return image_path, yaml_path
 
 
@@ -92,14 +93,16 @@ class KeepoutWriter(PgmWriter):
         return super().write(path, mask, WriteOptions())
 
 
-def describe_image(image_name: str, grid: OccupancyMap, options: WriteOptions) -> dict[str, object]:
+def describe_image(
+    image_name: str, resolution: float, origin: tuple[float, float], options: WriteOptions
+) -> dict[str, object]:
     """Return the fields of the map_server YAML, in its order."""
     occupied_thresh, free_thresh = written_thresholds(options)
     return {
         "image": image_name,
         "mode": options.mode.value,
-        "resolution": float(grid.resolution),
-        "origin": [float(grid.origin[0]), float(grid.origin[1]), 0.0],
+        "resolution": float(resolution),
+        "origin": [*map(float, origin), 0.0],
         "negate": 0,
         "occupied_thresh": occupied_thresh,
         "free_thresh": free_thresh,

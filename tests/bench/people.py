@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from occmap.evidence import keep_lasting, paint_box
+from occmap.evidence import keep_lasting, paint_box, to_grid
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.types import Float64
@@ -111,12 +111,11 @@ def judge(scene: Scene, folder: Path, rules: Mapping[str, BuildOptions]) -> dict
     for name, options in rules.items():
         plain = replace(options, min_passes=None)
         alone, people = (build([log], plain, [log.with_suffix(".npz")]) for log in logs)
-        assert people.evidence is not None
         box = alone.map.box.join(people.map.box)
-        stands = paint_box(alone.observed, options.model, box).occupied
-        (met, _), (hit, _) = (of.observed.gather(box, np.int64) for of in (alone, people))
+        stands = paint_box(to_grid(alone.evidence), options.model, box).occupied
+        (met, _), (hit, _) = (to_grid(of.evidence).gather(box, np.int64) for of in (alone, people))
         ghosts = (hit > 0) & office._erode(~stands & (met == 0))  # not beside what stands
-        lasting = keep_lasting(people.observed, people.evidence.slices, options.min_passes)
+        lasting = keep_lasting(to_grid(people.evidence), people.evidence.slices, options.min_passes)
         occupied = paint_box(lasting, options.model, box).occupied
         fates[name] = Fate(float(occupied[stands].mean()), 1 - float(occupied[ghosts].mean()))
     return fates

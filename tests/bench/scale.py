@@ -20,7 +20,8 @@ from occmap.fleet import Fleet
 from occmap.fleet.cluster import ALLOCATOR
 from occmap.fleet.tasks import survey_log, trace_log
 from occmap.options import BuildOptions
-from occmap.scans.tracing import Keep, ignore_progress
+from occmap.scans import Keep
+from occmap.scans.tracing import ignore_progress
 from occmap.store.layout import import_zarr
 from tests.bench.limits import Row, divide
 from tests.bench.logs import write_mcap

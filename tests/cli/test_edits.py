@@ -138,7 +138,6 @@ def test_diff_tells_changes_where_edits_lie_from_others() -> None:
 def test_a_page_has_the_outlines_of_edits() -> None:
     Path("edits.csv").write_text("free,polygon,1,2,3,2,3,4\noccupied,line,0,0,5,0\n")
     made = build_map(DRIVE, outputs="m.npz", edits="edits.csv")
-    assert made.evidence is not None
     evidence = made.evidence
     page = describe_product(Product(made, lambda: evidence), made.writing)
     assert page.stage is not None

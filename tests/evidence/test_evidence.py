@@ -295,7 +295,7 @@ def test_a_build_does_not_fit_what_it_is_added_to(parts: Path) -> None:
     past = parts / "a.npz"
     assert not keep_misfits(occmap.build_map(DRIVE, start_s=MIDDLE_S, resume=past))
     (note,) = keep_misfits(occmap.build_map(DRIVE, transform=ELSEWHERE, resume=past))
-    assert note.startswith(f"{past}: does not fit the logs that are added to it")
+    assert note.startswith(f"{DRIVE}: does not fit the evidence before it")
 
 
 def test_a_log_that_does_not_fit_those_before_it_is_named(tmp_path: Path) -> None:

@@ -179,3 +179,13 @@ def test_code_is_not_shared_by_kernels_that_differ(tmp_path: Path, suffix: str) 
         (folder / f"lines{suffix}").write_text(folder.name)
     old, new = (jit.list_folders(folder)[0].name for folder in folders)
     assert old != new
+
+
+def take_first(numbers: Any) -> float:
+    return float(numbers.reshape(-1)[0])
+
+
+def test_code_that_calls_a_helper_of_numba_is_refused() -> None:
+    """A process that loads it without numba would end."""
+    with pytest.raises(NotImplementedError, match="take_first: it calls a helper"):
+        kernel(take_first)(np.zeros((2, 2)))

@@ -9,13 +9,14 @@ import pytest
 
 from occmap.clouds import CloudOptions
 from occmap.fleet import Fleet
-from occmap.fleet.tasks import Job, Setting, add_up_pieces, trace_log
+from occmap.fleet.tasks import Job, Setting, add_up, trace_log
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.readers import text_log
 from occmap.report.results import Report
-from occmap.scans.tracing import Keep, ignore_progress
+from occmap.scans import Keep
+from occmap.scans.tracing import ignore_progress
 from occmap.sensor.models import QuadraticModel
 from occmap.store import open_store
 from occmap.types import Update
@@ -153,13 +154,13 @@ def test_a_log_that_is_read_twice_counts_once(
     folder = tmp_path / "scratch"
     folder.mkdir()
     setting = Setting(options, Keep(slices=True), folder, 1, window_cells=1 << 20, most_bytes=1)
-    traced = trace_log(setting, Job("log", str(log)))
-    pieces = [piece for block in sorted(traced.pieces) for piece in traced.pieces[block]]
-    grid, _ = add_up_pieces(setting, pieces)
+    tally, traced = trace_log(setting, Job("log", str(log)))
+    pieces = [piece for block in sorted(traced) for piece in traced[block]]
+    seen = add_up(setting, pieces)
     files = {piece.file for piece in pieces}
     assert len(files) > 1
     assert len(list(folder.glob("*.run"))) > len(files)
-    assert traced.tally.scans_used == 60
-    assert traced.tally.beams == alone.report.beams
-    assert are_equal(grid.tiles, alone.observed.tiles)
-    assert any("30 m" in note for note in traced.notes)
+    assert tally.scans_used == 60
+    assert tally.beams == alone.report.beams
+    assert are_equal(seen.tiles, alone.evidence.tiles)
+    assert any("30 m" in note for note in tally.notes)

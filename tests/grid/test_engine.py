@@ -228,9 +228,9 @@ def test_joined_viewpoints_leave_the_ends_where_they_are(drive: scans.Drive) -> 
         np.testing.assert_array_equal(joined.origin[:, 0], rays.origin[:, middle])
 
 
-@pytest.mark.parametrize("kind_of_map", [0, 1, 4, 5])
+@pytest.mark.parametrize("kind_of_map", [0, 4])
 def test_few_scans_and_many_observe_the_same(kind_of_map: int) -> None:
-    """Few scans of a place visit its cells, and many note changes: each scan adds the same."""
+    """To count, few scans of a place visit its cells, and many note changes: all add the same."""
     rays = scans.draw_scans(np.random.default_rng(7), 40, 0.005, 400)
     rays.distance[:, ::9] = 0  # in the sensor's own cell
     spec = all_specs(0.05)[kind_of_map]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from occmap import api
 from occmap.api import Map
 from occmap.cells import CellBox, OccupancyMap
+from occmap.evidence import to_grid
 from occmap.page.raster import (
     MOST_CELLS,
     Packed,
@@ -31,7 +32,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Map:
 
 @pytest.fixture(scope="module")
 def seen(made: Map) -> Seen:
-    assert made.evidence
     return Seen.of(made.evidence)
 
 
@@ -92,7 +92,7 @@ def test_a_coarse_cell_is_the_one_most_likely_occupied(
     rows, cols = made.shape
     assert classes.shape == (-(-(row + rows - begin) // step), -(-(col + cols - left) // step))
     box = CellBox(begin, left, begin + step * len(classes), left + step * classes.shape[1])
-    whole = made.tiles.read(box)[0]
+    whole = to_grid(made.evidence).read(box)[0]
     log_odds = np.full(whole.shape, -np.inf)
     log_odds[row - begin :, col - left :][:rows, :cols] = np.where(
         made.observed, made.log_odds, -np.inf
@@ -153,7 +153,6 @@ def test_a_number_too_large_is_the_largest() -> None:
 
 def test_the_ground_of_clouds_is_a_layer_as_high_as_the_floor_and_ramp(tmp_path: Path) -> None:
     made = api.build_map("sample_logs/hall.mcap", resolution=0.1, outputs=tmp_path / "m.npz")
-    assert made.evidence
     seen = Seen.of(made.evidence)
     raster = make_raster(made, seen)
     shown = next(each for each in name_layers([raster], seen) if each.key == "ground")

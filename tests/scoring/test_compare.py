@@ -10,10 +10,9 @@ import pytest
 
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
-from occmap.scans.tracing import Remarks
+from occmap.scans.tally import Tally
 from occmap.scoring import MOST_SCANS, HoldOut, Score, Trial, estimate_error
 from occmap.scoring.compare import (
-    HeldOutScans,
     ScoredVariant,
     Variant,
     VariantComparison,
@@ -202,8 +201,7 @@ def make_result(
 
 def rank(*results: ScoredVariant) -> VariantComparison:
     ranked = tuple(result.compare_with(results[0]) for result in results)
-    options, scans = BuildOptions(), HeldOutScans(15, 15, {}, held_out=3)
-    return choose_best(ranked, options, Remarks(["x"]), scans)
+    return choose_best(ranked, BuildOptions(), Tally(logs=["x"]), held_out=3)
 
 
 def choose(*results: ScoredVariant) -> str:

@@ -16,7 +16,8 @@ from occmap.grid.tiles import mark_observed
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scans.tracing import Keep, ignore_progress, observe
+from occmap.scans import Keep
+from occmap.scans.tracing import ignore_progress, observe
 from occmap.scoring.matching import Transform, Walls, find_match, fit_logs, lay_on, move_evidence
 from occmap.store.merging import merge
 from occmap.types import Pose, Update
@@ -70,7 +71,8 @@ def test_the_second_half_of_a_drive_is_laid_on_the_first(align: float, tmp_path:
     again = build([DRIVE], replace(options, posing=replace(options.posing, transform=pose)), [])
     box = render(to_grid(moved), options.model, 10**9).box.join(again.map.box)
     one, other = (
-        paint_box(grid, options.model, box).classes for grid in (to_grid(moved), again.observed)
+        paint_box(grid, options.model, box).classes
+        for grid in map(to_grid, (moved, again.evidence))
     )
     known = (one | other) > 0
     assert (one == other)[known].mean() > 0.95
@@ -193,7 +195,7 @@ def test_halves_of_real_logs_merge_nearly_to_the_whole(
     assert abs(found.yaw - true.yaw) < math.radians(0.2)
     one, other = (
         paint_box(grid, BuildOptions().model, box).classes
-        for grid in (to_grid(merge([first, laid])), whole.observed)
+        for grid in map(to_grid, (merge([first, laid]), whole.evidence))
     )
     assert (one == other)[(one | other) > 0].mean() > 0.96
 

@@ -269,7 +269,7 @@ def test_halves_that_want_different_times_are_told_and_not_averaged() -> None:
 def keep(path: Path, options: BuildOptions) -> tuple[list[search.KeptLog], list[str]]:
     """Read a log as tune does; give what is kept, and the notes."""
     reading = Reading([path], options, ignore_progress)
-    return search.keep_logs(reading), reading.remarks.notes
+    return search.keep_logs(reading), reading.tally.notes
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,11 @@ of range r gets what the inverse sensor model says of d and r, and log-odds are 
 Burgard, Fox 2005, ch. 9). A model says the same about all cells up to some share of the range, and
 a model that counts does so up to the end: these cells are plain.
 
-Cells that are not plain are visited one by one, and so are all of them in tiles. What each cell
-that is not plain gets is first listed, and then added in a loop of its own. Neither loop has a
-branch, so that a processor works on several cells at a time: along a beam, log-odds depend on
-nothing but the number of the cell. The lists hold floats, as not every processor turns several of
-these into integers at a time.
+Cells that are not plain are visited one by one, and so are all of them in tiles, which only models
+that count have. What each cell that is not plain gets is first listed, and then added in a loop of
+its own. Neither loop has a branch, so that a processor works on several cells at a time: along a
+beam, log-odds depend on nothing but the number of the cell. The lists hold floats, as not every
+processor turns several of these into integers at a time.
 """
 
 from typing import NamedTuple
@@ -110,27 +110,25 @@ INSIDE = units.TILE - 1
 
 
 class Tiles(NamedTuple):
-    """Where square blocks of a window's cells are kept, made when a beam first comes there."""
+    """Where square blocks of a window's cells are counted, made when a beam first comes there."""
 
     table: Int32
-    """(h, w) place of each tile among the numbers, in tiles; -1 where there is none yet"""
+    """(h, w) number of each tile; -1 where there is none yet"""
     used: Int64
     """(1,) how many tiles there are"""
-    layers: int
-    """Layers of cells of each tile: 2 where plain cells have one of their own, the last"""
+    counts: Int32
+    """Flat, tile by tile: the hits of its cells, and then their misses"""
 
 
 class Canvas(NamedTuple):
-    """The cells of a window that beams are traced in."""
+    """The cells of a window that beams are traced in; has none where they lie in tiles."""
 
-    numbers: Int32 | Int64
-    """Flat: what visited cells got. That is `stride` for each row; or tile by tile, one layer of
-    cells after the other"""
+    numbers: Int64
+    """H x (W + PAD), flat: what visited cells got"""
     stride: int
-    """From row to row of the places in notes: a power of 2 where there are tiles"""
+    """From row to row of these"""
     changes: Changes
-    """How often cells were plain; has no numbers where there are tiles, and all cells are
-    visited"""
+    """How often cells were plain"""
     notes: Float64
     """(MANY + the larger of H and W + AT_A_TIME,) to work with"""
 
@@ -172,7 +170,7 @@ def trace_beams(
     corner
         (2,) x and y of the window's corner (lattice units from the anchor).
     tiles
-        None: every cell of the window has a place.
+        Where hits and misses are counted; None: every cell of the window has a place.
     clipped
         None: no beam reaches beyond the window.
     """
@@ -191,20 +189,20 @@ def trace_beams(
                 if clipped is not None:
                     path = lines.clip_path(path, canvas.changes)
                 if tiles is not None:
-                    visit_path(path, radial, canvas.numbers, tiles)
+                    visit_path(path, tiles)
                 elif path.first < path.plain:
                     lines.note_plain(path, canvas.changes)
                 if radial is not None:
                     fill = list_slope(path, ray, depth, canvas, fill)
                     if fill >= units.MANY:
-                        add_notes(canvas, fill, radial, tiles)
+                        add_notes(canvas, fill, radial)
                         fill = 0
                 elif tiles is None and path.plain < path.end:
                     row, col = ray.to_y >> units.CELL_SHIFT, ray.to_x >> units.CELL_SHIFT
                     place = np.uint64(row * canvas.stride + col)
                     canvas.numbers[place] += ray.weight << units.COUNT_BITS
     if radial is not None:
-        add_notes(canvas, fill, radial, tiles)
+        add_notes(canvas, fill, radial)
 
 
 @step
@@ -285,70 +283,56 @@ def turn_axes(line: Line, x: int, y: int) -> tuple[int, int]:
 
 
 @step
-def add_notes(canvas: Canvas, size: int, radial: units.Tables, tiles: Tiles | None) -> None:
+def add_notes(canvas: Canvas, size: int, radial: units.Tables) -> None:
     """Add to the cells of a window what the notes say."""
-    numbers, notes, entries = canvas.numbers, canvas.notes, radial.entries
-    col_bits = int(np.log2(canvas.stride))
     for k in range(size):
-        note = int(notes[k])
-        place = note >> NOTE_BITS
-        if tiles is not None:
-            row, col = place >> col_bits, place & (canvas.stride - 1)
-            place = find_place(tiles, row, col)
+        note = int(canvas.notes[k])
         weight = (note >> ENTRY_BITS) & ((1 << WEIGHT_BITS) - 1)
-        entry = entries[np.uint64(note & ((1 << ENTRY_BITS) - 1))]
-        numbers[np.uint64(place)] += weight * entry
+        entry = radial.entries[np.uint64(note & ((1 << ENTRY_BITS) - 1))]
+        canvas.numbers[np.uint64(note >> NOTE_BITS)] += weight * entry
 
 
 @step
 def find_place(tiles: Tiles, row: int, col: int) -> int:
-    """Find the place of a cell, in the first layer of its tile, which is made if need be."""
+    """Find the place of a cell's hits; its tile is made if need be."""
     up, right = np.uint64(row >> units.TILE_BITS), np.uint64(col >> units.TILE_BITS)
     tile = int(tiles.table[up, right])
     if tile < 0:
         tile = int(tiles.used[0])
         tiles.table[up, right] = tile
         tiles.used[0] += 1
-    return (
-        tile * tiles.layers * units.TILE**2 + ((row & INSIDE) << units.TILE_BITS) + (col & INSIDE)
-    )
+    return (tile << 2 * units.TILE_BITS + 1) + ((row & INSIDE) << units.TILE_BITS) + (col & INSIDE)
 
 
 @step
-def visit_path(
-    path: Path, radial: units.Tables | None, numbers: Int32 | Int64, tiles: Tiles
-) -> None:
-    """Add to the plain cells of a path, in the last layer, and where hits are counted to its end.
+def visit_path(path: Path, tiles: Tiles) -> None:
+    """Count a miss of each plain cell of a path, and a hit of its end, if that is one.
 
     The line is followed from tile to tile. Within one, steps are counted in fixed point: they are
     too few by less than 2^-25, and a quarter of 1 / n separates them from the next whole number.
     """
-    line, last_layer = path.line, (tiles.layers - 1) * units.TILE**2
-    if radial is None:
-        added, end = path.weight, path.end
-    else:
-        added, end = path.weight * int(radial.entries[0]), path.plain
+    line, counts = path.line, tiles.counts
     along, across = line.u_sign, line.v_sign * units.TILE
     if line.steep:
         along, across = line.u_sign * units.TILE, line.v_sign
     per_cell = 1.0 / max(line.n, 1)
     slope, half = line.m * per_cell, 0.5 + 0.25 * per_cell
     i = path.first
-    while i < end:
+    while i < path.end:
         steps = i * slope + half  # rounded down, it is what `steps_after` gives
         made = int(steps)
         u, v = line.u + line.u_sign * i, line.v + line.v_sign * made
         row, col = (u, v) if line.steep else (v, u)
-        place = find_place(tiles, row, col) + last_layer
+        place = find_place(tiles, row, col) + units.TILE**2
         # How many cells, and how many steps, until the line leaves the tile.
         left_u = units.TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
         left_v = units.TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
-        stop = min(i + left_u, find_step(line, made + left_v), end)
+        stop = min(i + left_u, find_step(line, made + left_v), path.end)
         part, more = int((steps - made) * 2.0**32), int(slope * 2.0**32)
         for _ in range(min(stop, path.plain) - i):
-            numbers[np.uint64(place + (part >> 32) * across)] += added
+            counts[np.uint64(place + (part >> 32) * across)] += path.weight
             place += along
             part += more
-        if stop > path.plain:  # the hit, in the first layer
-            numbers[np.uint64(place + (part >> 32) * across - last_layer)] += path.weight
+        if stop > path.plain:
+            counts[np.uint64(place + (part >> 32) * across - units.TILE**2)] += path.weight
         i = stop
