@@ -5,6 +5,7 @@ Here is also what the columns of a table are called, and which files are neither
 
 import re
 import shlex
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from decimal import Decimal
 from numbers import Real
@@ -171,6 +172,14 @@ def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
     names = [name.removeprefix("field.") for name in names]
     is_ns = "stamp" not in names and "stamp_ns" in names
     return ["stamp" if is_ns and name == "stamp_ns" else name for name in names], is_ns
+
+
+def tell_missing(names: Sequence[str], columns: Iterable[str]) -> str:
+    """Say which columns are missing, and which of them is there in a unit that is not expected."""
+    called = "|".join(re.escape(it) for name in names for it in (name, *COLUMN_NAMES.get(name, ())))
+    odd = next((column for column in columns if re.match(rf"(?:{called})\s*[\[(]", column)), "")
+    found = f"no column {', '.join(names)}"
+    return f"{found}, but {odd!r}: units are s, m and rad" if odd else found
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -327,6 +327,14 @@ def test_millimetres_are_told_by_check_and_by_a_build_that_fails_or_does_not(
         assert {words: words in whole for words in expected} == expected
 
 
+def test_millimetres_are_told_where_the_limit_is_in_metres(tmp_path: Path) -> None:
+    """All ranges but one count as no return then, so that hardly any is measured."""
+    drive = Drive(spoil=lambda measured: np.append(measured[1:] * 1000, 3.0))
+    log = write_csv(tmp_path / "mm.csv", drive, 30.0)
+    for found in (look(log).warnings, build([log], BuildOptions()).report.notes):
+        assert "ranges are metres" in " ".join(found)
+
+
 def test_stamps_that_jump_back_and_drift() -> None:
     stamps, zeros = StampLog(), StampLog()
     for index, header in enumerate([0, 1, 2, 1, 2, 3, 4, 5, 5, 6]):

@@ -151,7 +151,7 @@ def tell_changes(difference: MapDifference) -> Iterator[Row]:
         yield "largest", f"{blob}, x {low_x} to {high_x}, y {low_y} to {high_y}"
     before, after = difference.evidence
     if before and before == after:
-        other = "; what changed is how it was rendered" if difference.changed_cells else ""
+        other = "; what changed is the rendering or the image" if difference.changed_cells else ""
         yield "evidence", f"{before}, of both{other}"
     elif before and after:
         yield from report.label_first("evidence", [before, after])

@@ -454,7 +454,8 @@ def list_sources(sources: tuple[Coverage, ...]) -> Iterator[str]:
     moving = [source for source in sources if source.moves]
     for it in moving:
         yield (
-            f"{it.parent} > {it.child or 'a body'} on {it.topic}: {count(it.samples, 'sample')}, "
+            f"{it.parent} > {it.child or 'a body'}{it.topic and f' on {it.topic}'}: "
+            f"{count(it.samples, 'sample')}, "
             f"{it.start_ns / 1e9:.1f} to {it.end_ns / 1e9:.1f} s, largest gap "
             f"{it.largest_gap_s:.3g} s, largest step {it.largest_step_m:.3g} m, "
             f"{math.degrees(it.largest_step_rad):.3g} deg"

@@ -276,7 +276,7 @@
     for (const map of maps) {
       map.figure = document_.get_model_by_name(`map-${map.index}`);
       map.source = document_.get_model_by_name(`image-${map.index}`).data_source;
-      map.figure.on_event("mousemove", event => point(map, event));
+      for (const kind of ["mousemove", "tap"]) map.figure.on_event(kind, event => point(map, event));
     }
     if (maps.some(map => !(map.figure.inner_width > 0))) return setTimeout(start, 20);
     fit(maps[0]);

@@ -111,8 +111,8 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     )
     text += f", the largest of {len(jumps)} jumps" if len(jumps) > 1 else ""
     return Concern(
-        f"{text}: scans from before and after do not fit together; {keep} keeps the longest "
-        f"part, {scans[longest] / len(track):.0%} of them",
+        f"{text}: unless the robot did so, as in a simulator, scans from before and after do not "
+        f"fit together; {keep} keeps the longest part, {scans[longest] / len(track):.0%} of them",
         remedy,
     )
 

@@ -379,7 +379,11 @@ class Search:
             fix = "give one of these as `map_frame`, or leave it out" if is_given else ""
             raise PoseError(f"no frame {upper!r} in the log ({self.known})", fix=fix)
         found = f"no transform from {upper!r} to {lower!r} ({self.known})"
-        fix = f"give it: `static_transforms={upper},{lower},X,Y,Z,ROLL,PITCH,YAW`"
+        root, top = self.tree.find_root(lower), upper
+        if lower == self.frame and not find_moving(self.tree.find_path(root, lower) or []):
+            bodies = (each for each in self.tree.bodies if self.tree.find_path(upper, each))
+            top = next(bodies, upper)  # the sensor drives: it does not hang on the map
+        fix = f"join them: `static_transforms={top},{root},X,Y,Z,ROLL,PITCH,YAW`"
         raise PoseError(found, fix=fix)
 
     def _miss_mount(self) -> PoseError:

@@ -137,6 +137,9 @@ def _read_timed(
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
+    elif parse is TUM and np.ptp(poses[:, 3]) > 0.1 and np.abs(poses[:, 4:6]).max() < 0.01:
+        header = "a header stamp x y z qw qx qy qz says so"
+        notes.append(f"{path}: the poses turn about x alone: does qw come first? {header}")
     return times, poses
 
 
@@ -220,7 +223,7 @@ def _find_format(text: str) -> Callable[[str], Row]:
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
     missing = {"stamp", "x", "y", *angles}.difference(names)
     if missing:
-        raise ValueError(f"the header has no column {', '.join(sorted(missing))}")
+        raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
     parse = values.parse_nanoseconds if is_ns else values.parse_seconds

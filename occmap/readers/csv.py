@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
+from occmap import values
 from occmap.errors import LogError
 from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog, read_blocks
 from occmap.types import IDENTITY, Scan
-from occmap.values import as_float32, find_separator, parse_number, parse_seconds, split_header
 
 TOPIC = "scan"
 REQUIRED = ("stamp", "angle_min", "angle_increment")
@@ -50,13 +50,13 @@ def split_names(text: str) -> tuple[Sequence[str], bool]:
 
     Cached, since a header of many beams is looked at several times.
     """
-    names, is_ns = split_header(text.lstrip("# "), find_separator(text) or ",")
+    names, is_ns = values.split_header(text.lstrip("# "), values.find_separator(text) or ",")
     return tuple(_BEAM.sub(r"r\1", name) for name in names), is_ns
 
 
 def is_header(text: str, stated: Collection[str]) -> bool:
     """Whether a row names columns of scans, to which comments may add some."""
-    names, _ = split_names(text)
+    names = [re.split(r"\s*[\[(]", name)[0] for name in split_names(text)[0]]  # in any unit
     known = list(filter(is_known, {*names, *stated}))
     of_scans = any(name.startswith(("r", "angle")) for name in known)
     return of_scans and len(known) >= 3 and not {"stamp", "r0"}.isdisjoint(names)
@@ -82,9 +82,9 @@ def read_value(name: str, text: str) -> Any:
     if name == "frame":
         return text.lstrip("/")
     if name == "stamp":
-        return parse_seconds(text)
+        return values.parse_seconds(text)
     try:
-        value = parse_number(text)
+        value = values.parse_number(text)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
     if name in FINITE_NAMES and not math.isfinite(value):
@@ -92,7 +92,7 @@ def read_value(name: str, text: str) -> Any:
     if name in LIMITS and math.isnan(value):
         raise ValueError(f"{name} is nan, which is not a limit")
     # Limits are rounded as the ranges are, so that a range at the limit compares as equal.
-    return float(as_float32(value)) if name in LIMITS else value
+    return float(values.as_float32(value)) if name in LIMITS else value
 
 
 def _find_fault(names: Sequence[str], given: set[str]) -> tuple[str, str] | None:
@@ -103,12 +103,15 @@ def _find_fault(names: Sequence[str], given: set[str]) -> tuple[str, str] | None
     posed = POSE_NAMES if given.intersection(POSE_NAMES) else ()
     for name in (*REQUIRED, *posed):
         if name not in given:
-            return f"no column {name}", f"add it, or a comment `# {name}: VALUE` for all rows"
+            fix = f"add it, or a comment `# {name}: VALUE` for all rows"
+            return values.tell_missing([name], names), fix
     beams = sum(map(_is_beam, names))
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:
             hint = "" if beams else "; a file of poses alone is given with `poses`"
-            return f"no column {name}", f"the beams are r0, r1, ... without a gap{hint}"
+            return values.tell_missing(
+                [name], names
+            ), f"the beams are r0, r1, ... without a gap{hint}"
     return None
 
 
@@ -131,7 +134,7 @@ class CsvLog(TextLog):
         super().__init__(path)
         header, comments = self._find_header()
         self._header_line = header.number
-        self.table = _TABLES.get(find_separator(header.text) or "")
+        self.table = _TABLES.get(values.find_separator(header.text) or "")
         self._names, is_ns = split_names(header.text)
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])

@@ -183,9 +183,14 @@ FAR_M = 200.0
 
 
 def find_middle(batch: ScanBatch) -> float:
-    """Find the median of a sample of the ranges that are measurements; infinite if none is."""
+    """Find the median of a sample of the ranges that are measurements; infinite if none is.
+
+    Where nearly all lie beyond what the scans state as their limit, these count.
+    """
     sample = batch.ranges.ravel()[::16]  # one beam of so many tells how far away things are
-    measured = sample[(sample > 0) & (sample < batch.range_max)]
+    finite = sample[(sample > 0) & (sample < np.inf)]
+    near = finite < batch.range_max
+    measured = finite[near] if near.sum() > 0.1 * near.size else finite
     return float(np.median(measured)) if len(measured) else math.inf
 
 
@@ -297,7 +302,7 @@ class Drive:
         yield from self._odd
         for topic in (topic for topic, it in self._middle_m.items() if FAR_M < it < math.inf):
             found = f"most ranges are above {FAR_M:g} m: ranges are metres"
-            yield topic, f"{found}; are these millimetres?"
+            yield topic, f"{found}; are these millimetres or centimetres?"
         yield from self.poser.suspect_places()
 
     def list_left(self) -> Iterator[str]:

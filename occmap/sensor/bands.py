@@ -23,7 +23,8 @@ DOMINANCE = 10
 """How many times more readings than what is around it something must have that stands out: a band
 than the part below it, and in a check one value than any near it"""
 MOST_CODES = 3
-"""At least half of a band's readings are of so few values; a far wall has noise, and thus more"""
+"""At least half of a band's readings are of so few values; a far wall has noise, and thus more.
+Or, where a band ends at the limit that the scans state, half as many are at the limit or beyond."""
 MIN_VALUES = 16
 """Fewer different ranges tell nothing: in a log made by hand all may be 5 m"""
 SICK_CODES = (81.82, 81.92)
@@ -64,6 +65,8 @@ class RangeTally:
         """Finite ranges above the limit that their own scan states"""
         self.largest = 0.0
         """The largest finite range above the limit of its scan (m)"""
+        self.about = 0
+        """Ranges from that limit up to a band's width above it"""
         self.may_be_wall = False
         """Whether a band may be the farthest wall, as of a laser that never moves: from one place
         that repeats as a code would"""
@@ -87,6 +90,7 @@ class RangeTally:
         above = far[(far > limit) & (far < np.inf)]
         self.above += above.size
         self.largest = max(self.largest, float(above.max(initial=0)))
+        self.about += int(np.count_nonzero((far >= limit) & (far <= (1 + BAND) * limit)))
         if (far := far[(far >= self._floor) & (far < limit)]).size:
             self._keep(*np.unique(round_down(far), return_counts=True))
 
@@ -117,6 +121,8 @@ class RangeTally:
             enough = len(self._different) >= MIN_VALUES and readings >= MIN_READINGS
             enough = enough and not self.may_be_wall
             codes = np.sort(counts[low : at + 1])[-MOST_CODES:].sum()
+            if top >= (1 - BAND) * self.stated:  # where simulators add noise to it
+                codes = max(codes, self.about)
             stands_out = readings >= DOMINANCE * below and 2 * codes >= readings
             if is_code or (enough and stands_out):
                 count = int(counts[low:].sum())

@@ -10,6 +10,7 @@ from selenium.webdriver import Chrome
 
 from occmap import api
 from occmap.api import Map
+from occmap.cells import Box
 from occmap.page.raster import CLASS_COLOURS, SCAN_COLOUR, make_raster
 from occmap.writers.edits import Change, read_edits
 from tests.page.browser import BROWSER, FLAGS, Shown, open_browser
@@ -164,6 +165,30 @@ def test_in_a_narrow_window_a_metre_is_as_long_in_y_and_the_plot_has_the_shape_o
     browser.set_window_size(size["width"], size["height"])
     assert wide / metres_x == pytest.approx(high / metres_y)
     assert metres_y < 20  # of a map of 16 x 12 m; a tall strip has 24 m
+
+
+@pytest.mark.parametrize("extent", [None, (-3, 0, 60, 2), (0, -20, 2, 40)])
+def test_on_a_phone_nothing_sticks_out_and_a_tap_says_what_is_there(
+    extent: Box | None, browser: Chrome, tmp_path: Path
+) -> None:
+    api.build_map(DRIVE, resolution=0.2, extent=extent, outputs=tmp_path / "m.html")
+    phone = {"width": 390, "height": 800, "deviceScaleFactor": 2, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    page = Shown(browser, tmp_path / "m.html")
+    page.choose("scan", 0, "input")
+    page.rest()
+    width = page.run("return document.documentElement.scrollWidth")
+    x, y, wide = page.run(
+        "const box = document.querySelector('figure').getBoundingClientRect();"
+        "return [box.x + box.width / 2, box.y + box.height / 2, box.width]"
+    )
+    for kind, points in (("touchStart", [{"x": x, "y": y}]), ("touchEnd", [])):
+        browser.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+    page.wait("document.getElementById('pointer').textContent.includes('probability')")
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert (width, wide > 300) == (390, True)
 
 
 def test_a_photograph_of_a_page_that_has_not_drawn_yet_shows_the_map(

@@ -147,6 +147,7 @@ def test_odometry_that_is_carried_elsewhere_is_told() -> None:
     (concern,) = watch(build(*driven))
     # From 2.9 m to 7 m between the samples at 29 and 30 s.
     assert "odom -> base_link jumps by 4.1 m and 0 deg 30.000 s after the first" in concern.text
+    assert "unless the robot did so" in concern.text
     assert concern.remedy == {"start_s": "30"}
 
 

@@ -298,12 +298,26 @@ def test_the_topic_with_most_poses_is_taken_and_then_the_first_by_name(
     assert body.topic == chosen
 
 
-def test_lasers_that_map_in_different_frames_are_not_mixed() -> None:
-    poser = build(*TF, *drive("odom2", "hull"))
+@pytest.mark.parametrize(
+    ("other", "frame", "joint"),
+    [
+        (drive("odom2", "hull"), "hull", "odom,odom2"),
+        ([*drive("odom2", "hull"), bolted("hull", "mast", AHEAD)], "mast", "odom,odom2"),
+        ([bolted("deck", "rear", AHEAD)], "rear", "base_link,deck"),
+    ],
+    ids=["another robot", "its laser", "a laser of this robot"],
+)
+def test_lasers_that_map_in_different_frames_are_not_mixed(
+    other: list[PoseSample], frame: str, joint: str
+) -> None:
+    """A laser that drives hangs on what drives, or its map on the other map."""
+    poser = build(*TF, *other)
     poser.find_chains(["laser"])
-    poser.find_chains(["hull"])
-    assert poser.chains["hull"] is None
-    assert any("no transform from 'odom' to 'hull'" in note for note in poser.notes)
+    poser.find_chains([frame])
+    assert poser.chains[frame] is None
+    (note,) = poser.notes
+    assert f"no transform from 'odom' to {frame!r}" in note
+    assert f"join them: `static_transforms={joint},X,Y,Z,ROLL,PITCH,YAW`" in note
 
 
 CARRIED = {

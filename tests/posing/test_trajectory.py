@@ -140,6 +140,18 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
         assert any("are these degrees?" in note for note in told) == (unit > 1)
 
 
+def test_quaternions_that_begin_with_w_are_told_and_read_by_a_header(tmp_path: Path) -> None:
+    halves = [(math.cos(yaw / 2), math.sin(yaw / 2)) for yaw in (0.0, 0.4, 0.8, 1.2)]
+    path, notes = tmp_path / "poses.txt", list[str]()
+    first = [f"{at} 0 0 0 {w} 0 0 {z}\n" for at, (w, z) in enumerate(halves)]
+    last = [f"{at} 0 0 0 0 0 {z} {w}\n" for at, (w, z) in enumerate(halves)]
+    for lines in (last, ["stamp x y z qw qx qy qz\n", *first], first):
+        assert not notes
+        path.write_text("".join(lines))
+        read_trajectory(path, notes)
+    assert "does qw come first?" in notes[0]
+
+
 @pytest.mark.parametrize(
     ("text", "line", "found"),
     [
@@ -148,7 +160,8 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
         ("1 0 0 0 0 0 here 1\n", 1, "'here' where a number belongs"),
         ("1305031102175 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
         ("1.5,1,2,0\n", 1, "no header says what the columns are"),
-        ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw"),
+        ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw, but 'yaw [deg]': units are"),
+        ("time;x;y;theta(deg)\n1;2;3;0\n", 1, "has no column yaw, but 'theta(deg)': units are"),
         ("stamp,x,yaw\n1,2,3\n", 1, "has no column y"),
         ("stamp,x,y\n1,2,3\n", 1, "has no column yaw"),
         ("stamp,x,y,qw\n1,2,3,1\n", 1, "has no column qx, qy, qz"),

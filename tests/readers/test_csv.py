@@ -159,6 +159,8 @@ MANY = "1,2,3\n" * (BLOCK_BYTES // 3)
     [
         *((f"#\n{WHOLE.replace(f'{name},', '')}", f"2: no column {name}; ") for name in COLUMNS),
         (f"nsec,time_ms{WHOLE[5:]}", "1: no column stamp; add it"),
+        (WHOLE.replace("yaw", "yaw [deg]"), r"1: no column yaw, but 'yaw \[deg\]': units are s, m"),
+        (WHOLE.replace(",", " [mm],"), r"1: no column stamp, but 'stamp \[mm\]': units are s, m"),
         (f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n", r"3: no column r0; .*`poses`"),
         (WHOLE.replace("r2", "r1"), "1: column r1 stands twice"),
         *((content, " no header row; ") for content in ("", "\n", CONSTANTS)),

@@ -132,6 +132,19 @@ def test_a_limit_that_the_scans_state_is_none_of_the_values() -> None:
     assert (above.above, above.largest, above.find_band()) == (2, 77.0, None)
 
 
+@pytest.mark.parametrize(
+    ("middle", "most", "found"), [(30, math.inf, True), (30, 30, True), (29.7, math.inf, False)]
+)
+def test_noise_on_the_limit_that_is_stated_is_a_band(
+    middle: float, most: float, found: bool
+) -> None:
+    """As of simulators that cut ranges off and then add noise; below the limit it may be a wall."""
+    noise = np.random.default_rng(5).normal(middle, 0.05, 400)
+    band = find([*MEASURED, *np.minimum(noise, most)], stated=30.0)
+    assert (band is not None) == found
+    assert band is None or band.limit == pytest.approx(0.975 * 30, abs=0.01)
+
+
 RANGES = st.lists(
     st.sampled_from([1.0, 5.0, 28.4, 29.24, 29.26, 29.9, 30.0, 30.01, 31.5, 81.83, 8183.0])
     | st.floats(0.5, 40, width=32),
