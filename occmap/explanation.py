@@ -87,7 +87,10 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
     for hashes, log in {hash_files(log): log for log in logs}.items():
         times = [at for at, of_build in enumerate(held) if hashes <= of_build]
         if not times:
-            refuse_stranger(part, log)
+            made_of = join_names(records.list_logs(*builds) or ["no log"])
+            found = f"{part.where} was not made of it, or it was changed since"
+            fix = f"it was made of {made_of}: give `logs` with one of these"
+            raise LogError(found, where=log, fix=fix)
         uses += [Use(log, at, recall_build(builds[at], part.where, log, given)) for at in times]
     return uses
 
@@ -129,22 +132,6 @@ def recall_build(build: BuildRecord, where: str, log: Path, given: dict[str, Pat
         raise PoseError(found, where=log, fix=f"add `poses={name}`")
     topic = (options.posing.poses or "").removeprefix(name)  # as in ":/path"
     return replace(options, posing=replace(options.posing, poses=f"{path}{topic}"))
-
-
-def refuse_stranger(part: Evidence, log: Path) -> None:
-    """Refuse a log that the evidence was not made of.
-
-    Raises
-    ------
-    LogError
-        Saying what it was made of.
-    """
-    names = records.list_logs(*part.manifest.builds)
-    raise LogError(
-        f"{part.where} was not made of it, or it was changed since",
-        where=log,
-        fix=f"it was made of {join_names(names or ['no log'])}: give `logs` with one of these",
-    )
 
 
 def recall_options(plain: dict[str, Any], where: str) -> BuildOptions:
