@@ -393,6 +393,11 @@ class Search:
         if base and self.alone:  # else a sensor pose would be that of every laser
             mount = f"`sensor_pose=({MountError.UNKNOWN})`"
             return MountError(found, fix=f"give its mount on {base}: {mount}")
+        alike = [name for name in self.tree.frames if last_part(name) == self.frame]
+        if alike and not base:  # one of each robot
+            joint = f"`static_transforms={alike[0]},{self.frame},0,0,0,0,0,0`"
+            fix = f"if it is {alike[0]!r}: {joint}, and `topics=TOPIC` of that robot alone"
+            return PoseError(found, fix=fix)
         given = f"{base or 'BASE'},{self.frame},X,Y,Z,ROLL,PITCH,YAW"
         return PoseError(found, fix=f"give its mount: `static_transforms={given}`")
 

@@ -324,7 +324,7 @@ def list_disagreement(
     Times matter only where poses were `looked_up` by them.
     """
     if facts.agreement and (doubt := doubt_agreement(facts.agreement)):
-        timed = "`occmap tune`, `deskew=on` or " if looked_up else ""
+        timed = "`occmap tune` or " if looked_up else ""
         less = ", or `min_passes` takes away what they hit" if min_passes else ""
         fix = f"see `occmap check`, try {timed}another trajectory by `poses=FILE`"
         yield f"{doubt}: the poses do not fit the scans{less}; {fix}"

@@ -154,6 +154,12 @@ def test_where_poses_stand_beside_scans_no_time_mends_them(command: str) -> None
         assert vain not in told.err + told.out
 
 
+def test_scans_that_state_no_times_of_beams_are_not_to_be_deskewed() -> None:
+    told = occmap("build", SAMPLE_LOGS / "drive.bag", "--sensor-pose", "0.3,0.3,0.4", "-o", "m.pgm")
+    assert "try `occmap tune` or another trajectory by --poses FILE" in told.err
+    assert "--deskew" not in told.err
+
+
 def test_damage_is_a_note_and_with_strict_an_error_after_the_map(here: Path) -> None:
     """The log's gzip data ends early."""
     whole = write_csv(here / "log.csv", [(n / 1e4, 0.0, 0.0) for n in range(3000)], [0.3])

@@ -142,6 +142,10 @@ REFUSALS = {
         map_frame="moon"),
     "no mount": case(DRIVE, ["the laser's frame 'laser' (known: base_link, odom)", GIVE_MOUNT]),
     "of nameless odometry": case(NAMELESS, [GIVE_MOUNT]),
+    "frames of two robots": case(
+        [*drive("map", "a/base_link"), *drive("map", "b/base_link"),
+         bolted("a/base_link", "a/laser", AHEAD), bolted("b/base_link", "b/laser", AHEAD)],
+        ["if it is 'a/laser': `static_transforms=a/laser,laser,0,0,0,0,0,0`, and `topics=TOPIC`"]),
     "many frames": case([*DRIVE, *(bolted("base_link", f"w{i:02}", AHEAD) for i in range(20))],
         ["w03 and 16 more)"]),
     "an unclear base": case(HULLS,
