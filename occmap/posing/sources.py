@@ -41,8 +41,8 @@ class Sources:
     trajectory: Edge | None
     """The one that the user chose instead of tf."""
     notes: tuple[str, ...]
-    unusable: tuple[str, ...] = ()
-    """Those of the notes that tell of poses left out"""
+    doubts: tuple[str, ...] = ()
+    """Those of the notes that tell of poses left out, or replaced by later ones"""
 
     @cached_property
     def unnamed_body(self) -> Edge | None:
@@ -72,7 +72,9 @@ def gather(
     LogError
         The trajectory file cannot be read.
     """
-    every, unusable, changes = _build_edges(samples, options.stamps)
+    notes: list[str] = []
+    every = _build_edges(samples, options.stamps, notes)
+    doubts = tuple(notes)
     recording, topic = options.recording or (None, "")
     others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
     # Of a recording one pose, such as where a robot was said to start, is no trajectory.
@@ -91,29 +93,30 @@ def gather(
         edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
     poses = _rank(edges)
-    of_file: list[str] = []
     trajectory = None
     if options.poses and not lent:
         named = of_other if recording else poses
-        trajectory = _find_trajectory(options, named, of_file, moments)
+        trajectory = _find_trajectory(options, named, notes, moments)
     if trajectory and options.files:
         frame = options.map_frame or trajectory.parent
         body = trajectory.child if trajectory.child in tree else ""  # it may have another name
         trajectory = replace(trajectory, parent=frame, child=body)
     placed = {edge.child for edge in edges if edge.source is Source.TF}
     overruled = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
-    notes = [f"the given transform {name} replaces the log's" for name in overruled]
-    notes += [*unusable, *changes, *of_file, *_list_beside(edges, strangers, topics)]
-    notes += _list_contradictions(edges, tree)
-    return Sources(tree, tuple(poses), trajectory, tuple(notes), tuple(unusable))
+    notes[:0] = [f"the given transform {name} replaces the log's" for name in overruled]
+    notes += [*_list_beside(edges, strangers, topics), *_list_contradictions(edges, tree)]
+    return Sources(tree, tuple(poses), trajectory, tuple(notes), doubts)
 
 
 def _build_edges(
-    samples: Iterable[PoseSample | PoseBatch], stamps: Stamps
-) -> tuple[list[Edge], list[str], list[str]]:
+    samples: Iterable[PoseSample | PoseBatch], stamps: Stamps, notes: list[str]
+) -> list[Edge]:
     """Make an edge of all samples that share topic and frames.
 
-    Also return a note on each edge with poses that cannot be used, and on fixed ones that change.
+    Parameters
+    ----------
+    notes
+        Grows by a note on each edge with poses that cannot be used, and on fixed ones that change.
     """
     builders: dict[tuple[str, str, str, bool], TrackBuilder] = defaultdict(TrackBuilder)
     for item in samples:
@@ -122,12 +125,11 @@ def _build_edges(
         stamp_ns = item.record_ns if item.static else stamps.choose(item.stamp_ns, item.record_ns)
         builder.add(stamp_ns, item.record_ns, item.pose)
     edges: list[Edge] = []
-    unusable: list[str] = []
     changed: dict[str, list[str]] = defaultdict(list)
     for (topic, parent, child, static), builder in sorted(builders.items()):
         track = builder.build()
         if builder.unusable:
-            unusable.append(
+            notes.append(
                 f"{count(builder.unusable, 'pose')} of {parent} -> {child or 'a body'} left out: "
                 "not finite, beyond 1e12 m, without a rotation, or with a damaged stamp"
             )
@@ -139,11 +141,9 @@ def _build_edges(
             is_tf = child and (static or last_part(topic.rpartition(":")[2]) in TF_TOPICS)
             source = Source.TF if is_tf else Source.ODOMETRY
             edges.append(Edge(parent.strip("/"), child.strip("/"), track, source, topic))
-    changes = [
-        f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts"
-        for topic, names in changed.items()
-    ]
-    return edges, unusable, changes
+    for topic, names in changed.items():
+        notes.append(f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts")
+    return edges
 
 
 def _list_lent(others: Iterable[Edge], name: str) -> Iterator[Edge]:
@@ -180,8 +180,7 @@ def _find_trajectory(
     recording, topic = options.recording or (None, name)
     if recording is None and Path(name).is_file():
         poses_of_file = read_trajectory(Path(name), notes, moments)
-        edges, unusable, _ = _build_edges([poses_of_file], Stamps.HEADER)
-        notes.extend(unusable)
+        edges = _build_edges([poses_of_file], Stamps.HEADER, notes)
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
         return replace(edges[0], topic=name)
@@ -287,8 +286,8 @@ class Search:
 
     @property
     def known(self) -> str:
-        """Their names, for errors, and the transforms between them that are damaged."""
-        return "; ".join([f"known: {join_names(self.tree.frames)}", *self.sources.unusable])
+        """Their names, for errors, and what is doubtful about the transforms between them."""
+        return "; ".join([f"known: {join_names(self.tree.frames)}", *self.sources.doubts])
 
     def go_by_tree(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""

@@ -17,6 +17,7 @@ import numpy as np
 from occmap import values
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.tracks import to_quaternions
+from occmap.report import count
 from occmap.types import Float64, Moments, Pose, PoseBatch
 
 Parsed = TypeVar("Parsed")
@@ -109,9 +110,9 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     if moments is not None and not moments.is_timed:  # only the order of the scans is known
         times = moments.stamp_ns
     if len(times) != len(poses):
-        found = f"it holds {len(poses):,} poses, and the log {len(times):,} clouds"
-        fix = "give a pose for each file, in the order of the names"
-        raise LogError(found, where=path, fix=fix)
+        counted, each = (TIMES, "time") if moments is None else ("the log", "cloud")
+        found = f"it holds {len(poses):,} poses, and {counted} {count(len(times), each)}"
+        raise LogError(found, where=path, fix="there must be one for each, in the same order")
     stamp_ns = np.array(times, np.int64)
     return PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
 
@@ -152,7 +153,7 @@ def _read_matrices(
     are told by where they lead: on the ground only such poses go far along z.
     """
     rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
-    times = moments.stamp_ns if moments else _read_times(path, len(rows))
+    times = moments.stamp_ns if moments else _read_times(path)
     finite = rows[np.isfinite(rows).all(axis=(1, 2))]
     y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
     notes.append(
@@ -165,17 +166,13 @@ def _read_matrices(
     return times, np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
 
 
-def _read_times(path: Path, poses: int) -> list[int]:
-    """Read the times of KITTI's poses, so many, from the file beside them."""
+def _read_times(path: Path) -> list[int]:
+    """Read the times of KITTI's poses from the file beside them."""
     beside = path.parent / TIMES
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    times = list(_parse_lines(beside, _read_lines(beside), values.parse_seconds, fix))
-    if len(times) != poses:
-        found = f"it holds {poses:,} poses, and {TIMES} beside it {len(times):,} times"
-        raise LogError(found, where=path, fix="there must be one for each pose")
-    return times
+    return list(_parse_lines(beside, _read_lines(beside), values.parse_seconds, fix))
 
 
 def _read_lines(path: Path) -> Iterator[NumberedLine]:

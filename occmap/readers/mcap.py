@@ -39,12 +39,12 @@ _MOST_HEAD = 1 << 10
 """The fields of a chunk before its records are shorter, with the name of its compression."""
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
-_KINDS = {
-    Opcode.SCHEMA: records.DESCRIPTION,
-    Opcode.CHANNEL: records.DESCRIPTION,
-    Opcode.CHUNK: records.CHUNK,
-}
-_MESSAGE = int(Opcode.MESSAGE)
+_KINDS = {Opcode.CHUNK: records.CHUNK} | dict.fromkeys(
+    (Opcode.MESSAGE_INDEX, Opcode.SUMMARY_OFFSET, Opcode.DATA_END), records.OTHER
+)
+"""All others but messages are read where channels are looked for, not only schemas and channels: a
+chunk under another opcode would else be passed over without a word."""
+_MESSAGE, _MESSAGE_INDEX = int(Opcode.MESSAGE), int(Opcode.MESSAGE_INDEX)
 _OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
 """Of the other records that may be anywhere, with those that anybody may use."""
 _LONGEST = {Opcode.SUMMARY_OFFSET: 17 + _LONGEST_PADDING, Opcode.DATA_END: 4 + _LONGEST_PADDING}
@@ -58,8 +58,6 @@ class McapSource(RecordSource):
     errors = (McapError, struct.error, ArithmeticError, LookupError, MemoryError, ValueError)
     head = re.compile(rb"(?=[\x03-\x0f].{4}\x00{4})", re.DOTALL)
     """For records that are not longer than 2**32 - 1 bytes"""
-    described = (records.DESCRIPTION, records.OTHER)
-    """All but messages, as a chunk under another opcode would else be passed over"""
 
     def __init__(self, path: Path) -> None:
         self._times: dict[int, tuple[int, int] | None] = {}
@@ -70,10 +68,13 @@ class McapSource(RecordSource):
     def _parse(self, block: Bytes, at: int) -> Record | None:
         head = block[at : at + _LONG]
         if len(head) == _LONG:
-            opcode, length, key, _, record_ns = _unpack_message_head(head)
+            opcode, length, key, size, record_ns = _unpack_message_head(head)
             start, end = at + _MESSAGE_DATA, at + _SHORT + length
             if opcode == _MESSAGE and start <= end:
                 return key, record_ns if record_ns < _LATEST_NS else _LATEST_NS, at, start, end
+            # An index states in that place how long its entries are.
+            if opcode == _MESSAGE_INDEX and not 0 <= length - 6 - size <= _LONGEST_PADDING:
+                return None
         if len(head) < _SHORT:
             return None
         opcode, length = _HEAD.unpack_from(head)
@@ -82,7 +83,7 @@ class McapSource(RecordSource):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES or length > _LONGEST.get(opcode, length):
             return None
-        return _KINDS.get(opcode, records.OTHER), 0, at, at, end
+        return _KINDS.get(opcode, records.DESCRIPTION), 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; quickly if all are messages, as they are in most.

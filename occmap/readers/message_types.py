@@ -22,10 +22,10 @@ from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan
 from occmap.types import IDENTITY, Bool, Cloud, Int64, Pose, PoseBatch, PoseSample, Scan, UInt8
 from occmap.values import as_float32, as_number
 
-ReadMany: TypeAlias = Callable[[UInt8, Int64, Locate, FromBytes[Any]], tuple[Sequence[Any], Bool]]
-"""From messages of one length (M, L), when they were recorded (M,), what finds numbers in one, and
-what reads one, to what is read many at once, and which messages (M,) are left to be read one by
-one; raises DamageError"""
+ReadMany: TypeAlias = Callable[[Locate, FromBytes[Any], UInt8, Int64], tuple[Sequence[Any], Bool]]
+"""From what finds numbers in a message, what reads one, messages of one length (M, L), and when
+they were recorded (M,), to what is read many at once, and which messages (M,) are left to be read
+one by one; raises DamageError"""
 
 
 class MessageType(NamedTuple):
@@ -78,10 +78,8 @@ class PoseFields(NamedTuple):
         samples = []
         for item in get_list(message, self.items) if self.items else [message]:
             stamp_ns = get_stamp(message if look(item, self.stamp) is None else item, self.stamp)
-            of_all = look(message, self.parent) is not None
-            named = look(item, self.parent)
-            is_unnamed = named is None or (isinstance(named, str) and not named)
-            parent = get_frame(message if of_all and is_unnamed else item, self.parent)
+            is_named = look(item, self.parent) or look(message, self.parent) is None
+            parent = get_frame(item if is_named else message, self.parent)
             child = get_frame(item, self.child) if self.child else ""
             pose = self.read_pose(item)
             samples.append(PoseSample(stamp_ns, parent, child, pose, static, topic, record_ns))
@@ -95,7 +93,7 @@ class PoseFields(NamedTuple):
         return Pose(*place, *(turn if any(turn) else self.unset_rotation))
 
     def read_many(
-        self, rows: UInt8, record_ns: Int64, locate: Locate, read: FromBytes[list[PoseSample]]
+        self, locate: Locate, read: FromBytes[list[PoseSample]], rows: UInt8, record_ns: Int64
     ) -> tuple[list[PoseBatch], Bool]:
         """Read messages of one length: the samples of each pose, and which messages are left."""
         batches: list[PoseBatch] = []

@@ -271,16 +271,16 @@ class Fields(NamedTuple):
 
 
 def read_scan_run(
-    rows: UInt8, record_ns: Int64, locate: Locate, read: FromBytes[list[Scan]]
+    locate: Locate, read: FromBytes[list[Scan]], rows: UInt8, record_ns: Int64
 ) -> tuple[list[ScanRun], Bool]:
     """Read scans of one length that follow one another.
 
     Parameters
     ----------
-    rows, record_ns
-        The messages (M, L), and when each was recorded (M,).
     read
         Reads a single message: it tells what is the same in all of them.
+    rows, record_ns
+        The messages (M, L), and when each was recorded (M,).
 
     Returns
     -------

@@ -90,8 +90,6 @@ class RecordSource(ABC):
     """What a record may begin with, as a look-ahead: the matches of damaged bytes may overlap"""
     unit: ClassVar[str] = "channel"
     """What the format calls a channel"""
-    described: ClassVar[Collection[int]] = (DESCRIPTION,)
-    """The kinds of records that are read to find the channels"""
     errors: ClassVar[tuple[type[Exception], ...]]
     """What is raised where a record is not well formed"""
 
@@ -167,7 +165,7 @@ class RecordSource(ABC):
             for key, _, start, _, end in records:
                 if key >= 0:
                     held[key] += 1
-                elif key in self.described and start < end:
+                elif key == DESCRIPTION:
                     descriptions.setdefault(bytes(block[start:end]), position)
         if problem and not self.notes:
             self.notes.add_damage(f"{problem}: what should be in it is not known")

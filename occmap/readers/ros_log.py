@@ -13,6 +13,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -169,7 +170,7 @@ class RosLog(Log):
         Where none is read together with others, as clouds are not, each comes alone.
         """
         groups, size = defaultdict[tuple[Channel, int], list[_Held]](list), 0
-        most = STACK_BYTES if any(each.stacks for each in readers.values()) else 0
+        most = STACK_BYTES if any(each.read_many for each in readers.values()) else 0
         with refuse_unreadable(self.path):  # a disk that fails is an error with the log's name
             messages = self._source.messages(readers) if readers else ()
             for number, (channel, record_ns, data) in enumerate(messages):
@@ -205,7 +206,7 @@ class _ChannelReader:
         self.messages = self.failures = 0
         self.uses_standard = False
         self.first_fault = ""
-        self._channel, self._convert, self._many = channel, convert, kind.many
+        self._channel, self._convert = channel, convert
         make_parser = kind.parser or PARSERS[channel.encoding]
         try:
             self._parser = make_parser(channel)
@@ -214,11 +215,9 @@ class _ChannelReader:
                 raise
             self._parser = make_parser(replace(channel, definition=""))
             self.uses_standard = True
-
-    @property
-    def stacks(self) -> bool:
-        """Whether messages of one length are read together."""
-        return bool(self._parser.locate and self._many)
+        many, locate = kind.many, self._parser.locate
+        self.read_many = partial(many, locate, self.decode) if many and locate else None
+        """Reads messages of one length together, where that can be done"""
 
     def decode(self, data: Buffer, record_ns: int) -> list[Any]:
         """Decode and convert a message; raises DamageError."""
@@ -244,12 +243,11 @@ class _ChannelReader:
 
         These are damaged or not alike, or there is only one.
         """
-        if self._parser.locate and self._many and len(held) > 1:
+        if self.read_many and len(held) > 1:
             _, record_ns, texts = zip(*held, strict=True)
             rows = np.frombuffer(b"".join(texts), np.uint8).reshape(len(held), -1)
             with suppress(DamageError):  # of the first; one by one it is counted
-                recorded, locate = np.array(record_ns), self._parser.locate
-                read, left = self._many(rows, recorded, locate, self.decode)
+                read, left = self.read_many(rows, np.array(record_ns))
                 return read, [held[at] for at in np.flatnonzero(left).tolist()]
         return (), held
 

@@ -4,6 +4,7 @@ The index on time is not used to find rows; it says how many there should be.
 """
 
 import os
+import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing, suppress
@@ -111,7 +112,14 @@ class SqliteSource:
         return counts
 
     def _note_state(self) -> None:
-        """Note the signs that the recorder died."""
+        """Note the signs that the file was cut, or that its recorder died."""
+        with self.path.open("rb") as file:
+            page, pages = struct.unpack(">16xH10xI", file.read(32))
+            page = 1 << 16 if page == 1 else page
+            size = file.seek(0, 2)
+        if size < page * pages and not self._has_wal:
+            text = f"the storage file is cut: {size} of its {page * pages} bytes are there"
+            self.notes.add_damage(text)
         if self._has_wal:
             text = f"the recorder did not close the file: {self._wal.name} is read, too"
             self.notes.add_damage(f"{text}, as far as it is whole")

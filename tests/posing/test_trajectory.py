@@ -280,7 +280,7 @@ def test_kitti_axes_are_a_guess_that_is_told(
     ("times", "found"),
     [
         (None, "poses without times; put KITTI's times.txt beside it"),
-        ("1\n", "it holds 2 poses, and times.txt beside it 1 times"),
+        ("1\n", "it holds 2 poses, and times.txt 1 time"),
         ("1\nnoon\n", "times.txt:2: 'noon' is not a time in seconds"),
         (f"1\n{'x' * 50}\n", "x... is not a time in seconds; a time in seconds stands"),
     ],
