@@ -46,8 +46,6 @@ def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
 class Window(ABC):
     """A box of whole tiles being written to, in a slice of time."""
 
-    most_cells_times = 1
-    """Such a window may have so many times the cells of others"""
     cells: Int64
     changes: Changes
 
@@ -156,8 +154,6 @@ class SparseBeamWindow(Window):
 
     They lie in tiles made on demand, so that only what a beam crosses costs anything.
     """
-
-    most_cells_times = 4
 
     def allocate(self, rows: int, cols: int) -> None:
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
@@ -365,7 +361,7 @@ class GridEngine(Engine):
         beams = project(rays, self.spec)
         best, *others = choose_windows(self.spec, beams)
         cells = beams.box.align(TILE).cells
-        if cells <= best.most_cells_times * self._window_cells:
+        if cells <= self._window_cells:
             self._trace(beams, best, *others)
         elif cells > MOST_PARTS * self._window_cells and scans > 1:
             self._add_halves(rays)
@@ -387,8 +383,7 @@ class GridEngine(Engine):
             self._empty(window)
             window = None
         if window is None:
-            most = best.most_cells_times * self._roomy_cells
-            window = best(self.spec, add_room(beams.box, most), number)
+            window = best(self.spec, add_room(beams.box, self._roomy_cells), number)
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -397,7 +392,7 @@ class GridEngine(Engine):
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
             refuse_large(beams.box, self.spec.lattice, self._max_cells)
-        for part in split_box(beams.box, best.most_cells_times * self._window_cells):
+        for part in split_box(beams.box, self._window_cells):
             window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))
             window.observe(beams)
             self._empty(window)
