@@ -14,8 +14,9 @@ import logging
 import os
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from ctypes import c_bool, c_double, c_int64, c_void_p
 from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -31,15 +32,11 @@ from occmap.errors import UsageError
 F = TypeVar("F", bound=Callable[..., Any])
 DIGEST_BYTES = hashlib.sha256().digest_size
 RESULT_BYTES, ERROR_BYTES = 248, 8
-SCALARS = {
-    bool: ("boolean", ctypes.c_bool),
-    int: ("int64", ctypes.c_int64),
-    float: ("float64", ctypes.c_double),
-    type(None): ("none", ctypes.c_void_p),
-}
-"""What numbers are to numba and in C"""
-ARRAY = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_ssize_t, ctypes.c_ssize_t, ctypes.c_void_p)
-"""An array's fields before its shape and strides: two owners, size, bytes of an item, address"""
+NOTHING = type(None)
+SCALARS = {bool: "boolean", int: "int64", float: "float64", NOTHING: "none"}
+"""What numbers are to numba"""
+IN_C: dict[type, Any] = {bool: c_bool, int: c_int64, float: c_double, NOTHING: c_void_p}
+"""And in C, where an address is passed as any integer is"""
 RESULTS = {"none": "", "bool": "?", "int32": "i", "int64": "q", "uint64": "Q", "float64": "d"}
 """What kernels return, by numba's names, in letters of `struct`"""
 
@@ -79,7 +76,7 @@ class Kernel:
         if kind not in self.loaded:
             with _compiling:
                 if kind not in self.loaded:  # another thread may have been first
-                    self.loaded[kind] = self._load(kind) or self._compile(kind)
+                    self.loaded[kind] = self._load(kind, values) or self._compile(kind, values)
         return self.loaded[kind](values)
 
     @cached_property
@@ -90,7 +87,7 @@ class Kernel:
         options = {"error_model": "numpy", **unused, **self._options}
         return load_numba().njit(**options)(self.py_func)
 
-    def _load(self, kind: Any) -> Callable[[list[Any]], Any] | None:
+    def _load(self, kind: Any, values: list[Any]) -> Callable[[list[Any]], Any] | None:
         """Load the code for these types, or nothing.
 
         Damaged machine code kills the process, so it stands after its SHA-256. Whatever goes wrong
@@ -101,10 +98,10 @@ class Kernel:
                 content = path.read_bytes()
                 digest, content = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
                 if hashlib.sha256(content).digest() == digest:
-                    return link(content, kind)
+                    return link(content, values)
         return None
 
-    def _compile(self, kind: Any) -> Callable[[list[Any]], Any]:
+    def _compile(self, kind: Any, values: list[Any]) -> Callable[[list[Any]], Any]:
         """Compile for these types, and keep the code in the first folder that takes it."""
         content = compile_function(self.dispatcher, kind)
         for path in self._list_files(kind):
@@ -115,7 +112,7 @@ class Kernel:
                 break
         else:
             warn_not_kept()
-        return link(content, kind)
+        return link(content, values)
 
     def _list_files(self, kind: Any) -> Iterator[Path]:
         """Where the code for these types may be."""
@@ -142,17 +139,6 @@ def flatten(arg: Any, values: list[Any]) -> Any:
     return type(value)
 
 
-def list_c_types(kind: Any) -> Iterator[Any]:
-    """The types in C of what `flatten` appends for an argument of this kind."""
-    if isinstance(kind, type):
-        yield SCALARS[kind][1]
-    elif isinstance(kind[0], str):
-        yield from (*ARRAY, *[ctypes.c_ssize_t] * (2 * kind[1]))
-    else:
-        for each in kind[1]:
-            yield from list_c_types(each)
-
-
 @cache
 def load_numba() -> Any:
     """Load numba, and tell it what kernels are where others call them."""
@@ -171,7 +157,7 @@ def to_numba(kind: Any) -> Any:
     """Find numba's type for an argument of this kind."""
     numba = load_numba()
     if isinstance(kind, type):
-        return getattr(numba.types, SCALARS[kind][0])
+        return getattr(numba.types, SCALARS[kind])
     if isinstance(kind[0], str):
         dtype, dimensions, layout, aligned = kind
         of = numba.from_dtype(np.dtype(dtype))
@@ -200,10 +186,10 @@ def compile_function(dispatcher: Any, kind: Any) -> bytes:
     return described.encode() + b"\n" + machine
 
 
-def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
-    """Make a function of the values that `flatten` appends for arguments of these kinds.
+def link(content: bytes, values: Sequence[Any]) -> Callable[[list[Any]], Any]:
+    """Make a function, of what `compile_function` gives, that takes such values.
 
-    Takes what `compile_function` gives.
+    They are what `flatten` appends for its arguments.
     """
     described, _, machine = content.partition(b"\n")
     name, returned = json.loads(described)
@@ -213,8 +199,8 @@ def link(content: bytes, kind: Any) -> Callable[[list[Any]], Any]:
     engine = binding.create_mcjit_compiler(binding.parse_assembly(""), processor)
     engine.add_object_file(binding.ObjectFileRef.from_data(machine))
     engine.finalize_object()
-    in_c = [each for arg in kind for each in list_c_types(arg)]
-    prototype = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, *in_c)
+    in_c = [IN_C[type(value)] for value in values]
+    prototype = ctypes.CFUNCTYPE(ctypes.c_int, c_void_p, c_void_p, *in_c)
     function = prototype(engine.get_function_address(name))
     unpack = struct.Struct(returned).unpack_from
 

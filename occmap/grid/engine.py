@@ -18,9 +18,9 @@ import numpy as np
 from occmap.cells import CellBox, Key, Slices, Tile, view_tiles
 from occmap.errors import MapError
 from occmap.grid import MOST_CELLS_OF_BEAM
-from occmap.grid.kernels.beams import Canvas, Tiles, read_tiles, sum_changes, trace_beams
-from occmap.grid.kernels.lines import Changes
-from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, Field, trace_polygons
+from occmap.grid.kernels.beams import Tiles, read_tiles, sum_changes, trace_beams
+from occmap.grid.kernels.lines import Changes, Field
+from occmap.grid.kernels.polygon import BORDER_BITS, COUNTED, MOST_SCANS, trace_polygons
 from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
@@ -46,8 +46,8 @@ def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
 class Window(ABC):
     """A box of whole tiles being written to, in a slice of time."""
 
-    most_cells_times = 1
-    """Such a window may have so many times the cells of others"""
+    cells: Int64
+    changes: Changes
 
     def __init__(self, spec: GridSpec, box: CellBox, number: int = 0) -> None:
         self.spec, self.box, self.number = spec, box.align(TILE), number
@@ -67,18 +67,16 @@ class Window(ABC):
     def observe(self, beams: Beams) -> None:
         """Observe what lies in the box."""
         corner = np.array([self.box.col, self.box.row]) * UNITS_PER_CELL - beams.anchor
-        self.trace(beams, corner)
+        # Kernels that clip no beam are compiled sooner.
+        clipped = None if self.box.contains(beams.box) else True
+        self.trace(beams, Field(corner, self.cells.reshape(-1), self.changes, clipped))
         self.observations += count_observations(beams.rays, self.spec)[0]
         touched = self.box.clip(beams.box).align(TILE)
         self.touched = touched if self.touched is None else self.touched.join(touched)
 
     @abstractmethod
-    def trace(self, beams: Beams, corner: Int64) -> None:
-        """Call the kernel; `corner` (2,) is x and y of the lower-left (units from the anchor)."""
-
-    def find_clipped(self, beams: Beams) -> bool | None:
-        """None: no beam reaches beyond the window; kernels that clip none are compiled sooner."""
-        return None if self.box.contains(beams.box) else True
+    def trace(self, beams: Beams, field: Field) -> None:
+        """Call the kernel."""
 
     @abstractmethod
     def read(self) -> dict[Key, Tile]:
@@ -105,10 +103,6 @@ class DenseWindow(Window):
         every_bit = -1
         return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
-    def make_field(self, beams: Beams, corner: Int64) -> Field:
-        """What kernels that fill polygons write to, by its lower-left corner (2,)."""
-        return Field(corner, self.cells.reshape(-1), self.changes, self.find_clipped(beams))
-
     def read(self) -> dict[Key, Tile]:
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col)
         (rows, cols), changes = self.box.shape, self.changes.numbers
@@ -132,13 +126,9 @@ class BeamWindow(DenseWindow):
 
     along_lines = True
 
-    def allocate(self, rows: int, cols: int) -> None:
-        super().allocate(rows, cols)
-        notes = np.empty(MANY + max(rows, cols) + AT_A_TIME)  # a line always fits
-        self.canvas = Canvas(self.cells.reshape(-1), cols + PAD, self.changes, notes)
-
-    def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_beams(beams, self.spec.radial, corner, self.canvas, None, self.find_clipped(beams))
+    def trace(self, beams: Beams, field: Field) -> None:
+        notes = np.empty(MANY + max(self.box.shape) + AT_A_TIME)  # a line always fits
+        trace_beams(beams, self.spec.radial, field, notes, None)
 
 
 class PolygonWindow(DenseWindow):
@@ -148,16 +138,15 @@ class PolygonWindow(DenseWindow):
     def packing(self) -> tuple[int, int, int]:
         return BORDER_BITS, COUNTED, 1
 
-    def trace(self, beams: Beams, corner: Int64) -> None:
-        limits, field = (self.spec.jump, self.spec.border_gap), self.make_field(beams, corner)
-        trace_polygons(beams, limits, field, self.observations)
+    def trace(self, beams: Beams, field: Field) -> None:
+        trace_polygons(beams, (self.spec.jump, self.spec.border_gap), field, self.observations)
 
 
 class RadialPolygonWindow(DenseWindow):
     """A radial model, once for each cell of a scan."""
 
-    def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_radial_polygons(beams, self.spec.tables, self.make_field(beams, corner))
+    def trace(self, beams: Beams, field: Field) -> None:
+        trace_radial_polygons(beams, self.spec.tables, field)
 
 
 class SparseBeamWindow(Window):
@@ -166,16 +155,14 @@ class SparseBeamWindow(Window):
     They lie in tiles made on demand, so that only what a beam crosses costs anything.
     """
 
-    most_cells_times = 4
-
     def allocate(self, rows: int, cols: int) -> None:
         table = np.full((rows // TILE, cols // TILE), -1, np.int32)
         self.tiles = Tiles(table, np.zeros(1, np.int64), np.zeros(2 * rows * cols, np.int32))
-        no_changes = Changes(np.zeros(0, np.int32), rows, cols)
-        self.canvas = Canvas(np.zeros(0, np.int64), 0, no_changes, np.zeros(0))
+        self.cells = np.zeros((0, 0), np.int64)
+        self.changes = Changes(np.zeros(0, np.int32), rows, cols)
 
-    def trace(self, beams: Beams, corner: Int64) -> None:
-        trace_beams(beams, None, corner, self.canvas, self.tiles, self.find_clipped(beams))
+    def trace(self, beams: Beams, field: Field) -> None:
+        trace_beams(beams, None, field, np.zeros(0), self.tiles)
 
     def read(self) -> dict[Key, Tile]:
         table, used = self.tiles.table, int(self.tiles.used[0])
@@ -374,7 +361,7 @@ class GridEngine(Engine):
         beams = project(rays, self.spec)
         best, *others = choose_windows(self.spec, beams)
         cells = beams.box.align(TILE).cells
-        if cells <= best.most_cells_times * self._window_cells:
+        if cells <= self._window_cells:
             self._trace(beams, best, *others)
         elif cells > MOST_PARTS * self._window_cells and scans > 1:
             self._add_halves(rays)
@@ -396,8 +383,7 @@ class GridEngine(Engine):
             self._empty(window)
             window = None
         if window is None:
-            most = best.most_cells_times * self._roomy_cells
-            window = best(self.spec, add_room(beams.box, most), number)
+            window = best(self.spec, add_room(beams.box, self._roomy_cells), number)
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -406,7 +392,7 @@ class GridEngine(Engine):
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
             refuse_large(beams.box, self.spec.lattice, self._max_cells)
-        for part in split_box(beams.box, best.most_cells_times * self._window_cells):
+        for part in split_box(beams.box, self._window_cells):
             window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))
             window.observe(beams)
             self._empty(window)

@@ -394,9 +394,9 @@ def observe(
             slices += engine.read_slices()
         tally.note(drive.log.path, [*drive.list_notes(keep.ground), *misfit, *drive.log.notes])
     with tally.time("fold"):
-        seen = tiles.tiles, (unite(slices),) if keep.slices else (), join_names(tally.logs)
-    evidence = Evidence(plan_manifest(options), *seen, ground=keep.ground)
-    return Observed(evidence, tally, options)
+        kept = (unite(slices),) if keep.slices else ()
+    plan, where = plan_manifest(options), join_names(tally.logs)
+    return Observed(Evidence(plan, tiles.tiles, kept, where, ground=keep.ground), tally, options)
 
 
 def add_seen(tiles: TileGrid, seen: TileGrid, drive: Drive) -> list[str]:

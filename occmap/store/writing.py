@@ -227,12 +227,12 @@ class ZarrWriter(Writer):
         """Whether a folder is one that this writer made."""
         return (path / "zarr.json").is_file() and (path / "slices").is_dir()
 
-    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
-        """Write the evidence block by block; return the folder."""
-        return self.write_blocks(path, product.blocks or Blocks.of(product.evidence()))
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> None:
+        """Write the evidence block by block."""
+        self.write_blocks(path, product.blocks or Blocks.of(product.evidence()))
 
-    def write_blocks(self, path: Path, source: Blocks) -> tuple[Path, ...]:
-        """Write evidence block by block; return the folder.
+    def write_blocks(self, path: Path, source: Blocks) -> None:
+        """Write evidence block by block.
 
         Raises
         ------
@@ -247,4 +247,3 @@ class ZarrWriter(Writer):
             for block in source.blocks:
                 paint_block(folder, block)
             finish_store(folder, source.manifest, records, source.ground)
-        return (path,)

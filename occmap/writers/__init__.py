@@ -191,8 +191,10 @@ class Writer:
             with need_extra(self.needs[0], f"a {path.suffix} needs {module}", where=path):
                 import_module(module)
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write a map; return the files written.
+    def write(
+        self, path: Path, grid: OccupancyMap, options: WriteOptions
+    ) -> tuple[Path, ...] | None:
+        """Write a map; return the files written, or nothing where these are its `targets`.
 
         Raises
         ------
@@ -203,8 +205,8 @@ class Writer:
 
     def write_product(
         self, path: Path, product: Product, options: WriteOptions
-    ) -> tuple[Path, ...]:
-        """Write whatever the format holds of all that there is; return the files written.
+    ) -> tuple[Path, ...] | None:
+        """Write whatever the format holds of all that there is; return as `write` does.
 
         Raises
         ------

@@ -31,8 +31,8 @@ class GeoTiffWriter(Writer):
     in_parts = True
     needs = "geotiff", "rasterio"
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write the image part by part; return its path.
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> None:
+        """Write the image part by part.
 
         Raises
         ------
@@ -44,7 +44,6 @@ class GeoTiffWriter(Writer):
         where = lay_out(grid.box, grid.resolution, globe, about)
         layout = where | {"dtype": "uint8", "nodata": RAW_UNKNOWN}
         write_image(path, layout, parts, list_captions(about))
-        return (path,)
 
 
 class GroundWriter(Writer):
@@ -54,10 +53,8 @@ class GroundWriter(Writer):
     needs_evidence = True
     needs = GeoTiffWriter.needs
 
-    def write_product(
-        self, path: Path, product: Product, options: WriteOptions
-    ) -> tuple[Path, ...]:
-        """Write the ground that the evidence was traced over; return its path.
+    def write_product(self, path: Path, product: Product, options: WriteOptions) -> None:
+        """Write the ground that the evidence was traced over.
 
         Raises
         ------
@@ -78,7 +75,6 @@ class GroundWriter(Writer):
         where = lay_out(box.scale(side), COLUMN_MM / 1000, options.georeference, about)
         kind = {"dtype": "float32", "nodata": math.nan}
         write_image(path, where | kind, [(None, heights[::-1])], list_captions(about))
-        return (path,)
 
 
 def write_image(

@@ -158,8 +158,8 @@ class TilesWriter(Writer):
         """Whether a folder is one that this writer made."""
         return all(each.name.isdigit() for each in path.iterdir())
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write all tiles; return the folder.
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> None:
+        """Write all tiles.
 
         Raises
         ------
@@ -169,7 +169,6 @@ class TilesWriter(Writer):
         with make_folder(path) as folder:
             folder.mkdir()
             TileTree(folder, grid, options).write(level=0, x=0, y=0)
-        return (path,)
 
 
 class TileTree:

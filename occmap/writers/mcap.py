@@ -56,10 +56,8 @@ class McapWriter(Writer):
     description = "MCAP for RViz and Foxglove: OccupancyGrid, Path and transforms"
     shows_journey = True
 
-    def write_product(
-        self, path: Path, product: Product, options: WriteOptions
-    ) -> tuple[Path, ...]:
-        """Write the map, and where the robot went, if that is known; return the file's path.
+    def write_product(self, path: Path, product: Product, options: WriteOptions) -> None:
+        """Write the map, and where the robot went, if that is known.
 
         Raises
         ------
@@ -83,7 +81,6 @@ class McapWriter(Writer):
             if captions := list_captions(product.grid.about):
                 bag.add_metadata("occmap", captions)
             bag.finish()  # type: ignore[no-untyped-call]
-        return (path,)
 
 
 def list_messages(product: Product, options: WriteOptions) -> Iterator[tuple[str, Any, Any]]:

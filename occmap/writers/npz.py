@@ -83,11 +83,10 @@ class NpzWriter(Writer):
     description = "evidence, not yet a map: to render, merge and resume"
     needs_evidence = in_parts = True
 
-    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
-        """Write the evidence, by the name that the map has for it; return its path."""
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> None:
+        """Write the evidence, by the name that the map has for it."""
         about = product.grid.about
         write_evidence(path, product.evidence(), about.evidence if about else "")
-        return (path,)
 
 
 def write_evidence(path: Path, evidence: Evidence, name: str = "") -> None:

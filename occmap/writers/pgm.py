@@ -42,8 +42,8 @@ class PgmWriter(Writer):
         """Return the image and the YAML."""
         return path, path.with_suffix(".yaml")
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write the image and the YAML; return both paths.
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> None:
+        """Write the image and the YAML.
 
         Raises
         ------
@@ -62,7 +62,6 @@ class PgmWriter(Writer):
                 image.write(to_pixels(replace(band, decision=decision))[::-1].tobytes())
             fields = describe_image(image_path.name, grid.resolution, grid.origin, options)
             write_yaml(yaml, fields, grid.about)
-        return image_path, yaml_path
 
 
 class KeepoutWriter(PgmWriter):
@@ -77,8 +76,8 @@ class KeepoutWriter(PgmWriter):
             fix = "add `edits` with shapes that are forbidden"
             raise UsageError("a keepout mask is of edits, and none are given", where=path, fix=fix)
 
-    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> tuple[Path, ...]:
-        """Write the mask and its YAML; return both paths.
+    def write(self, path: Path, grid: OccupancyMap, options: WriteOptions) -> None:
+        """Write the mask and its YAML.
 
         Raises
         ------
@@ -90,7 +89,7 @@ class KeepoutWriter(PgmWriter):
         mask = replace(
             grid, log_odds=log_odds, observed=np.ones_like(forbidden), decision=EVEN_ODDS
         )
-        return super().write(path, mask, WriteOptions())
+        super().write(path, mask, WriteOptions())
 
 
 def describe_image(

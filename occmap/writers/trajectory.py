@@ -22,8 +22,8 @@ class TumWriter(Writer):
     heading = "# stamp x y z qx qy qz qw (s, m)"
     needs_journey = shows_journey = True
 
-    def write_product(self, path: Path, product: Product, _: WriteOptions) -> tuple[Path, ...]:
-        """Write the poses; return the file's path.
+    def write_product(self, path: Path, product: Product, _: WriteOptions) -> None:
+        """Write the poses.
 
         Raises
         ------
@@ -36,7 +36,6 @@ class TumWriter(Writer):
         with open_atomic(path) as (file,):
             for line in self.list_lines(product.journey):
                 file.write(f"{line}\n".encode())
-        return (path,)
 
     def list_lines(self, journey: Journey) -> Iterator[str]:
         """Write a heading and a line for each pose, with a comment where another laser follows."""

@@ -49,7 +49,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def load(value: float = 21.0) -> Any:
     """What a new process finds of a kernel's code; None where it has to compile."""
-    return Kernel(double)._load((type(value),))
+    return Kernel(double)._load((type(value),), [value])
 
 
 def run_anew() -> tuple[float, bool]:

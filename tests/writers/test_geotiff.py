@@ -13,7 +13,7 @@ from rasterio.warp import transform
 from occmap import build_map
 from occmap.cells import About, Evidence, Ground, OccupancyMap
 from occmap.errors import OutputError
-from occmap.writers import Product, WriteOptions, find_writer
+from occmap.writers import Product, WriteOptions, write_outputs
 from occmap.writers.geotiff import GeoTiffWriter, GroundWriter
 from tests.samples import SAMPLE_LOGS
 from tests.writers.maps import map_of_places, nothing_kept
@@ -27,7 +27,7 @@ def make_map() -> OccupancyMap:
 
 def test_cells_are_where_they_are(tmp_path: Path) -> None:
     path = tmp_path / "m.tif"
-    assert GeoTiffWriter().write(path, make_map(), WriteOptions()) == (path,)
+    GeoTiffWriter().write(path, make_map(), WriteOptions())
     with rasterio.open(path) as image:
         cells = image.read(1)
         assert (image.nodata, image.shape, image.overviews(1)) == (255, (1500, 1300), [2, 4])
@@ -53,8 +53,8 @@ def test_a_place_on_the_globe_is_where_it_is(
     options = WriteOptions(georeference=(latitude, longitude, yaw))
     turned = replace(make_map(), about=About("0.1", "e", "r", "a.bag", align))
     product = Product(turned, nothing_kept)
-    files = find_writer(tmp_path / name).write_product(tmp_path / name, product, options)
-    assert sorted(files) == sorted(tmp_path.iterdir())
+    files = write_outputs([tmp_path / name], product, options)
+    assert sorted(map(Path, files)) == sorted(tmp_path.iterdir())
     with rasterio.open(tmp_path / name) as image:
         # Rows are counted from the top, which is at 110 m; column 0 begins at 2 m.
         col, row = (10 - 2) / 0.1, (110 - 5) / 0.1
@@ -104,7 +104,7 @@ def write_ground(path: Path, ground: Ground | None) -> None:
     nothing = np.zeros((0, 2), np.int64)
     evidence = Evidence(None, nothing, nothing, ground=ground)  # type: ignore[arg-type]  # not read
     product = Product(make_map(), lambda: evidence)
-    assert GroundWriter().write_product(path, product, WriteOptions()) == (path,)
+    GroundWriter().write_product(path, product, WriteOptions())
 
 
 def test_the_ground_lies_where_it_was_measured(tmp_path: Path) -> None:

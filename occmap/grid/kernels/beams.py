@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels import lines, units
-from occmap.grid.kernels.lines import Changes, Line, Path, find_step, steps_after
+from occmap.grid.kernels.lines import Changes, Field, Line, Path, find_step, steps_after
 from occmap.grid.kernels.projection import Beams
 from occmap.jit import kernel, step
 from occmap.types import Float64, Int32, Int64
@@ -120,19 +120,6 @@ class Tiles(NamedTuple):
     """Flat, tile by tile: the hits of its cells, and then their misses"""
 
 
-class Canvas(NamedTuple):
-    """The cells of a window that beams are traced in; has none where they lie in tiles."""
-
-    numbers: Int64
-    """H x (W + PAD), flat: what visited cells got"""
-    stride: int
-    """From row to row of these"""
-    changes: Changes
-    """How often cells were plain"""
-    notes: Float64
-    """(MANY + the larger of H and W + AT_A_TIME,) to work with"""
-
-
 class Ray(NamedTuple):
     """A beam, or one that is drawn between two, in lattice units from the window's corner."""
 
@@ -154,12 +141,7 @@ class Ray(NamedTuple):
 
 @kernel
 def trace_beams(
-    beams: Beams,
-    radial: units.Tables | None,
-    corner: Int64,
-    canvas: Canvas,
-    tiles: Tiles | None,
-    clipped: bool | None,
+    beams: Beams, radial: units.Tables | None, field: Field, notes: Float64, tiles: Tiles | None
 ) -> None:
     """Add to the cells of a window what a model says of every beam.
 
@@ -167,42 +149,40 @@ def trace_beams(
     ----------
     radial
         None: hits and misses are counted.
-    corner
-        (2,) x and y of the window's corner (lattice units from the anchor).
+    notes
+        (`MANY` + the larger of H and W + `AT_A_TIME`,) to work with, where a model has a radius.
     tiles
         Where hits and misses are counted; None: every cell of the window has a place.
-    clipped
-        None: no beam reaches beyond the window.
     """
     kinds, links, depth, fill = beams.rays.kind, beams.links, 0.0, 0
+    stride = field.changes.cols + units.PAD
     if radial is not None:
         depth = radial.depth * beams.units_per_metre
     for s in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
             if kinds[s, b] == units.SKIP:
                 continue
-            ray = place_ray(beams, s, b, corner)
+            ray = place_ray(beams, s, b, field.corner)
             for i in range(1 + (links[1, s, b] if links.size else 0)):
                 if i:
                     ray = draw_next(ray, links[2, s, b], links[3, s, b], radial, depth)
                 path = find_path(ray, radial, depth)
-                if clipped is not None:
-                    path = lines.clip_path(path, canvas.changes)
+                if field.clipped is not None:
+                    path = lines.clip_path(path, field.changes)
                 if tiles is not None:
                     visit_path(path, tiles)
                 elif path.first < path.plain:
-                    lines.note_plain(path, canvas.changes)
+                    lines.note_plain(path, field.changes)
                 if radial is not None:
-                    fill = list_slope(path, ray, depth, canvas, fill)
+                    fill = list_slope(path, ray, depth, stride, notes, fill)
                     if fill >= units.MANY:
-                        add_notes(canvas, fill, radial)
+                        add_notes(field.cells, notes, fill, radial)
                         fill = 0
                 elif tiles is None and path.plain < path.end:
                     row, col = ray.to_y >> units.CELL_SHIFT, ray.to_x >> units.CELL_SHIFT
-                    place = np.uint64(row * canvas.stride + col)
-                    canvas.numbers[place] += ray.weight << units.COUNT_BITS
+                    field.cells[np.uint64(row * stride + col)] += ray.weight << units.COUNT_BITS
     if radial is not None:
-        add_notes(canvas, fill, radial)
+        add_notes(field.cells, notes, fill, radial)
 
 
 @step
@@ -241,13 +221,13 @@ def find_path(ray: Ray, radial: units.Tables | None, depth: float) -> Path:
 
 
 @step
-def list_slope(path: Path, ray: Ray, depth: float, canvas: Canvas, fill: int) -> int:
-    """List in a canvas what a radial model says of the cells of a path that are not plain.
+def list_slope(path: Path, ray: Ray, depth: float, stride: int, notes: Float64, fill: int) -> int:
+    """List what a radial model says of the cells of a path that are not plain.
 
     A hit reaches `depth` about its range. The notes stand from `fill` on; there is room. Returns
     how many there are now.
     """
-    line, r, notes, reach = path.line, ray.range, canvas.notes, depth if ray.is_hit else -1.0
+    line, r, reach = path.line, ray.range, depth if ray.is_hit else -1.0
     free_range = max(r - depth, 0.0)
     free_scale = units.TABLE_STEPS / max(free_range * free_range, 1.0)
     hit_scale = units.TABLE_STEPS / max(depth, units.NO_LENGTH)
@@ -258,7 +238,7 @@ def list_slope(path: Path, ray: Ray, depth: float, canvas: Canvas, fill: int) ->
     step_u = float(line.u_sign * units.UNITS_PER_CELL)
     step_v = float(line.v_sign * units.UNITS_PER_CELL)
     # A cell's note is the first cell's, and for each step along u or v as much more.
-    per_u, per_v = turn_axes(line, 1, canvas.stride)
+    per_u, per_v = turn_axes(line, 1, stride)
     place = line.u * per_u + line.v * per_v
     note = float(((place << WEIGHT_BITS) + path.weight) << ENTRY_BITS)
     note_u = float(line.u_sign * per_u << NOTE_BITS)
@@ -283,13 +263,13 @@ def turn_axes(line: Line, x: int, y: int) -> tuple[int, int]:
 
 
 @step
-def add_notes(canvas: Canvas, size: int, radial: units.Tables) -> None:
+def add_notes(cells: Int64, notes: Float64, size: int, radial: units.Tables) -> None:
     """Add to the cells of a window what the notes say."""
     for k in range(size):
-        note = int(canvas.notes[k])
+        note = int(notes[k])
         weight = (note >> ENTRY_BITS) & ((1 << WEIGHT_BITS) - 1)
         entry = radial.entries[np.uint64(note & ((1 << ENTRY_BITS) - 1))]
-        canvas.numbers[np.uint64(note >> NOTE_BITS)] += weight * entry
+        cells[np.uint64(note >> NOTE_BITS)] += weight * entry
 
 
 @step

@@ -23,7 +23,7 @@ import numpy as np
 
 from occmap.grid.kernels.units import AT_A_TIME, PAD
 from occmap.jit import step
-from occmap.types import Int32
+from occmap.types import Int32, Int64
 
 FRACTION_BITS = 36
 """Bits of the fraction of a step's place; the bits above are an index into a window."""
@@ -104,6 +104,19 @@ class Changes(NamedTuple):
     """H"""
     cols: int
     """W"""
+
+
+class Field(NamedTuple):
+    """The cells of a window that scans are added to."""
+
+    corner: Int64
+    """(2,) x and y of the window's corner (lattice units from the anchor)"""
+    cells: Int64
+    """H x (W + PAD), flat: what single cells got; none where cells lie in tiles"""
+    changes: Changes
+    """How often cells were plain; has no numbers where cells lie in tiles"""
+    clipped: bool | None
+    """None: no beam reaches beyond the window, which costs fewer comparisons"""
 
 
 class Path(NamedTuple):

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels import spans
-from occmap.grid.kernels.lines import Changes
+from occmap.grid.kernels.lines import Field
 from occmap.grid.kernels.projection import Beams
 from occmap.grid.kernels.units import CELL_SHIFT, HALF_CELL, HIT, PAD, SKIP
 from occmap.jit import kernel, step
@@ -36,19 +36,6 @@ MOST_SCANS = (1 << 20) - 1
 EDGE, JOINED = 1, 2
 """Bits of a link. EDGE: the edge from the beam before may matter. JOINED: the cells between the two
 end cells belong to the border, too."""
-
-
-class Field(NamedTuple):
-    """The cells of a window that scans are added to."""
-
-    corner: Int64
-    """(2,) x and y of the window's corner (lattice units from the anchor)"""
-    cells: Int64
-    """H x (W + PAD), flat: what single cells got"""
-    changes: Changes
-    """How often cells were plainly inside, along rows alone"""
-    clipped: bool | None
-    """None: no beam reaches beyond the window, so that the border costs fewer comparisons"""
 
 
 class Room(NamedTuple):

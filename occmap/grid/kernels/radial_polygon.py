@@ -15,8 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.grid.kernels import spans, units
-from occmap.grid.kernels.lines import fill_up
-from occmap.grid.kernels.polygon import Field
+from occmap.grid.kernels.lines import Field, fill_up
 from occmap.grid.kernels.projection import Beams
 from occmap.jit import kernel
 from occmap.types import Bool, Float64, Int32, Int64, UInt8
