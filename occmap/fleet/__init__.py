@@ -15,7 +15,6 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -171,8 +170,10 @@ class Fleet:
             As there, or the workers cannot do it.
         """
         with self.work(paths, options, keep, progress) as crew, crew.tally.time("fold"):
-            pieces = chain.from_iterable(job.pieces for job in crew.blocks)
-            seen = replace(tasks.add_up(crew.setting, pieces), where=join_names(crew.tally.logs))
+            # By workers: many logs of one place are more than this process adds up in their time.
+            pieces = crew.cluster.run(tasks.reduce_block, crew.setting, crew.blocks)
+            where, ground = join_names(crew.tally.logs), crew.setting.keep.ground
+            seen = replace(tasks.add_up(crew.setting, pieces), where=where, ground=ground)
             return Observed(seen, crew.tally, crew.setting.options)
 
     def _build_store(

@@ -253,7 +253,20 @@ def add_up(setting: Setting, pieces: Iterable[Piece]) -> Evidence:
         grid.add(content.tiles, bound)
         layers += content.slices
     slices = (unite(layers),) if setting.keep.slices else ()
-    return Evidence(manifest, grid.tiles, slices, ground=setting.keep.ground)
+    return Evidence(manifest, grid.tiles, slices)
+
+
+@once
+def reduce_block(setting: Setting, job: BlockJob) -> Piece:
+    """Add up a block, and leave it in a run file of its own.
+
+    Raises
+    ------
+    OccmapError
+        A run file cannot be read, or the scratch folder cannot be written.
+    """
+    parts = [(job.block, add_up(setting, job.pieces))]
+    return write_run(setting.folder, f"{job.name}.run", parts)[job.block]
 
 
 def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
