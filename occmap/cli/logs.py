@@ -203,12 +203,14 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
 
 def list_searches(tuning: Tuning) -> Iterator[Row]:
     """Say what came of each search, and what that rests on; notes say why there was none."""
+    alone = tuning.time.correction.time_s
     for name, numbers in SEARCHES.items():
         finding = getattr(tuning, name)
         # All together are searched once more, and what that adds is told if it is sure.
         passed_over = set(Verdict) - {Verdict.FOUND} if name == "together" else {Verdict.UNSEEN}
         if finding.verdict not in passed_over:
-            yield name, format_finding(finding, numbers)
+            is_alone = finding is tuning.time and tuning.together.correction.time_s != alone
+            yield name, f"{'by itself ' * is_alone}{format_finding(finding, numbers)}"
     rise = f", {tuning.share:.4f} with what is found: a gain of {tuning}"
     share = f"{tuning.share_before:.4f} of the beams are predicted"
     yield "share", share + rise * tuning.correction.is_any

@@ -292,6 +292,8 @@ def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | 
     return x_min, y_min, x_max, y_max
 
 
+SAMPLED_TOPICS = 100
+"""How many topics are sampled: no robot has more lasers, and the map of each takes time."""
 LONGEST_RUN_NS = 10**16
 """A simulation lasts no longer than this: 115 days."""
 BELIEVABLE_S = 1e9
@@ -361,6 +363,7 @@ class TopicSurvey:
     """What is known about the scans of one topic so far."""
 
     stream: Stream
+    is_sampled: bool
     sample: TopicSample = field(default_factory=TopicSample)
     stamps: StampLog = field(default_factory=StampLog)
     census: RangeCensus = field(default_factory=RangeCensus)
@@ -398,7 +401,10 @@ class Survey(Selector):
         super().__init__(options.selection, options.posing.stamps)
         self.drive = drive
         streams = {each.topic: each for each in reversed(drive.log.streams)}
-        self.topics = {topic: TopicSurvey(streams[topic]) for topic in drive.topics}
+        self.topics = {
+            topic: TopicSurvey(streams[topic], place < SAMPLED_TOPICS)
+            for place, topic in enumerate(drive.topics)
+        }
         self._behind = options.hit_offset * options.resolution
         """How far behind the measured range a hit is placed (m)"""
         self._around = options.resolution if get_parameter(options.model, "spread") > 0 else 0.0
@@ -413,7 +419,8 @@ class Survey(Selector):
         for posed in self.drive.read(Tally(), selector=self):
             survey = self.topics[posed.batch.topic]
             survey.posed += len(posed.batch.stamp_ns)
-            survey.sample.add(posed)
+            if survey.is_sampled:
+                survey.sample.add(posed)
             if not posed.batch.clouds:
                 self._enclose(sensor.interpret(posed, self.drive.options.returns)[0])
 

@@ -3,7 +3,7 @@
 import math
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -254,6 +254,8 @@ def tell_beams(report: Report) -> Iterator[Row]:
 
 MOST_DROPPED = 0.5
 """Where more of the scans that were asked for are not used, hardly anybody wants the map"""
+LEAST_OBSTACLES = 0.001
+"""Of all points of clouds; with fewer in the robot's band, the band is hardly meant"""
 
 
 def list_notes(
@@ -283,6 +285,7 @@ def list_notes(
         _, occupied, *_ = facts.counts
         lack = "of the logs hit anything" if occupied else "hit anything, so the map has no walls"
         yield f"no beam {lack}: see the ranges in `occmap check`"
+    yield from list_odd_points(tally.points)
     misfits = list(list_misfits(paths, options, facts.agreement, tally))
     yield from misfits or list_disagreement(facts, options.min_passes, tally.looked_up)
 
@@ -298,6 +301,15 @@ def list_shared_stamps(outputs: Sequence[Path], ways: Sequence[Trajectory]) -> I
                 f"{written}: {count(shared, 'scan')} of {way.topic} in {way.log} have the stamp of "
                 "the one before and another pose, so with `poses=FILE` this builds another map"
             )
+
+
+def list_odd_points(points: Mapping[str, int]) -> Iterator[str]:
+    """Say where hardly a point of clouds lies in the robot's band."""
+    if points and points["obstacle"] < LEAST_OBSTACLES * sum(points.values()):
+        yield (
+            f"hardly a point lies in the robot's band: {points['obstacle']:,} of "
+            f"{sum(points.values()):,}; see `min_height`, `max_height` and the line `points`"
+        )
 
 
 def name_frames(tally: Tally) -> str:
