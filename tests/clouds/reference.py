@@ -96,6 +96,11 @@ class SlowEngine:
             self.cells[cell] = find_height(self.ground, x, y)
         return self.cells[cell]
 
+    def find_rise(self, height: float, start: Cell) -> float:
+        """How much higher than the robot a sensor is (mm); 0 where nothing is known."""
+        ground = self.find_ground(start)
+        return 0 if ground is None else max(0, height - ground - self.options.max_height * 1000)
+
     def find_drop(
         self, start: tuple[int, int], away: tuple[int, int], floor: int, share: float, rise: float
     ) -> list[Seen]:
@@ -164,9 +169,12 @@ class SlowEngine:
         start = tuple(round(each * 5120) // 256 for each in posed.position[0, 1::-1].tolist())
         for sector in near.keys() | far.keys():
             ends = [(each.apart, each.cell) for each in near[sector]]
-            _, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
+            apart, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
             line = bresenham((start[0], start[1]), end)[:-1]
-            missed.update(cell for cell in line if self.find_ground(cell) is not None)
+            steepest = min([-1e-9, *(each.slope for each in near[sector] + far[sector])])
+            over = self.find_rise(posed.position[0, 2] * 1000, (start[0], start[1]))
+            begin = math.ceil(over / (-steepest * math.sqrt(abs(apart))) * len(line))
+            missed.update(cell for cell in line[begin:] if self.find_ground(cell) is not None)
         hit = {each.cell for each in hits}
         for cell in hit:
             self.hits[cell] += weigh(cell, (start[0], start[1]))

@@ -29,6 +29,8 @@ FAR = -(1 << 31) + 1
 """The height of what is too far away"""
 NOTHING = 1 << 62
 """Farther than anything is"""
+LEVEL = -1e-9
+"""So steep a beam comes down nowhere"""
 END_BITS, HALF_END = 32, 1 << 31
 """Bits of the column in which a bearing ends, which may be negative"""
 PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
@@ -207,6 +209,8 @@ class Room(NamedTuple):
     """(2, `SECTORS`) in which cells: rows from the sensor's times 2^32, and columns"""
     steep: Float64
     """(`SECTORS`,) how steeply the hit is seen"""
+    lowest: Float64
+    """(`SECTORS`,) the same of what is seen the most steeply downwards"""
     floor: Int32
     """(N,) the cell of each floor point, which waits for all hits"""
     floor_apart: Int64
@@ -224,7 +228,8 @@ def make_room(points: int, cells: int) -> Room:
     apart, ends = np.empty((2, 2, SECTORS), np.int64)
     seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
     bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
-    return Room(some, apart, ends, np.empty(SECTORS), *seen, bearing, touched)
+    steep, lowest = np.empty((2, SECTORS))
+    return Room(some, apart, ends, steep, lowest, *seen, bearing, touched)
 
 
 @kernel
@@ -255,7 +260,9 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     scale = UNITS_PER_CELL / canvas.resolution
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
-    many, floors = find_ends(cloud, band, canvas, room)
+    under = find_under(cloud.origin, canvas)
+    over = max(cloud.origin[2] * 1000 - under - band.high, 0.0) if under != -HIGHEST else 0.0
+    many, floors = find_ends(cloud, band, canvas, room, under)
     for i in range(floors):
         at, bearing = room.floor[i], room.floor_bearing[i]
         # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
@@ -269,7 +276,9 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
         if apart[kind, bearing] < NOTHING:
             up = (ends[kind, bearing] + HALF_END) >> END_BITS
             right = ends[kind, bearing] - (up << END_BITS)
-            many = clear_line((row, col), (up, right), canvas, touched, many)
+            # Beams that pass above the robot say nothing of what is below them.
+            share = over / (-room.lowest[bearing] * np.sqrt(abs(apart[kind, bearing])))
+            many = clear_line((row, col), (up, right), share, canvas, touched, many)
     near = NEAR_M * scale / UNITS_PER_CELL
     for i in range(many):
         at = touched[i]
@@ -360,14 +369,27 @@ def mark_drops(
 def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: int) -> None:
     """Keep what a bearing ends at: the nearest hit, or the farthest floor."""
     key, known = far if kind else -far, room.apart[kind, bearing]
+    room.lowest[bearing] = min(room.lowest[bearing], slope)
     if kind and key <= known:
         room.steep[bearing] = slope if key < known else max(slope, room.steep[bearing])
     if key < known or (key == known and end < room.ends[kind, bearing]):
         room.apart[kind, bearing], room.ends[kind, bearing] = key, end
 
 
+@step
+def find_under(origin: Float64, canvas: Canvas) -> int:
+    """The height of the ground of the sensor's cell (mm), or -`HIGHEST`."""
+    scale = UNITS_PER_CELL / canvas.resolution
+    row, col = int(np.rint(origin[1] * scale)), int(np.rint(origin[0] * scale))
+    at = find_column(canvas.tiles, row >> CELL_SHIFT, col >> CELL_SHIFT)
+    if at < 0 or canvas.state[at] & UNKNOWN:
+        return -HIGHEST
+    level: int = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+    return level
+
+
 @kernel
-def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int, int]:
+def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) -> tuple[int, int]:
     """Mark the cells of hits, and find what the beams of each bearing end at.
 
     Returns how many cells are touched, and how many points are floor.
@@ -378,10 +400,8 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
     for i in range(2 * SECTORS):
         room.apart[i // SECTORS, i % SECTORS] = NOTHING
+        room.lowest[i % SECTORS] = LEVEL
     many, floors = 0, 0
-    at, under = find_column(canvas.tiles, at_y >> CELL_SHIFT, at_x >> CELL_SHIFT), -HIGHEST
-    if at >= 0 and not state[at] & UNKNOWN:
-        under = canvas.base[at >> 2 * BLOCK_BITS] + ground[at]
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
         measure_points(some, size, origin, band, scale)
@@ -419,9 +439,17 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int
 
 @kernel
 def clear_line(
-    start: tuple[int, int], away: tuple[int, int], canvas: Canvas, touched: Int32, many: int
+    start: tuple[int, int],
+    away: tuple[int, int],
+    share: float,
+    canvas: Canvas,
+    touched: Int32,
+    many: int,
 ) -> int:
-    """Mark the cells of Bresenham's line before its last one; return how many are touched."""
+    """Mark the cells of Bresenham's line, from a share of it on, before its last one.
+
+    Returns how many are touched.
+    """
     state, (row, col), (up, right) = canvas.state, start, away
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
@@ -439,11 +467,12 @@ def clear_line(
         row_pace, col_pace = row_way << BLOCK_BITS, col_way
         pace, sideways = (row_pace, col_pace) if is_steep else (col_pace, row_pace)
         going = rest
-        for _ in range(left if at >= 0 else 0):
-            # The room behind the last place is free; a cell without ground is never 0.
-            touched[many] = at
-            many += state[at] == 0
-            state[at] |= MISS
+        for i in range(done, done + (left if at >= 0 else 0)):
+            if i >= share * steps:
+                # The room behind the last place is free; a cell without ground is never 0.
+                touched[many] = at
+                many += state[at] == 0
+                state[at] |= MISS
             # Halves are rounded away from the first cell.
             going += 2 * fewer
             turns = going >= 2 * steps
