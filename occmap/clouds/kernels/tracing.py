@@ -29,8 +29,6 @@ FAR = -(1 << 31) + 1
 """The height of what is too far away"""
 NOTHING = 1 << 62
 """Farther than anything is"""
-LEVEL = -1e-9
-"""So steep a beam comes down nowhere"""
 END_BITS, HALF_END = 32, 1 << 31
 """Bits of the column in which a bearing ends, which may be negative"""
 PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
@@ -209,8 +207,8 @@ class Room(NamedTuple):
     """(2, `SECTORS`) in which cells: rows from the sensor's times 2^32, and columns"""
     steep: Float64
     """(`SECTORS`,) how steeply the hit is seen"""
-    lowest: Float64
-    """(`SECTORS`,) the same of what is seen the most steeply downwards"""
+    first: Int64
+    """(`SECTORS`,) how far the nearest floor or hit is"""
     floor: Int32
     """(N,) the cell of each floor point, which waits for all hits"""
     floor_apart: Int64
@@ -228,8 +226,8 @@ def make_room(points: int, cells: int) -> Room:
     apart, ends = np.empty((2, 2, SECTORS), np.int64)
     seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
     bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
-    steep, lowest = np.empty((2, SECTORS))
-    return Room(some, apart, ends, steep, lowest, *seen, bearing, touched)
+    steep, first = np.empty(SECTORS), np.empty(SECTORS, np.int64)
+    return Room(some, apart, ends, steep, first, *seen, bearing, touched)
 
 
 @kernel
@@ -261,23 +259,28 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
     under = find_under(cloud.origin, canvas)
-    over = max(cloud.origin[2] * 1000 - under - band.high, 0.0) if under != -HIGHEST else 0.0
     many, floors = find_ends(cloud, band, canvas, room, under)
+    first = room.first
+    for bearing in range(SECTORS):
+        first[bearing] = apart[OBSTACLE, bearing]
     for i in range(floors):
         at, bearing = room.floor[i], room.floor_bearing[i]
+        first[bearing] = min(first[bearing], room.floor_apart[i])
         # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
         is_behind = room.floor_apart[i] > apart[OBSTACLE, bearing]
         if state[at] == 0 and not (is_behind and room.floor_steep[i] < room.steep[bearing]):
             touched[many] = at
             many += 1
             state[at] = MISS
+    tall = cloud.origin[2] * 1000 - under if under != -HIGHEST else 0.0
+    over = 1 - band.high / max(tall, float(band.high))
     for bearing in range(SECTORS):
         kind = OBSTACLE if apart[OBSTACLE, bearing] < NOTHING else GROUND
         if apart[kind, bearing] < NOTHING:
             up = (ends[kind, bearing] + HALF_END) >> END_BITS
             right = ends[kind, bearing] - (up << END_BITS)
             # Beams that pass above the robot say nothing of what is below them.
-            share = over / (-room.lowest[bearing] * np.sqrt(abs(apart[kind, bearing])))
+            share = over * np.sqrt(first[bearing] / abs(apart[kind, bearing])) if over else 0.0
             many = clear_line((row, col), (up, right), share, canvas, touched, many)
     near = NEAR_M * scale / UNITS_PER_CELL
     for i in range(many):
@@ -369,7 +372,6 @@ def mark_drops(
 def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: int) -> None:
     """Keep what a bearing ends at: the nearest hit, or the farthest floor."""
     key, known = far if kind else -far, room.apart[kind, bearing]
-    room.lowest[bearing] = min(room.lowest[bearing], slope)
     if kind and key <= known:
         room.steep[bearing] = slope if key < known else max(slope, room.steep[bearing])
     if key < known or (key == known and end < room.ends[kind, bearing]):
@@ -400,7 +402,6 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) 
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
     for i in range(2 * SECTORS):
         room.apart[i // SECTORS, i % SECTORS] = NOTHING
-        room.lowest[i % SECTORS] = LEVEL
     many, floors = 0, 0
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
@@ -454,7 +455,7 @@ def clear_line(
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
     is_steep = abs(up) == steps
-    rest, done = steps, 0
+    rest, done, begin = steps, 0, int(np.ceil(share * steps))
     while done < steps:
         # Up to the tile's border it takes steps along the longer side, and fewer along the other.
         rows = INSIDE - (row & INSIDE) if row_way > 0 else row & INSIDE
@@ -466,13 +467,15 @@ def clear_line(
         at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
         row_pace, col_pace = row_way << BLOCK_BITS, col_way
         pace, sideways = (row_pace, col_pace) if is_steep else (col_pace, row_pace)
-        going = rest
-        for i in range(done, done + (left if at >= 0 else 0)):
-            if i >= share * steps:
-                # The room behind the last place is free; a cell without ground is never 0.
-                touched[many] = at
-                many += state[at] == 0
-                state[at] |= MISS
+        skipped = min(max(begin - done, 0), left) if at >= 0 else left
+        turned = (rest + 2 * fewer * skipped) // (2 * steps) if skipped else 0
+        going = rest + 2 * fewer * skipped - 2 * steps * turned
+        at += pace * skipped + sideways * turned
+        for _ in range(left - skipped):
+            # The room behind the last place is free; a cell without ground is never 0.
+            touched[many] = at
+            many += state[at] == 0
+            state[at] |= MISS
             # Halves are rounded away from the first cell.
             going += 2 * fewer
             turns = going >= 2 * steps
