@@ -96,6 +96,12 @@ class SlowEngine:
             self.cells[cell] = find_height(self.ground, x, y)
         return self.cells[cell]
 
+    def measure_height(self, place: Float64) -> float:
+        """How high a place is above the ground of its cell (mm); 0 where that has none."""
+        x, y = (round(each * 5120) // 256 for each in place[:2].tolist())
+        ground = self.find_ground((y, x))
+        return 0.0 if ground is None else float(place[2] * 1000 - ground)
+
     def find_drop(
         self, start: tuple[int, int], away: tuple[int, int], floor: int, share: float, rise: float
     ) -> list[Seen]:
@@ -164,9 +170,13 @@ class SlowEngine:
         start = tuple(round(each * 5120) // 256 for each in posed.position[0, 1::-1].tolist())
         for sector in near.keys() | far.keys():
             ends = [(each.apart, each.cell) for each in near[sector]]
-            _, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
+            apart, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
             line = bresenham((start[0], start[1]), end)[:-1]
-            missed.update(cell for cell in line if self.find_ground(cell) is not None)
+            nearest = min(each.apart for each in near[sector] + far[sector])
+            tall, robot = self.measure_height(posed.position[0]), self.options.max_height * 1000
+            over = (tall - robot) / tall if tall > robot else 0.0
+            begin = math.ceil(over * math.sqrt(nearest / abs(apart)) * len(line))
+            missed.update(cell for cell in line[begin:] if self.find_ground(cell) is not None)
         hit = {each.cell for each in hits}
         for cell in hit:
             self.hits[cell] += weigh(cell, (start[0], start[1]))

@@ -133,6 +133,35 @@ def test_a_step_is_higher_where_the_robot_did_not_pass(
     assert base[650] == (0 if is_dropped else step)
 
 
+@pytest.mark.parametrize(
+    ("rise", "lift", "is_dropped"),
+    # To the column below it is 60 + 1.25 x 30 = 97 mm on the hill, or 60 + 0.12 x 150 = 78 mm.
+    [(30, 60, False), (30, 66, False), (30, 69, True), (0, 77, False), (0, 79, True)],
+)
+def test_what_stands_on_a_hill_is_higher_than_the_hill_rises(
+    rise: int, lift: int, is_dropped: bool
+) -> None:
+    heights = np.tile(np.arange(64, dtype=np.int32) * rise, 64)
+    heights[32 * 64 + 32] += lift
+    found = growth.Found(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
+    base = np.empty_like(heights)
+
+    growth.drop_raised(BLOCKS, found, base)
+
+    assert (base[32 * 64 + 32] < heights[32 * 64 + 32]) == is_dropped
+    assert not is_dropped or np.count_nonzero(base != heights) == 1
+
+
+def test_stairs_are_no_hill() -> None:
+    heights = np.tile(np.arange(64, dtype=np.int32) // 2 * 150, 64)
+    found = growth.Found(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
+    base = np.empty_like(heights)
+
+    growth.drop_raised(BLOCKS, found, base)
+
+    assert (base < heights).reshape(64, 64)[:, 2:].all()
+
+
 def lay_rows(rows: list[int]) -> Int32:
     """Heights of ground of some columns of a block, by row; none elsewhere."""
     laid = np.full((64, 64), NO_GROUND, np.int32)

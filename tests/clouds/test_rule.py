@@ -35,9 +35,10 @@ OPTICAL = np.array([[0, 0, 1.0], [-1, 0, 0], [0, -1, 0]])
 PIT = (2.1, 4.2, 3.9, 5.1, -1.0, 0.0)
 
 
+@pytest.mark.parametrize("sensor_m", [0.6, 2.2])
 @pytest.mark.parametrize("room", [Room([*TABLE, BOX], slope=0.06), Room([BOX], pit=PIT)])
-def test_the_kernel_equals_the_reference_in_every_cell(room: Room) -> None:
-    posed = drive(room, clouds=6)
+def test_the_kernel_equals_the_reference_in_every_cell(room: Room, sensor_m: float) -> None:
+    posed = drive(room, clouds=6, sensor_m=sensor_m)
     ground = find_ground(posed)
     slow = SlowEngine(ground, CloudOptions())
     for each in posed[::2]:
@@ -68,6 +69,19 @@ def test_floor_that_is_seen_beneath_a_thing_is_not_free_and_floor_seen_over_one_
 
     assert not free[find_cells((2.1, 4.4), (4.1, 5.1))].any()
     assert free[find_cells((6.0, 8.5), (5.5, 5.9))].mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("sensor_m", "x", "is_free"),
+    # From 2.2 m the lowest beam reaches the floor 2.6 m away, and is 1.5 m above it at 0.8 m.
+    [(2.2, 1.55, False), (2.2, 1.75, True), (1.4, 0.85, True)],
+)
+def test_floor_that_beams_pass_over_above_the_robot_is_not_free(
+    sensor_m: float, x: float, is_free: bool
+) -> None:
+    _, free = classify(drive(Room(), clouds=1, sensor_m=sensor_m))
+
+    assert free[find_cells((x, x + 0.05), (3.0, 3.05))].any() == is_free
 
 
 def test_a_lintel_above_the_robot_is_free() -> None:

@@ -23,10 +23,13 @@ STRAY = 16
 """A peak below one that holds more than so many times its points is noise, or a mirrored thing"""
 STEPPED = 3
 """Low things are looked for so far around a column (columns)"""
-SLOPE_MM = 0.12 * COLUMN_MM
-"""By so much one surface rises from column to column"""
+SLOPE_MM, STEEP_MM = 0.12 * COLUMN_MM, 0.25 * COLUMN_MM
+"""By so much one surface rises from column to column; on a hill by more, but stairs are no hill"""
+HILL = 1.25
+"""A hill may rise so many times as much as the plane through it: it is rough"""
 BROAD = 10
-"""A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
+"""A surface that goes on so far behind its brink is a level to drive on, and no pallet; a hill is
+as broad (columns)"""
 BRINK_MM, DROP_MM = 60, 80
 """A level ends where the next column is so much lower; what falls by the second does not go on"""
 
@@ -219,11 +222,32 @@ def grow_ground(
 
 
 @kernel
+def measure_hill(blocks: Blocks, height: Int32, at: int) -> tuple[float, float]:
+    """Measure how the ground around a column rises, up and right (mm a column): as its plane."""
+    row, col = locate(blocks, at)
+    many, u, r, h, uu, ur, rr, uh, rh = 0, 0, 0, 0, 0, 0, 0, 0, 0
+    for up in range(-BROAD, BROAD + 1):
+        for right in range(-BROAD, BROAD + 1):
+            near = find_column(blocks, row + up, col + right)
+            if near >= 0 and height[near] != NO_GROUND:
+                above = height[near] - height[at]
+                many, u, r, h = many + 1, u + up, r + right, h + above
+                uu, ur, rr = uu + up * up, ur + up * right, rr + right * right
+                uh, rh = uh + up * above, rh + right * above
+    uu, ur, rr = many * uu - u * u, many * ur - u * r, many * rr - r * r
+    uh, rh = many * uh - u * h, many * rh - r * h
+    size = float(uu * rr - ur * ur)
+    if size == 0:  # a line has no plane
+        return 0.0, 0.0
+    return (uh * rr - rh * ur) / size, (rh * uu - uh * ur) / size
+
+
+@kernel
 def sum_stepped(blocks: Blocks, found: Found, at: int) -> tuple[int, int, int, int]:
     """Sum up the columns that are a step lower than one.
 
-    They lie within half a metre, and the step is more than 6 cm + 0.12 of the distance, or twice
-    that far from the path, and less than 30 cm.
+    They lie within half a metre, and the step is more than 6 cm + 0.12 of the distance, or on a
+    hill what that rises, or twice that far from the path, and less than 30 cm.
 
     Returns
     -------
@@ -233,15 +257,21 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> tuple[int, int, int, i
     height, weight, passed = found
     row, col = locate(blocks, at)
     points, weighted, ups, rights = 0, 0, 0, 0
+    hill, is_measured = (0.0, 0.0), False
+    # Far away, poses that are off by tenths of a degree make steps of slopes.
+    doubt = 1 if passed[at] else 2
     for up in range(-STEPPED, STEPPED + 1):
         for right in range(-STEPPED, STEPPED + 1):
             near = find_column(blocks, row + up, col + right)
             if near < 0 or height[near] == NO_GROUND:
                 continue
-            least = 60 + SLOPE_MM * np.sqrt(float(up * up + right * right))
-            # Far away, poses that are off by tenths of a degree make steps of slopes.
-            least *= 1 if passed[at] else 2
-            if least < height[at] - height[near] < 300:
+            apart, step = np.sqrt(float(up * up + right * right)), height[at] - height[near]
+            if not doubt * (60 + SLOPE_MM * apart) < step < 300:
+                continue
+            if not is_measured:
+                hill, is_measured = measure_hill(blocks, height, at), True
+            rise = min(-HILL * (hill[0] * up + hill[1] * right), STEEP_MM * apart)
+            if step > doubt * (60 + rise):
                 points += weight[near]
                 weighted += weight[near] * height[near]
                 ups += up

@@ -207,6 +207,8 @@ class Room(NamedTuple):
     """(2, `SECTORS`) in which cells: rows from the sensor's times 2^32, and columns"""
     steep: Float64
     """(`SECTORS`,) how steeply the hit is seen"""
+    first: Int64
+    """(`SECTORS`,) how far the nearest floor or hit is"""
     floor: Int32
     """(N,) the cell of each floor point, which waits for all hits"""
     floor_apart: Int64
@@ -224,7 +226,8 @@ def make_room(points: int, cells: int) -> Room:
     apart, ends = np.empty((2, 2, SECTORS), np.int64)
     seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
     bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
-    return Room(some, apart, ends, np.empty(SECTORS), *seen, bearing, touched)
+    steep, first = np.empty(SECTORS), np.empty(SECTORS, np.int64)
+    return Room(some, apart, ends, steep, first, *seen, bearing, touched)
 
 
 @kernel
@@ -255,21 +258,30 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     scale = UNITS_PER_CELL / canvas.resolution
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
-    many, floors = find_ends(cloud, band, canvas, room)
+    under = find_under(cloud.origin, canvas)
+    many, floors = find_ends(cloud, band, canvas, room, under)
+    first = room.first
+    for bearing in range(SECTORS):
+        first[bearing] = apart[OBSTACLE, bearing]
     for i in range(floors):
         at, bearing = room.floor[i], room.floor_bearing[i]
+        first[bearing] = min(first[bearing], room.floor_apart[i])
         # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
         is_behind = room.floor_apart[i] > apart[OBSTACLE, bearing]
         if state[at] == 0 and not (is_behind and room.floor_steep[i] < room.steep[bearing]):
             touched[many] = at
             many += 1
             state[at] = MISS
+    tall = cloud.origin[2] * 1000 - under if under != -HIGHEST else 0.0
+    over = 1 - band.high / max(tall, float(band.high))
     for bearing in range(SECTORS):
         kind = OBSTACLE if apart[OBSTACLE, bearing] < NOTHING else GROUND
         if apart[kind, bearing] < NOTHING:
             up = (ends[kind, bearing] + HALF_END) >> END_BITS
             right = ends[kind, bearing] - (up << END_BITS)
-            many = clear_line((row, col), (up, right), canvas, touched, many)
+            # Beams that pass above the robot say nothing of what is below them.
+            share = over * np.sqrt(first[bearing] / abs(apart[kind, bearing])) if over else 0.0
+            many = clear_line((row, col), (up, right), share, canvas, touched, many)
     near = NEAR_M * scale / UNITS_PER_CELL
     for i in range(many):
         at = touched[i]
@@ -366,8 +378,20 @@ def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: i
         room.apart[kind, bearing], room.ends[kind, bearing] = key, end
 
 
+@step
+def find_under(origin: Float64, canvas: Canvas) -> int:
+    """The height of the ground of the sensor's cell (mm), or -`HIGHEST`."""
+    scale = UNITS_PER_CELL / canvas.resolution
+    row, col = int(np.rint(origin[1] * scale)), int(np.rint(origin[0] * scale))
+    at = find_column(canvas.tiles, row >> CELL_SHIFT, col >> CELL_SHIFT)
+    if at < 0 or canvas.state[at] & UNKNOWN:
+        return -HIGHEST
+    level: int = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+    return level
+
+
 @kernel
-def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int, int]:
+def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) -> tuple[int, int]:
     """Mark the cells of hits, and find what the beams of each bearing end at.
 
     Returns how many cells are touched, and how many points are floor.
@@ -379,9 +403,6 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int
     for i in range(2 * SECTORS):
         room.apart[i // SECTORS, i % SECTORS] = NOTHING
     many, floors = 0, 0
-    at, under = find_column(canvas.tiles, at_y >> CELL_SHIFT, at_x >> CELL_SHIFT), -HIGHEST
-    if at >= 0 and not state[at] & UNKNOWN:
-        under = canvas.base[at >> 2 * BLOCK_BITS] + ground[at]
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
         measure_points(some, size, origin, band, scale)
@@ -419,14 +440,22 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> tuple[int
 
 @kernel
 def clear_line(
-    start: tuple[int, int], away: tuple[int, int], canvas: Canvas, touched: Int32, many: int
+    start: tuple[int, int],
+    away: tuple[int, int],
+    share: float,
+    canvas: Canvas,
+    touched: Int32,
+    many: int,
 ) -> int:
-    """Mark the cells of Bresenham's line before its last one; return how many are touched."""
+    """Mark the cells of Bresenham's line, from a share of it on, before its last one.
+
+    Returns how many are touched.
+    """
     state, (row, col), (up, right) = canvas.state, start, away
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
     is_steep = abs(up) == steps
-    rest, done = steps, 0
+    rest, done, begin = steps, 0, int(np.ceil(share * steps))
     while done < steps:
         # Up to the tile's border it takes steps along the longer side, and fewer along the other.
         rows = INSIDE - (row & INSIDE) if row_way > 0 else row & INSIDE
@@ -438,8 +467,11 @@ def clear_line(
         at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
         row_pace, col_pace = row_way << BLOCK_BITS, col_way
         pace, sideways = (row_pace, col_pace) if is_steep else (col_pace, row_pace)
-        going = rest
-        for _ in range(left if at >= 0 else 0):
+        skipped = min(max(begin - done, 0), left) if at >= 0 else left
+        turned = (rest + 2 * fewer * skipped) // (2 * steps) if skipped else 0
+        going = rest + 2 * fewer * skipped - 2 * steps * turned
+        at += pace * skipped + sideways * turned
+        for _ in range(left - skipped):
             # The room behind the last place is free; a cell without ground is never 0.
             touched[many] = at
             many += state[at] == 0
