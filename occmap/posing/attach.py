@@ -229,9 +229,10 @@ class Poser:
             course.see(posed, stamp_ns[kept])
             yield posed
 
-    def _list_tracks(self) -> list[tuple[Laser, Track]]:
-        """List where each sensor was at its scans, if some scan of it has a pose."""
-        tracks = ((laser, self.courses[laser].build()) for laser in sorted(self.courses))
+    def _list_tracks(self, topic: str | None = None) -> list[tuple[Laser, Track]]:
+        """List where each sensor, of a topic or of all, was at its scans, if some has a pose."""
+        lasers = sorted(each for each in self.courses if topic in (None, each[0]))
+        tracks = ((laser, self.courses[laser].build()) for laser in lasers)
         return [(laser, track) for laser, track in tracks if track]
 
     def count_lost(self, topic: str | None = None) -> Counter[str]:
@@ -251,8 +252,7 @@ class Poser:
 
     def find_stance(self, topic: str) -> Stance | None:
         """Find how the sensor of a topic sat; None where no scan had a pose."""
-        found = (track for (name, _), track in self._list_tracks() if name == topic)
-        return next(map(Stance.measure, found), None)
+        return next((Stance.measure(track) for _, track in self._list_tracks(topic)), None)
 
     def list_concerns(self, first_ns: int, max_range: float) -> Iterator[tuple[str, Concern]]:
         """List what spoils a map in the poses that were given so far, each with its topic.
