@@ -346,8 +346,7 @@ def list_unwritten(
     facts: MapFacts, model: SensorModel, writing: WriteOptions, outputs: Sequence[Path]
 ) -> Iterator[str]:
     """Say what loaders do not find: edits, walls by the YAML's own thresholds, and the unknown."""
-    if writing.edits and not writing.shapes:
-        yield f"{writing.edits}: holds no shape, so it edits nothing"
+    yield from list_vain_edits(facts, writing)
     observed, occupied, _, walls = facts.counts.tolist()
     unknown = math.prod(facts.shape) - observed
     is_pgm = any(re.search(r"(?<!\.keepout)\.pgm$", path.name.lower()) for path in outputs)
@@ -367,3 +366,22 @@ def list_unwritten(
             f"occupied for `agree` are not by the occupied_thresh that is written, {limit:g}; with "
             f"`occupied_thresh={cut:.5g}`{lower} all are"
         )
+
+
+def list_vain_edits(facts: MapFacts, writing: WriteOptions) -> Iterator[str]:
+    """Say that the user's edits hold no shape, or that some change no cell of a map."""
+    if writing.edits and not writing.shapes:
+        yield f"{writing.edits}: holds no shape, so it edits nothing"
+    map_low, map_high = np.reshape(facts.extent, (2, 2))
+    vain = []
+    for shape in writing.shapes:
+        low, high = shape.measure(facts.resolution)
+        # The first and the last cell of the map whose middle may be inside
+        first = np.ceil(np.maximum(low, map_low) / facts.resolution - 0.5)
+        last = np.floor(np.minimum(high, map_high) / facts.resolution - 0.5)
+        if (first > last).any():
+            vain.append([*low.round(3), *high.round(3)])
+    if vain:
+        lie = f"{count(len(vain), 'shape')} outside of the map, or between the middles of cells"
+        at = "at" if len(vain) == 1 else "the first at"
+        yield f"{writing.edits}: without effect: {lie}: {at} {write_box(vain[0])}"

@@ -112,6 +112,32 @@ def test_what_was_edited_can_be_subtracted_as_what_was_not() -> None:
     assert len(read_evidence(Path("rest.npz")).manifest.builds) == 1
 
 
+@pytest.mark.parametrize(
+    ("shape", "is_vain"),
+    [
+        ("free,box,100,2,101,3", True),
+        ("free,box,2,100,3,101", True),
+        ("forbidden,polygon,-9,0,-8,0,-8,1", True),
+        ("free,box,11,-1,90,2", False),
+        ("free,box,1,1,1.02,1.3", True),  # the middle of the cell is at 1.025
+        ("free,line,-4.2,0,-4.2,1,0.2", True),  # it ends at -4.1, and the map at -4.05
+        ("free,line,-4.2,0,-4.2,1,0.4", False),
+        ("free,line,-9,2,-8,2,0.05", True),
+    ],
+)
+def test_a_shape_without_effect_is_named(shape: str, is_vain: bool) -> None:
+    Path("edits.csv").write_text(f"{shape}\n")
+    assert occmap("build", DRIVE, "-o", "m.npz", "-q").code == 0
+    for line in (("build", DRIVE), ("render", "m.npz")):
+        made = occmap(*line, "-o", "m.pgm", "--edits", "edits.csv")
+        notes = [each for each in made.err.splitlines() if "without effect" in each]
+        assert len(notes) == is_vain
+        if shape.startswith("free,box,100"):
+            assert "x 100 to 101 m, y 2 to 3 m" in notes[0]
+        if shape == "free,line,-9,2,-8,2,0.05":  # cells reach sqrt(0.5) x 0.05 m to each side
+            assert "x -9.035 to -7.965 m, y 1.965 to 2.035 m" in notes[0]
+
+
 @pytest.mark.parametrize("text", ["", "# nothing\n", '{"features": []}'])
 def test_a_file_without_a_shape_is_told(text: str) -> None:
     Path("edits.csv").write_text(text)
