@@ -569,34 +569,3 @@ def make_flat(stood: Int64) -> Ground:
     level = math.floor(np.median(stood[:, 2]))
     height = np.full((len(places), BLOCK**2), level, np.int32)
     return Ground(places, height, np.ones(height.shape, np.bool_))
-
-
-APART = 8
-"""Slopes of the ground are measured over so many columns."""
-
-
-def measure_slope(ground: Ground) -> tuple[float, float]:
-    """Measure how steep most of the ground is, along x and along y; a ramp among floors is not."""
-    slopes = []
-    for axis in (1, 0):
-        height = ground.height_mm.reshape(-1, BLOCK, BLOCK)
-        known = ground.measured.reshape(height.shape) & (height != NO_GROUND)
-        height, known = (np.moveaxis(each, axis + 1, 1) for each in (height, known))
-        both = known[:, APART:] & known[:, :-APART]
-        rise = (height[:, APART:] - height[:, :-APART])[both]
-        slopes.append(float(np.median(rise)) / (APART * COLUMN_MM) if rise.size else 0.0)
-    return slopes[0], slopes[1]
-
-
-def find_level(ground: Ground, turned: Float64) -> tuple[float, float]:
-    """Find the roll and pitch (degrees) that lay most of the ground flat.
-
-    Parameters
-    ----------
-    turned
-        (3, 3) how the frame that they are for is turned in that of the ground.
-    """
-    along, aside = measure_slope(ground)
-    x, y, z = turned.T @ [-along, -aside, 1.0]
-    roll, pitch = math.degrees(math.atan2(y, z)), -math.degrees(math.atan2(x, math.hypot(y, z)))
-    return round(roll, 2) + 0.0, round(pitch, 2) + 0.0  # no negative zero

@@ -31,7 +31,7 @@ from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.report import join_names
 from occmap.report.results import MapFacts, Report, list_notes
-from occmap.scans import Keep, tracing
+from occmap.scans import Keep, levelling
 from occmap.scans.align import settle_align
 from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
@@ -91,7 +91,7 @@ class Crew:
             return finder
 
         known = self.setting.keep
-        found = tracing.level_ground(count, self.setting.options, known.ground)
+        found = levelling.level_ground(count, self.setting.options, known.ground)
         self.tally.notes += found.notes
         keep = known._replace(ground=found.ground)
         self.setting = replace(self.setting, keep=keep, options=found.options)

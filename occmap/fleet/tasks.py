@@ -27,10 +27,11 @@ from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
 from occmap.report.results import count_cells
 from occmap.scans import Keep, make_engine
+from occmap.scans.levelling import count_ground
 from occmap.scans.logs import count_scans, list_kinds
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import count_ground, trace_drive
+from occmap.scans.tracing import trace_drive
 from occmap.store.layout import Block, BlockRecord, split_evidence
 from occmap.store.writing import paint_block, write_block
 from occmap.types import Int64

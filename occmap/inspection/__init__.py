@@ -30,11 +30,11 @@ from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
+from occmap.scans.levelling import find_ground
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
-from occmap.scans.tracing import find_ground
 from occmap.types import PosedScans
 
 SHARE_OF_NOTE = 0.05

@@ -19,7 +19,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.readers.ros_log import RosLog
-from occmap.scans.tracing import level_ground
+from occmap.scans.levelling import level_ground
 from occmap.types import Float64, Int64, Pose, PoseBatch, PosedScans, PoseSample
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import ask, occmap

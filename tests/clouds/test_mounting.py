@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from occmap.clouds.ground import measure_slope
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.inspection.poses import find_tilted
 from occmap.options import BuildOptions
 from occmap.posing.chain import Transforms
+from occmap.scans.levelling import measure_slope
 from occmap.scans.mounts import Mount
 from occmap.types import IDENTITY, Float64
 from tests.clouds.simulation import (
