@@ -19,7 +19,7 @@ from occmap.clouds.ground import (
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
-from occmap.types import NO_GROUND, Float64, Int32
+from occmap.types import NO_GROUND, Float64, Int32, UInt8
 
 
 @pytest.mark.parametrize(
@@ -101,16 +101,21 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     assert np.flatnonzero(found).tolist() == list(holes)
 
 
+def drop(height: Int32, weight: Int32, passed: UInt8) -> Int32:
+    """Give the heights after low things were looked for."""
+    base = np.empty_like(height)
+    growth.drop_raised(BLOCKS, growth.Found(height, weight, passed), base)
+    return base
+
+
 @pytest.mark.parametrize(("points", "height"), [(99, 40), (101, -160)])
 def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
     points: int, height: int
 ) -> None:
     heights = lay({650: 40, 651: -160, 652: -160})
-    nothing = np.zeros(heights.size, np.uint8)
-    found = growth.Found(heights, lay({650: 100, 651: 1, 652: points - 1}, 0), nothing)
-    base = np.empty_like(heights)
+    weight = lay({650: 100, 651: 1, 652: points - 1}, 0)
 
-    growth.drop_raised(BLOCKS, found, base)
+    base = drop(heights, weight, np.zeros(heights.size, np.uint8))
 
     assert base[650] == height
     assert base[651] == -160
@@ -124,11 +129,9 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
 def test_a_step_is_higher_where_the_robot_did_not_pass(
     step: int, passed: int, is_dropped: bool
 ) -> None:
-    heights = lay({650: step, 651: 0})
     where = lay({650: passed}, 0).astype(np.uint8)
-    base = np.empty_like(heights)
 
-    growth.drop_raised(BLOCKS, growth.Found(heights, lay({650: 5, 651: 9}, 0), where), base)
+    base = drop(lay({650: step, 651: 0}), lay({650: 5, 651: 9}, 0), where)
 
     assert base[650] == (0 if is_dropped else step)
 
@@ -143,10 +146,8 @@ def test_what_stands_on_a_hill_is_higher_than_the_hill_rises(
 ) -> None:
     heights = np.tile(np.arange(64, dtype=np.int32) * rise, 64)
     heights[32 * 64 + 32] += lift
-    found = growth.Found(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
-    base = np.empty_like(heights)
 
-    growth.drop_raised(BLOCKS, found, base)
+    base = drop(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
 
     assert (base[32 * 64 + 32] < heights[32 * 64 + 32]) == is_dropped
     assert not is_dropped or np.count_nonzero(base != heights) == 1
@@ -154,10 +155,8 @@ def test_what_stands_on_a_hill_is_higher_than_the_hill_rises(
 
 def test_stairs_are_no_hill() -> None:
     heights = np.tile(np.arange(64, dtype=np.int32) // 2 * 150, 64)
-    found = growth.Found(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
-    base = np.empty_like(heights)
 
-    growth.drop_raised(BLOCKS, found, base)
+    base = drop(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
 
     assert (base < heights).reshape(64, 64)[:, 2:].all()
 

@@ -148,14 +148,20 @@ def write_bag1(
     writer.chunk_threshold = chunk_size
     if compression != "none":
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+    write_messages(writer, log, ROS1, ROS1.serialize_ros1)
+    return path
+
+
+def write_messages(
+    writer: Any, log: Sequence[Written], store: Typestore, serialize: Callable[..., Any]
+) -> None:
+    connections: dict[str, Any] = {}
     with writer:
-        connections: dict[str, Any] = {}
         for topic, record_ns, message in log:
             kind = message.__msgtype__
             if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=ROS1)
-            writer.write(connections[topic], record_ns, ROS1.serialize_ros1(message, kind))
-    return path
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], record_ns, serialize(message, kind))
 
 
 def bag1_record(data: bytes, **fields: bytes) -> bytes:
@@ -175,13 +181,7 @@ class Bag2(NamedTuple):
         writer = Writer2(path, version=9, storage_plugin=self.storage)
         if self.compressed is not CompressionMode.NONE:
             writer.set_compression(self.compressed, CompressionFormat.ZSTD)
-        with writer:
-            connections: dict[str, Any] = {}
-            for topic, record_ns, message in log:
-                kind = message.__msgtype__
-                if topic not in connections:
-                    connections[topic] = writer.add_connection(topic, kind, typestore=ROS2)
-                writer.write(connections[topic], record_ns, ROS2.serialize_cdr(message, kind))
+        write_messages(writer, log, ROS2, ROS2.serialize_cdr)
         return path
 
 

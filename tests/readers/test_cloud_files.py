@@ -17,14 +17,7 @@ from occmap.pipeline import build
 from occmap.posing import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
 from occmap.readers import Role, cloud_folder, open_log
-from occmap.readers.cloud_folder import (
-    SPACING_NS,
-    CloudFolder,
-    read_bin,
-    read_cloud,
-    read_pcd,
-    read_ply,
-)  # fmt: skip
+from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_bin, read_cloud, read_pcd
 from occmap.types import Cloud, Float32, Moments, Pose, PoseSample
 
 POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
@@ -88,9 +81,9 @@ TEXT = b"1 -2 0.5\n3.25 4 -1.5\n0 0 0\n"
         (read_pcd, pcd("ascii", TEXT)),
         (read_pcd, pcd("binary", XYZ)),
         (read_pcd, pcd("binary_compressed", stored(by_field(XYZ)))),
-        (read_ply, ply("ascii", FLOATS, TEXT.replace(b"\n", b"\r\n"))),
-        (read_ply, ply("binary_little_endian", FLOATS, XYZ)),
-        (read_ply, ply("binary_big_endian", FLOATS, SWAPPED)),
+        (cloud_folder.read_ply, ply("ascii", FLOATS, TEXT.replace(b"\n", b"\r\n"))),
+        (cloud_folder.read_ply, ply("binary_little_endian", FLOATS, XYZ)),
+        (cloud_folder.read_ply, ply("binary_big_endian", FLOATS, SWAPPED)),
         (read_bin, b"".join(XYZ[at : at + 12] + b"\0\0\0\0" for at in (0, 12, 24))),
     ],
     ids=["pcd", "pcd binary", "pcd compressed", "ply", "ply little", "ply big", "bin"],
