@@ -1,7 +1,7 @@
 """Folders of ROS 2 bags, and any single file of a bag.
 
 A folder has storage files (SQLite or MCAP, each perhaps zstd) and metadata.yaml, which a recorder
-that died has not written: it only says how many messages there should be.
+that died has not written: it is also read without.
 """
 
 import re
@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
@@ -31,20 +31,19 @@ _BAD_METADATA = YAMLError, LookupError, TypeError, AttributeError, ValueError, R
 """What is raised where it is not as recorders write it"""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
 
+_Metadata: TypeAlias = tuple[Sequence[str], Mapping[tuple[str, str], int]]
+"""What only metadata.yaml says: the files, and how many messages there are by topic and type"""
+
 
 def list_storage(folder: Path) -> list[Path]:
-    """List the storage files of a folder, those of a split recording by their numbers.
-
-    A player unpacks a .zstd beside it: then that is passed over.
-    """
+    """List the storage files of a folder, those of a split recording by their numbers."""
     named = (path for path in folder.iterdir() if _STORAGE_NAME.fullmatch(path.name))
-    files = {path for path in named if path.is_file()}  # a pipe would be waited for
-    paths = (path for path in files if path.suffix != ".zstd" or path.with_suffix("") not in files)
+    paths = (path for path in named if path.is_file())  # a pipe would be waited for
     return sorted(paths, key=lambda path: ([int(n) for n in re.findall(r"\d+", path.name)], path))
 
 
 def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
-    """Refuse to read several recordings as one.
+    """Refuse to read several recordings as one, where no metadata says what belongs together.
 
     Raises
     ------
@@ -53,9 +52,12 @@ def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
     """
     names = [file.name.removesuffix(".zstd") for file in files]
     recordings = {re.sub(r"(_\d+)?(\.\w+)$", r"\2", name) for name in names}
-    if len(recordings) > 1:
-        found = f"holds more than one recording: {', '.join(f.name for f in files)}"
-        raise LogError(found, where=folder, fix=f"give one of them, such as {files[0]}")
+    if len(recordings) > 1 or len(set(names)) < len(names):
+        raise LogError(
+            f"holds more than one recording and no {METADATA}: {', '.join(f.name for f in files)}",
+            where=folder,
+            fix=f"give one of them, such as {files[0]}",
+        )
 
 
 class Bag2Source:
@@ -66,10 +68,8 @@ class Bag2Source:
         self.notes = NoteList()
         self._scratch: Path | None = None
         with refuse_unreadable(path):
-            announced = self._read_metadata()
-            files = list_storage(path)
-            refuse_mixed(path, files)
-            self._parts = self._open_parts(files)
+            names, announced = self._read_metadata()
+            self._parts = self._open_parts(self._find_files(names))
         self._gather_notes()
         held = Counter[tuple[str, str]]()
         for channel in self.channels:
@@ -92,6 +92,27 @@ class Bag2Source:
                     yield channel, at, inflate_message(data)
             self._gather_notes()
 
+    def _find_files(self, names: Sequence[str]) -> list[Path]:
+        """Find the storage files that the metadata names, or those that are there."""
+        present = list_storage(self.path)
+        there = [self.path / name for name in names if (self.path / name).is_file()]
+        if len(there) < len(names):
+            missing = ", ".join(name for name in names if self.path / name not in there)
+            text = f"{METADATA} names files that are missing: {missing}"
+            if not present:
+                raise LogError(text, where=self.path, fix="copy them into this folder, too")
+            self.notes.add_damage(text)
+        if not there:
+            refuse_mixed(self.path, present)
+            return present
+        # A player unpacks a .zstd beside it.
+        known = {name.removesuffix(".zstd") for name in names}
+        others = [each.name for each in present if each.name.removesuffix(".zstd") not in known]
+        if others:
+            text = f"{METADATA} does not name {', '.join(others)}: not read"
+            self.notes.add_damage(f"{text}; move {METADATA} away to read all files")
+        return there
+
     def _open_parts(self, files: Sequence[Path]) -> list[Source]:
         """Open storage files; one that cannot be read is noted, unless there is no other."""
         parts: list[Source] = []
@@ -104,8 +125,7 @@ class Bag2Source:
                     raise
                 self.notes.add_damage(f"{file.name} is not used: {error.found}")
         if not parts:
-            found = "no storage file in it can be read" if files else "it holds no storage file"
-            raise LogError(found, where=self.path, fix="copy what was recorded into this folder")
+            raise LogError("no storage file in it can be read", where=self.path)
         return parts
 
     def _unzip(self, file: Path) -> Path:
@@ -118,25 +138,27 @@ class Bag2Source:
             self.notes.add_damage(f"{file.name} {problem}")
         return target
 
-    def _read_metadata(self) -> Mapping[tuple[str, str], int]:
-        """Read from metadata.yaml how many messages there are, by topic and type.
+    def _read_metadata(self) -> _Metadata:
+        """Read metadata.yaml; where it is absent or damaged, the files speak for themselves.
 
-        Where it is absent or damaged, the files speak for themselves. Every value is taken as text,
-        so nothing in it can unfold.
+        Every value is taken as text, so nothing in it can unfold.
         """
         path = self.path / METADATA
-        counts = Counter[tuple[str, str]]()
         if not path.is_file():
-            return counts
+            return (), {}
         try:
             document: Any = YAML(typ="base", pure=True).load(path.read_text(encoding="utf-8"))
             information = document["rosbag2_bagfile_information"]
+            # Old recorders wrote the folder's name before the file's.
+            files = [Path(name).name for name in information["relative_file_paths"]]
+            counts = Counter[tuple[str, str]]()
             for topic in information.get("topics_with_message_count") or ():
                 described = topic["topic_metadata"]
                 counts[described["name"], described["type"]] += int(topic["message_count"])
         except _BAD_METADATA:
             self.notes.add_damage(f"{METADATA} is damaged and not used")
-        return counts
+            return (), {}
+        return files, counts
 
     def _gather_notes(self) -> None:
         """Take over what the storage files had to say."""

@@ -95,7 +95,7 @@ def test_a_pipe_is_no_file() -> None:
 def test_a_bag_whose_files_are_missing() -> None:
     Path("bag").mkdir()
     shutil.copy(SAMPLE_LOGS / "drive_ros2" / "metadata.yaml", "bag")
-    assert "bag: it holds no storage file; copy " in fail("bag")
+    assert "bag: metadata.yaml names files that are missing: drive_ros2.db3; " in fail("bag")
 
 
 def test_a_log_without_scans_says_what_it_holds_and_what_is_damaged() -> None:

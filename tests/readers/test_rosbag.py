@@ -51,7 +51,7 @@ def test_a_folder_without_metadata_is_read(tmp_path: Path) -> None:
 ANCHORS = "\n".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}, *a{i - 1}]" for i in range(1, 60))
 UNFOLDING = (
     f"a0: &a0 [x, x]\n{ANCHORS}\nrosbag2_bagfile_information:\n"
-    "  topics_with_message_count: *a59\n  compression_mode: *a59\n"
+    "  relative_file_paths: *a59\n  compression_mode: *a59\n"
 )
 MERGING = "a0: &a0 {x: 1}\n" + "\n".join(
     f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}], x{i}: 1}}" for i in range(1, 40)
@@ -105,12 +105,26 @@ def test_a_pipe_in_the_place_of_a_file_is_not_waited_for(name: str, folder: Path
         assert count_scans(open_log(folder)) == 6
 
 
-def test_files_are_read_whatever_they_are_called(folder: Path) -> None:
-    (folder / "drive.db3").rename(folder / "other.db3")
-    (folder / "other.db3.zstd").write_bytes(b"what a player unpacked")
-    log = open_log(folder)
+def test_missing_files_that_the_metadata_names_are_named(folder: Path, tmp_path: Path) -> None:
+    renamed = shutil.copytree(folder, tmp_path / "renamed")
+    (renamed / "drive.db3").rename(renamed / "other.db3")
+    (folder / "drive.db3").unlink()
+
+    with pytest.raises(LogError, match=r"names files that are missing: drive\.db3"):
+        open_log(folder)
+    log = open_log(renamed)
     assert count_scans(log) == 6
-    assert log.notes == []
+    assert log.notes == [Note("metadata.yaml names files that are missing: drive.db3", True)]
+
+
+def test_a_file_that_the_metadata_does_not_name_is_told_of(folder: Path) -> None:
+    shutil.copy(folder / "drive.db3", folder / "drive_1.db3")
+    (folder / "drive.db3.zstd").write_bytes(b"what a player unpacked")
+
+    (note,) = open_log(folder).notes
+
+    assert note.damage
+    assert "does not name drive_1.db3: not read" in note.text
 
 
 def test_a_storage_file_that_cannot_be_read_does_not_spoil_the_others(folder: Path) -> None:
@@ -123,11 +137,13 @@ def test_a_storage_file_that_cannot_be_read_does_not_spoil_the_others(folder: Pa
     assert log.notes == [Note("drive_2.db3 is not used: neither SQLite nor MCAP", True)]
 
 
-@pytest.mark.parametrize("other", ["walk_0.db3", "drive.mcap"])
+@pytest.mark.parametrize("other", ["walk_0.db3", "drive.mcap", "drive.db3.zstd"])
 def test_a_folder_of_several_recordings_is_refused(other: str, folder: Path) -> None:
     shutil.copy(folder / "drive.db3", folder / other)
+    assert count_scans(open_log(folder)) == 6  # the metadata says which file it is
+    (folder / "metadata.yaml").unlink()
 
-    with pytest.raises(LogError, match="more than one recording") as caught:
+    with pytest.raises(LogError, match=r"more than one recording and no metadata\.yaml") as caught:
         open_log(folder)
     assert other in caught.value.found
     assert caught.value.fix.startswith(f"give one of them, such as {folder}/")
