@@ -133,7 +133,7 @@ def test_good_ones_work_and_need_not_say_what_they_wrote(install: Install, base:
         ({"scan": "{}"}, "a.log: its reader gives dict where a Scan belongs"),
         (POSELESS | {"poses": '["word"]'}, "reader gives 'word' where a PoseSample belongs"),
         (POSELESS | {"poses": BAD_SCAN}, "a.log: holds 0.5 where a time"),
-        (POSELESS | {"poses": "None"}, "reader gives None where a PoseSample belongs"),
+        (POSELESS | {"poses": "None"}, "reader gives None where some PoseSample belongs"),
         ({"scan": BAD_SCAN}, "a.log: holds 0.5 where a time"),
         ({"odds": "np.zeros(9)"}, "the model odd gives no log-odds"),
         ({"odds": "hits * np.nan"}, "the model odd gives no log-odds"),

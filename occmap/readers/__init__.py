@@ -242,7 +242,7 @@ class PluginLog(Log):
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every pose source, many samples at once if the plugin can."""
         ask = getattr(self._log, "stacked_poses", self._log.poses)
-        return self._check(ask, PoseSample | PoseBatch, "PoseSample")
+        yield from self._check(ask, PoseSample | PoseBatch, "PoseSample")
 
     def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
         """The scans, many at once if the plugin can.
@@ -258,17 +258,19 @@ class PluginLog(Log):
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds, if it has any."""
         ask = partial(getattr(self._log, "clouds", super().clouds), topics)
-        return self._check(ask, Cloud, "Cloud")
+        yield from self._check(ask, Cloud, "Cloud")
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes, if it has any."""
-        return self._check(getattr(self._log, "fixes", super().fixes), Fix, "Fix")
+        yield from self._check(getattr(self._log, "fixes", super().fixes), Fix, "Fix")
 
     def _check(self, ask: Callable[[], Any], kind: Any, name: str) -> Iterator[Any]:
         """Give what a plugin does; raises DamageError where that is of another kind."""
         with name_log(self.path):
             given = ask()
-            for each in given if isinstance(given, Iterable) else [given]:
+            if not isinstance(given, Iterable):
+                raise DamageError(f"its reader gives {shorten(given)} where some {name} belongs")
+            for each in given:
                 if not isinstance(each, kind):
                     raise DamageError(f"its reader gives {shorten(each)} where a {name} belongs")
                 yield each

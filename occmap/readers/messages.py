@@ -68,6 +68,8 @@ _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 """rosbags knows all types but the older of these, and of ROS 1 neither."""
+MAX_PLACES = 1 << 16
+"""Numbers of a message that are looked for, at most; one with more is read by itself."""
 
 
 @lru_cache(maxsize=64)
@@ -206,6 +208,8 @@ class _Finder:
             self._at += letters
             return
         self.places[path] = self._pass(kind, many)
+        if len(self.places) > MAX_PLACES:
+            raise DamageError(f"holds more than {MAX_PLACES} numbers")
 
     def _pass(self, kind: str, many: int = 1) -> Place:
         number, start = _find_dtype(kind), self._at

@@ -27,6 +27,8 @@ from occmap.readers.sqlite import SqliteSource
 from occmap.values import ZSTD_MAGIC
 
 METADATA = "metadata.yaml"
+_MOST_METADATA = 1 << 20
+"""Characters of metadata.yaml that are read: a hundred times what recorders write."""
 _BAD_METADATA = YAMLError, LookupError, TypeError, AttributeError, ValueError, RecursionError
 """What is raised where it is not as recorders write it"""
 _STORAGE_NAME = re.compile(r".*\.(db3|mcap)(\.zstd)?")
@@ -146,8 +148,10 @@ class Bag2Source:
         path = self.path / METADATA
         if not path.is_file():
             return (), {}
+        with path.open("rb") as file:
+            content = file.read(_MOST_METADATA)
         try:
-            document: Any = YAML(typ="base", pure=True).load(path.read_text(encoding="utf-8"))
+            document: Any = YAML(typ="base", pure=True).load(content.decode())
             information = document["rosbag2_bagfile_information"]
             # Old recorders wrote the folder's name before the file's.
             files = [Path(name).name for name in information["relative_file_paths"]]

@@ -21,6 +21,8 @@ from occmap.values import suspect_degrees
 
 MAX_LINE_BYTES = 1 << 24
 """A scan of a million beams is shorter; a longer line is not of a text log."""
+FREE_LINES = 1_000_000
+"""A gzip file of more lines than this, and of more lines than bytes, is a bomb."""
 BLOCK_BYTES = 1 << 20
 """How much of a file is read before its lines are parsed together."""
 _PIECE_BYTES = 1 << 12
@@ -86,8 +88,10 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
     Raises
     ------
     LogError
-        The file cannot be read, or has a line beyond reason.
+        The file cannot be read, has a line beyond reason, or is a gzip bomb.
     """
+    with refuse_unreadable(path):
+        most_lines = max(FREE_LINES, path.stat().st_size)
     text, number = bytearray(), 1
     damage: list[str] = []
     for piece in chain(_read_pieces(path, damage), [b""]):
@@ -101,6 +105,8 @@ def read_blocks(path: Path, notes: NoteList, table: bytes | None = None) -> Iter
             del text[:end]
         if not end and len(text) >= MAX_LINE_BYTES:
             raise LogError(f"no end of line within {len(text)} bytes", where=path, fix=NO_LOG)
+        if number > most_lines:
+            raise LogError(f"{number:,} lines, more than it has bytes", where=path, fix=NO_LOG)
     if damage:
         notes.add_damage(f"the gzip data is {damage[0]}; all after line {number - 1} is lost")
     elif text:
