@@ -6,7 +6,6 @@ are laid out alike are taken from the bytes of many messages together.
 """
 
 import json
-import re
 import struct
 from collections.abc import Callable, Collection, Mapping
 from functools import cache, lru_cache, partial
@@ -61,8 +60,8 @@ MAX_DEFINITION = 1 << 15
 """Characters of a message definition at most; none of ROS has a fifth of that, with comments."""
 MAX_FILES = 500
 """Files of a protobuf schema at most; Foxglove's own needs six."""
-_LONG_ARRAY = re.compile(r"\[\d{4,}\]")
-"""How a thousand items, or more, are written in a definition; a covariance has 36."""
+MAX_VALUES = 1000
+"""Values of a message, lists aside, at most; the covariances of an odometry are 72."""
 
 _STORES = {"cdr": Stores.ROS2_HUMBLE, "ros1": Stores.ROS1_NOETIC}
 _TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -111,21 +110,57 @@ def _load_standard(encoding: str) -> Typestore:
 
 
 def _make_store(text: str, name: str) -> Typestore:
-    """Make the types of a definition and those appended to it, without their constants.
+    """Make the types of a definition and those appended to it: what one needs, without constants.
 
     Raises
     ------
     _ERRORS
         The definition is damaged, or asks for too much.
     """
-    # rosbags writes a line of code for each item of an array of fixed length.
-    if len(text) > MAX_DEFINITION or _LONG_ARRAY.search(text):
-        raise ValueError(f"it asks for too much in {len(text)} characters")
+    if len(text) > MAX_DEFINITION:
+        raise ValueError(f"it has {len(text)} characters")
     store = get_typestore(Stores.EMPTY)
     # Bags from before 2011 call the header by the package that it then was in.
     types = get_types_from_msg(text.replace("MSG: roslib/Header", "MSG: std_msgs/Header"), name)
-    store.register({part: ([], fields) for part, (_, fields) in types.items()})
+    types = {**store.fielddefs, **types}  # ROS 1 has a time of its own
+    counts: dict[str, int] = {}
+    _count_values(types, name, counts)
+    store.register({part: ([], types[part][1]) for part in counts})
     return store
+
+
+def _count_values(types: Typesdict, name: str, counts: dict[str, int]) -> int:
+    """Count the values that a message has before any list in it.
+
+    rosbags writes a line of code for each value, and would read what takes no bytes for ever.
+
+    Parameters
+    ----------
+    counts
+        Grows by the values of the type and of all that it is made of.
+
+    Raises
+    ------
+    ValueError
+        Nobody can read such a message.
+    """
+    if name not in types:
+        raise ValueError(f"{name} is not defined")
+    if name in counts:
+        if not counts[name]:
+            raise ValueError(f"{name} contains itself")
+        return counts[name]
+    counts[name] = total = 0
+    fields: Any = types[name][1]
+    for _, (node, detail) in fields:
+        part, repeat = (node, detail), 1
+        if node in {Nodetype.ARRAY, Nodetype.SEQUENCE}:
+            part, repeat = detail[0], detail[1] if node == Nodetype.ARRAY else 1
+        total += repeat * (_count_values(types, part[1], counts) if part[0] == Nodetype.NAME else 1)
+    if not 0 < total <= MAX_VALUES:
+        raise ValueError(f"{name} holds {total} values")
+    counts[name] = total
+    return total
 
 
 def _make_json_parser(_channel: Channel) -> Parser:

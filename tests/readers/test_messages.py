@@ -58,6 +58,7 @@ HOSTILE = {
     "loop": "A0 x\n" + TEXT + f"{PART}A0\nA1 x\n{PART}A1\nA0[] x\n",
     "doubling": "A0 x\n" + TEXT + make_types(60, "A{0} x\nA{0} y\n"),
     "nothing": "A0[0] x\n" + TEXT + make_types(60, "A{0}[0] x\nA{0}[0] y\n"),
+    "empty": "A0[] x\n" + TEXT + f"{PART}A0\n",
     "missing": "Missing x\n" + TEXT,
     "headers": "Header[1000000000] x\n" + TEXT,
     "strings": "string[100000000] x\n" + TEXT,
