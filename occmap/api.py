@@ -109,7 +109,8 @@ class Map(OccupancyMap):
         return f'<img src="data:image/png;base64,{png}"><br>' + "<br>".join(map(escape, lines))
 
     def _take_evidence(self) -> Evidence:
-        if not (self.evidence.slices and self.evidence.manifest.builds):
+        # Of what a build went on from they are there, but maybe not its own.
+        if not len(self.evidence.slices) == len(self.evidence.manifest.builds) > 0:
             found = "this map did not keep when its cells were seen, which an .npz holds"
             raise UsageError(found, fix='build it with outputs="map.npz"')
         return self.evidence

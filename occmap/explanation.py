@@ -77,7 +77,7 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
     LogError
         The evidence was not made of a log, or a file cannot be read.
     PoseError
-        A trajectory is missing.
+        A trajectory is missing, or none of these builds had it.
     """
     builds = part.manifest.builds
     held = [{entry["sha256"] for entry in records.list_inputs(build)} for build in builds]
@@ -92,6 +92,10 @@ def find_uses(part: Evidence, logs: Iterable[Path], poses: Iterable[Path]) -> li
             fix = f"it was made of {made_of}: give `logs` with one of these"
             raise LogError(found, where=log, fix=fix)
         uses += [Use(log, at, recall_build(builds[at], part.where, log, given)) for at in times]
+    used = {entry["sha256"] for use in uses for entry in records.list_trajectory(builds[use.build])}
+    if idle := given.keys() - used:
+        found = "is not a trajectory that these logs were built with"
+        raise PoseError(found, where=given[min(idle)], fix="leave it out")
     return uses
 
 

@@ -138,10 +138,16 @@ def _read_timed(
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
-    elif parse is TUM and np.ptp(poses[:, 3]) > 0.1 and np.abs(poses[:, 4:6]).max() < 0.01:
-        header = "a header stamp x y z qw qx qy qz says so"
+    elif parse is TUM and _begins_with_w(poses[np.isfinite(poses).all(axis=1), 3:]):
+        header = "a header stamp x y z qw qx qy qz, without a #, says so"
         notes.append(f"{path}: the poses turn about x alone: does qw come first? {header}")
     return times, poses
+
+
+def _begins_with_w(quaternions: Float64) -> bool:
+    """Whether quaternions (N, 4), if w were last, turn about x alone, as no robot does."""
+    x, y, z, _ = np.abs(quaternions - quaternions[:1] * [1, 0, 0, 0]).T
+    return bool(len(x)) and x.max() > 0.1 and max(y.max(), z.max()) < 0.01
 
 
 def _read_matrices(

@@ -39,11 +39,13 @@ _MOST_HEAD = 1 << 10
 """The fields of a chunk before its records are shorter, with the name of its compression."""
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
+_PASSED = Opcode.MESSAGE_INDEX, Opcode.SUMMARY_OFFSET, Opcode.DATA_END
 _KINDS = {Opcode.CHUNK: records.CHUNK} | dict.fromkeys(
-    (Opcode.MESSAGE_INDEX, Opcode.SUMMARY_OFFSET, Opcode.DATA_END), records.OTHER
+    (*_PASSED, Opcode.ATTACHMENT, Opcode.METADATA, *range(128, 256)), records.OTHER
 )
 """All others but messages are read where channels are looked for, not only schemas and channels: a
-chunk under another opcode would else be passed over without a word."""
+chunk under another opcode would else be passed over without a word. Attachments may be large, and
+what anybody may use is known to nobody else."""
 _MESSAGE, _MESSAGE_INDEX = int(Opcode.MESSAGE), int(Opcode.MESSAGE_INDEX)
 _OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
 """Of the other records that may be anywhere, with those that anybody may use."""

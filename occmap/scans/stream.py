@@ -185,12 +185,14 @@ FAR_M = 200.0
 def find_middle(batch: ScanBatch) -> float:
     """Find the median of a sample of the ranges that are measurements; infinite if none is.
 
-    Where nearly all lie beyond what the scans state as their limit, these count.
+    Where nearly all lie beyond what the scans state as their limit, these count, unless most are
+    of one value, which stands for "no return".
     """
     sample = batch.ranges.ravel()[::16]  # one beam of so many tells how far away things are
-    finite = sample[(sample > 0) & (sample < np.inf)]
-    near = finite < batch.range_max
-    measured = finite[near] if near.sum() > 0.1 * near.size else finite
+    finite = np.sort(sample[(sample > 0) & (sample < np.inf)])
+    near, middle = finite < batch.range_max, finite[finite.size // 2 :][:1]
+    is_code = np.count_nonzero(finite == middle) > 0.5 * finite.size
+    measured = finite[near] if is_code or near.sum() > 0.1 * near.size else finite
     return float(np.median(measured)) if len(measured) else math.inf
 
 

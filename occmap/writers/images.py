@@ -171,6 +171,10 @@ class TilesWriter(Writer):
             TileTree(folder, grid, options).write(level=0, x=0, y=0)
 
 
+BLANK: UInt8 = np.full((TILE_PIXELS, TILE_PIXELS), CellClass.NEITHER, np.uint8)
+"""The classes of a tile that shows nothing"""
+
+
 class TileTree:
     """Tiles of a map, each made of the four below it."""
 
@@ -183,18 +187,23 @@ class TileTree:
 
     def write(self, level: int, x: int, y: int) -> UInt8:
         """Write a tile and all above it, unless they show nothing; return its classes."""
+        below = self.top - level
+        if x << below >= self.tiles.cols or y << below >= self.tiles.rows:
+            return BLANK
         if level == self.top:
             classes = self.paint(x, y)
         else:  # row 0 is the lowest y
             down, right = (2 * y + 1, 2 * y), (2 * x, 2 * x + 1)
             parts = [[self.write(level + 1, across, along) for across in right] for along in down]
-            classes = keep_largest(np.block(parts), 2)
-        if classes.any():
-            file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
-            file.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(GREYS[classes][::-1]).save(file)
-            if level == self.top:
-                self.describe(file, self.find_cells(x, y))
+            is_blank = all(part is BLANK for row in parts for part in row)
+            classes = BLANK if is_blank else keep_largest(np.block(parts), 2)
+        if not classes.any():
+            return BLANK
+        file = self.folder / f"{level}" / f"{x}" / f"{y}.png"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(GREYS[classes][::-1]).save(file)
+        if level == self.top:
+            self.describe(file, self.find_cells(x, y))
         return classes
 
     def find_cells(self, x: int, y: int) -> CellBox:

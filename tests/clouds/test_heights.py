@@ -153,12 +153,13 @@ def test_what_stands_on_a_hill_is_higher_than_the_hill_rises(
     assert not is_dropped or np.count_nonzero(base != heights) == 1
 
 
-def test_stairs_are_no_hill() -> None:
-    heights = np.tile(np.arange(64, dtype=np.int32) // 2 * 150, 64)
+@pytest.mark.parametrize(("tread_mm", "rise_mm"), [(300, 150), (400, 120), (350, 130)])
+def test_stairs_are_no_hill(tread_mm: int, rise_mm: int) -> None:
+    heights = np.tile(np.arange(64, dtype=np.int32) * 150 // tread_mm * rise_mm, 64)
 
     base = drop(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
 
-    assert (base < heights).reshape(64, 64)[:, 2:].all()
+    assert (base < heights).reshape(64, 64)[:, 3:].all()
 
 
 def lay_rows(rows: list[int]) -> Int32:

@@ -112,9 +112,11 @@ def test_each_build_gets_its_own_trajectory() -> None:
     [
         ("bare.csv", [], "bare.csv: its poses came from path.txt"),
         ("bare.csv", ["a.csv"], "SHA-256 of a.csv is another); add `poses=path"),
+        ("bare.csv", ["path.txt", "a.csv"], "a.csv: is not a trajectory"),
+        ("a.csv", ["path.txt"], "path.txt: is not a trajectory"),
     ],
 )
-def test_a_trajectory_that_is_missing_is_asked_for(log: str, poses: list[str], found: str) -> None:
+def test_one_trajectory_too_few_or_many_is_refused(log: str, poses: list[str], found: str) -> None:
     evidence = merge([build_followed(), save("a.csv", into="n.npz")])
     with pytest.raises(PoseError) as caught:
         find(evidence, log, poses=poses)

@@ -25,6 +25,8 @@ STEPPED = 3
 """Low things are looked for so far around a column (columns)"""
 SLOPE_MM, STEEP_MM = 0.12 * COLUMN_MM, 0.25 * COLUMN_MM
 """By so much one surface rises from column to column; on a hill by more, but stairs are no hill"""
+UNEVEN_MM = 30.0
+"""Root mean square of the heights of a hill over its plane, at most; steps of 12 cm have more"""
 HILL = 1.25
 """A hill may rise so many times as much as the plane through it: it is rough"""
 BROAD = 10
@@ -223,9 +225,12 @@ def grow_ground(
 
 @kernel
 def measure_hill(blocks: Blocks, height: Int32, at: int) -> tuple[float, float]:
-    """Measure how the ground around a column rises, up and right (mm a column): as its plane."""
+    """Measure how the ground around a column rises, up and right (mm a column): as its plane.
+
+    Stairs rise, too, but lie above and below their plane: they are no hill.
+    """
     row, col = locate(blocks, at)
-    many, u, r, h, uu, ur, rr, uh, rh = 0, 0, 0, 0, 0, 0, 0, 0, 0
+    many, u, r, h, uu, ur, rr, uh, rh, hh = 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
     for up in range(-BROAD, BROAD + 1):
         for right in range(-BROAD, BROAD + 1):
             near = find_column(blocks, row + up, col + right)
@@ -233,13 +238,17 @@ def measure_hill(blocks: Blocks, height: Int32, at: int) -> tuple[float, float]:
                 above = height[near] - height[at]
                 many, u, r, h = many + 1, u + up, r + right, h + above
                 uu, ur, rr = uu + up * up, ur + up * right, rr + right * right
-                uh, rh = uh + up * above, rh + right * above
+                uh, rh, hh = uh + up * above, rh + right * above, hh + above * above
     uu, ur, rr = many * uu - u * u, many * ur - u * r, many * rr - r * r
     uh, rh = many * uh - u * h, many * rh - r * h
     size = float(uu * rr - ur * ur)
     if size == 0:  # a line has no plane
         return 0.0, 0.0
-    return (uh * rr - rh * ur) / size, (rh * uu - uh * ur) / size
+    along_up, along_right = (uh * rr - rh * ur) / size, (rh * uu - uh * ur) / size
+    squares = float(many * hh - h * h) - along_up * uh - along_right * rh
+    if squares > float(many) * many * UNEVEN_MM**2:
+        return 0.0, 0.0
+    return along_up, along_right
 
 
 @kernel
