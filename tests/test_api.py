@@ -363,6 +363,9 @@ def test_a_map_passes_between_processes(log: Path, tmp_path: Path) -> None:
     assert again.hits.tolist() == [[0, 0, 0, 2]]
     again.save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "map.npz").read_bytes()
+    more = occmap.build_map(log, **BY_HAND, resume=tmp_path / "map.npz")
+    with pytest.raises(UsageError, match="did not keep when its cells were seen"):
+        more.save(tmp_path / "more.npz")
 
 
 @pytest.mark.parametrize(

@@ -333,6 +333,8 @@ def test_millimetres_are_told_where_the_limit_is_in_metres(tmp_path: Path) -> No
     log = write_csv(tmp_path / "mm.csv", drive, 30.0)
     for found in (look(log).warnings, build([log], BuildOptions()).report.notes):
         assert "ranges are metres" in " ".join(found)
+    far = Drive(spoil=lambda measured: np.append(np.full(len(measured) - 1, 999.0), 3.0))
+    assert "ranges are metres" not in " ".join(look(write_csv(log, far, 30.0)).warnings)
 
 
 def test_stamps_that_jump_back_and_drift() -> None:
