@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground
-from occmap.clouds import CloudOptions
-from occmap.clouds.ground import (
-    Columns,
-    find_holes,
-    find_nothing,
-    fit_plane,
-    index_blocks,
-    list_storeys,
-    look_beside,
-)
+from occmap.clouds import CloudOptions, ground
 from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import PASSED, STOOD
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
@@ -45,7 +36,7 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     assert ((found_mm[:found] >= low) & (found_mm[:found] <= low + 1.5 * BIN_MM)).all()
 
 
-BLOCKS = index_blocks(np.array([[0, 0]]))
+BLOCKS = ground.index_blocks(np.array([[0, 0]]))
 """One block: column (row, col) lies at 64 row + col."""
 
 
@@ -67,9 +58,9 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
     heights = np.array([-280, -160, 0], np.int32)
     peaks = growth.Peaks(first, many, heights, np.array(weights, np.int32))
-    columns = Columns(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
-    found = find_nothing(columns)
-    look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300), found)
+    columns = ground.Columns(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
+    found = ground.find_nothing(columns)
+    ground.look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300), found)
     assert found.height[0] == height
 
 
@@ -96,8 +87,8 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     counts = np.zeros((len(keys), BINS), np.int32)
     counts[np.arange(len(keys)), [up & 15 for _, up, _ in counted]] = [many for *_, many in counted]
     pieces = Pieces(np.array([at for at, *_ in counted]), keys, counts)
-    columns = Columns(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
-    found = find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
+    columns = ground.Columns(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
+    found = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
     assert np.flatnonzero(found).tolist() == list(holes)
 
 
@@ -206,7 +197,7 @@ def test_a_way_over_itself_is_said(rise: int, notes: int) -> None:
     below = np.array([[x, 300, 600] for x in range(0, 5000, 200)])
     above = below[3:6] + np.array([0, 200, rise])
 
-    told = list(list_storeys(np.concatenate([below, above])))
+    told = list(ground.list_storeys(np.concatenate([below, above])))
 
     assert len(told) == notes
     assert all("`start_s`" in each for each in told)
@@ -235,13 +226,13 @@ COL, ROW = (each.astype(np.float64) for each in np.meshgrid(np.arange(64), np.ar
 def test_a_floor_of_one_level_goes_on_by_its_plane() -> None:
     """2 mm and -1 mm a column, with a pallet in a corner."""
     slope: Float64 = 2 * COL - ROW - 700
-    plane = fit_plane(*lay_slope(slope + np.where(COL + ROW < 6, 150.0, 0.0)))
+    plane = ground.fit_plane(*lay_slope(slope + np.where(COL + ROW < 6, 150.0, 0.0)))
     assert plane is not None
     np.testing.assert_allclose(plane.reshape(64, 64), slope, atol=1)
 
 
 def test_what_is_no_plane_does_not_go_on() -> None:
-    assert fit_plane(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
+    assert ground.fit_plane(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
     blocks, level = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
-        assert fit_plane(blocks, np.where(part, level, NO_GROUND)) is None
+        assert ground.fit_plane(blocks, np.where(part, level, NO_GROUND)) is None

@@ -11,16 +11,8 @@ from occmap import api
 from occmap.api import Map
 from occmap.cells import CellBox, OccupancyMap
 from occmap.evidence import to_grid
-from occmap.page.raster import (
-    MOST_CELLS,
-    Packed,
-    Raster,
-    Seen,
-    make_raster,
-    name_layers,
-    pack_layer,
-    round_counts,
-)
+from occmap.page import raster as rasters
+from occmap.page.raster import Seen, make_raster, name_layers, pack_layer
 from tests.writers.maps import map_of
 
 
@@ -35,7 +27,7 @@ def seen(made: Map) -> Seen:
     return Seen.of(made.evidence)
 
 
-def unpack(packed: Packed) -> NDArray[np.uint32]:
+def unpack(packed: rasters.Packed) -> NDArray[np.uint32]:
     """As page.js does."""
     plain = np.frombuffer(zlib.decompress(b64decode(packed.data)), np.uint8)
     planes = plain.reshape(packed.planes, packed.rows, packed.columns).astype(np.uint32)
@@ -43,7 +35,7 @@ def unpack(packed: Packed) -> NDArray[np.uint32]:
     return np.asarray((planes << shifts[:, None, None]).sum(axis=0, dtype=np.uint32))
 
 
-def layer(raster: Raster, name: str) -> np.ndarray[tuple[int, ...], np.dtype[np.uint32]]:
+def layer(raster: rasters.Raster, name: str) -> np.ndarray[tuple[int, ...], np.dtype[np.uint32]]:
     return unpack(raster.layers[name])
 
 
@@ -122,7 +114,7 @@ def test_a_page_that_would_be_too_large_is_rounded_then_thinned(made: Map, seen:
 
 def test_small_counts_stay_exact() -> None:
     counts = np.array([[0, 1, 15, 31, 33, 34, 1000]])
-    assert round_counts(counts, 16).tolist() == [[0, 1, 15, 31, 32, 34, 992]]
+    assert rasters.round_counts(counts, 16).tolist() == [[0, 1, 15, 31, 32, 34, 992]]
 
 
 def test_a_map_without_evidence_has_classes_and_probabilities() -> None:
@@ -134,7 +126,7 @@ def test_a_map_without_evidence_has_classes_and_probabilities() -> None:
 
 
 def test_16_million_cells_are_not_thinned_for_their_number() -> None:
-    assert MOST_CELLS >= 4000 * 4000
+    assert rasters.MOST_CELLS >= 4000 * 4000
 
 
 @pytest.mark.parametrize(

@@ -21,19 +21,7 @@ from tests.readers import ros
 from tests.readers.clouds import cloud, echoes
 from tests.readers.foxglove_logs import Message, write_json
 from tests.readers.foxglove_logs import scan as foxglove_scan
-from tests.readers.ros import (
-    RANGES,
-    ROS1,
-    ROS2,
-    SCAN,
-    SECOND,
-    TF,
-    Memory,
-    both,
-    scan,
-    serialise,
-    transforms,
-)
+from tests.readers.ros import ROS2, SCAN, SECOND, Memory, both, scan, transforms
 from tests.readers.runs import expect_equal
 from tests.samples import SAMPLE_LOGS
 
@@ -52,7 +40,7 @@ def test_a_laser_scan_becomes_a_scan_with_ranges_of_its_own(store: Typestore) ->
     result = convert_laser_scan(message, "/scan", 42)
 
     expected = Scan(
-        STAMP, "robot/laser", -1.5, 0.75, RANGES, 0.25, 30.0, 0.125, topic="/scan", record_ns=42
+        STAMP, "robot/laser", -1.5, 0.75, ros.RANGES, 0.25, 30.0, 0.125, topic="/scan", record_ns=42
     )
     expect_equal(result, expected)
     assert not np.shares_memory(result.ranges, message.ranges)
@@ -60,7 +48,7 @@ def test_a_laser_scan_becomes_a_scan_with_ranges_of_its_own(store: Typestore) ->
 
 @pytest.mark.parametrize("kind", ["tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"])
 def test_each_transform_is_a_sample_without_leading_slashes(kind: str) -> None:
-    store = ROS1 if kind == "tf/msg/tfMessage" else ROS2
+    store = ros.ROS1 if kind == "tf/msg/tfMessage" else ROS2
     message = transforms(store, STAMP, [("/map", "/odom", 1.0), ("odom", "//base", 1.0)], kind)
 
     assert convert(kind, message) == [
@@ -237,7 +225,7 @@ def test_a_nan_that_a_flipped_bit_makes_of_infinity_is_read_without_a_warning() 
 
 
 @pytest.mark.parametrize(
-    ("kind", "read"), [(SCAN, lambda log: log.scans({"/it"})), (TF, lambda log: log.poses())]
+    ("kind", "read"), [(SCAN, lambda log: log.scans({"/it"})), (ros.TF, lambda log: log.poses())]
 )
 def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     kind: str, read: Callable[[RosLog], Iterator[Any]], monkeypatch: pytest.MonkeyPatch
@@ -250,7 +238,7 @@ def test_a_fault_of_a_converter_is_no_damage_of_the_log(
     monkeypatch.setitem(message_types.TYPES, kind, faulty)
     message = scan(ROS2, 5) if kind == SCAN else transforms(ROS2, 5, [("a", "b", 1.0)])
     channel = Channel("/it", kind, "cdr", count=1)
-    log = RosLog(Memory([(channel, 7, serialise(message))]))
+    log = RosLog(Memory([(channel, 7, ros.serialise(message))]))
 
     with pytest.raises(AttributeError, match="anlge_min"):
         list(read(log))
