@@ -116,8 +116,8 @@ def put_out(
     return Answer(report, write_rows(options.tell_report(report)))
 
 
-MOST_SCANS = 12
-"""A longer list is cut: --json has all"""
+MOST_SCANS, MOST_BUILDS = 12, 6
+"""Longer lists are cut: --json has all"""
 PAIRS = {
     EvidenceKind.COUNTS: ("hits", "misses"),
     EvidenceKind.LOG_ODDS: ("log-odds", "observations"),
@@ -195,7 +195,9 @@ def list_forgotten(explanation: Explanation) -> Iterator[Row]:
 def list_builds(explanation: Explanation) -> list[Row]:
     """Say on how many visits each build observed the cell, and when; and then all together."""
     builds = explanation.builds
-    shown = [f"{join_names(each.logs)}: {describe_visits(each)}" for each in builds]
+    shown = [f"{join_names(each.logs)}: {describe_visits(each)}" for each in builds[:MOST_BUILDS]]
+    if len(builds) > MOST_BUILDS:
+        shown.append(f"and {len(builds) - MOST_BUILDS:,} more builds: --json lists all")
     if len(builds) > 1 and explanation.visits:
         shown.append(f"together: {describe_visits(explanation.visits)}")
     return label_first("visits", shown)
