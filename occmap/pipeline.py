@@ -68,8 +68,7 @@ def build(
             is_compared = past or len(set(map(measure_files, paths))) < len(paths)
             is_told = writers.want_evidence(outputs) or is_compared
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
-        manifest = evidence.manifest
-        manifest = replace(manifest, builds=(*manifest.builds, *made))
+        manifest = replace(evidence.manifest, builds=(*evidence.manifest.builds, *made))
         evidence = replace(evidence, manifest=manifest)
         steady = measure_steady(to_grid(evidence)) if tally.points else 1.0
         tally.notes += [

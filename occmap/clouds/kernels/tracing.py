@@ -258,7 +258,7 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     scale = UNITS_PER_CELL / canvas.resolution
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
-    under = find_under(cloud.origin, canvas)
+    under = find_floor(canvas, row, col, -HIGHEST)
     many, floors = find_ends(cloud, band, canvas, room, under)
     first = room.first
     for bearing in range(SECTORS):
@@ -292,6 +292,16 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
         layer = 2 * tile + (0 if state[at] & HIT else 1)
         canvas.counts[layer * CELLS + inside] += weight
         state[at] = 0
+
+
+@step
+def find_floor(canvas: Canvas, row: int, col: int, other: int) -> int:
+    """The height of the ground of a cell (mm), or another one where it has none."""
+    at = find_column(canvas.tiles, row, col)
+    if at < 0 or canvas.state[at] & UNKNOWN:
+        return other
+    level: int = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+    return level
 
 
 @step
@@ -346,9 +356,7 @@ def mark_drops(
         if level == FAR or level >= origin[2] * 1000:
             continue
         row, col = (at_y + some.up[i]) >> CELL_SHIFT, (at_x + some.right[i]) >> CELL_SHIFT
-        at, floor = find_column(canvas.tiles, row, col), under
-        if at >= 0 and not state[at] & UNKNOWN:
-            floor = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+        floor = find_floor(canvas, row, col, under)
         rise = floor - origin[2] * 1000
         if level - floor > -DEEP * some.clear[i] or rise >= 0:
             continue
@@ -376,18 +384,6 @@ def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: i
         room.steep[bearing] = slope if key < known else max(slope, room.steep[bearing])
     if key < known or (key == known and end < room.ends[kind, bearing]):
         room.apart[kind, bearing], room.ends[kind, bearing] = key, end
-
-
-@step
-def find_under(origin: Float64, canvas: Canvas) -> int:
-    """The height of the ground of the sensor's cell (mm), or -`HIGHEST`."""
-    scale = UNITS_PER_CELL / canvas.resolution
-    row, col = int(np.rint(origin[1] * scale)), int(np.rint(origin[0] * scale))
-    at = find_column(canvas.tiles, row >> CELL_SHIFT, col >> CELL_SHIFT)
-    if at < 0 or canvas.state[at] & UNKNOWN:
-        return -HIGHEST
-    level: int = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
-    return level
 
 
 @kernel
