@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from occmap.cells import CellBox, Ground, view_tiles
 from occmap.clouds import CloudOptions
-from occmap.clouds.ground import index_blocks
+from occmap.clouds.ground import lay_cloud, lay_columns
 from occmap.clouds.kernels import tracing
-from occmap.clouds.kernels.growth import BLOCK, Blocks
+from occmap.clouds.kernels.growth import BLOCK, SHORTEST_M, Blocks, Columns
 from occmap.clouds.kernels.heights import SOME, Cloud, find_reach, list_clouds
-from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas, Columns
+from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
@@ -24,9 +24,7 @@ from occmap.sensor import ReturnOptions
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 SLACK_M = 0.096
-"""The clearance grows from where poses that are off put the floor this high: 8 m by default."""
-SHORTEST_M = 0.05
-"""Nearer points are no returns."""
+"""The clearance grows from where poses that are off put the floor this high: 16 m by default."""
 FIRST_TILES = 64
 TILE_BYTES = TILE * TILE * 11
 """What a tile takes: two counts, the ground, and what a cloud says of each cell"""
@@ -80,7 +78,8 @@ class Sheet:
         if most_points < points or most_cells < cells:
             self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
         for cloud in clouds:
-            tracing.trace_cloud(cloud, band, self.canvas, self.room)
+            laid = lay_cloud(cloud, self.canvas.columns)
+            tracing.trace_cloud(laid, band, self.canvas, self.room)
 
     def empty(self) -> tuple[Int64, Int32]:
         """Give the places of tiles in which something was observed, and their cells."""
@@ -115,7 +114,8 @@ class Extent:
 
     def add(self, cloud: Cloud) -> None:
         """Take in a cloud."""
-        tracing.widen(self._edges, cloud, self._band, self._columns, self._place)
+        laid = lay_cloud(cloud, self._columns)
+        tracing.widen(self._edges, laid, self._band, self._columns, self._place)
 
     @property
     def box(self) -> CellBox | None:
@@ -127,12 +127,6 @@ class Extent:
 def double(layer: NDArray[Any]) -> NDArray[Any]:
     """Make room for twice as many tiles in a layer of a canvas."""
     return np.concatenate([layer, np.zeros_like(layer)])
-
-
-def lay_columns(ground: Ground) -> Columns:
-    """Lay out the ground as kernels take it."""
-    blocks = index_blocks(ground.blocks)
-    return Columns(blocks, ground.height_mm.ravel(), ground.measured.ravel())
 
 
 class CloudEngine(Engine):

@@ -17,17 +17,17 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.drift import list_drifts
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, Blocks, Found, Peaks
+from occmap.clouds.kernels.growth import BLOCK, Blocks, Columns, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
 from occmap.errors import MapError
 from occmap.posing import Drift
 from occmap.report import join_names
 from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32, Int64, PosedScans
 
-POINTS_A_CLOUD = 25_000
-"""About so many points of each cloud are counted, or a quarter: whichever is more."""
-LEAST_SHARE = 0.25
-FEWEST_CLOUDS = 100
+POINTS_A_CLOUD = 12_500
+"""About so many points of each cloud are counted, or an eighth: whichever is more."""
+LEAST_SHARE = 0.125
+FEWEST_CLOUDS = 200
 """About so many clouds of a build are counted at least, if it has them."""
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
@@ -71,6 +71,8 @@ LEVEL_FILLED = 128
 """It goes on over so many columns"""
 UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
 """About so many clouds, and points of each, show if walls stand upright"""
+MOST_LIFT_MM, STEEPEST = 50, 0.175
+"""A cloud is laid on the ground by so much at most (mm, and mm a cm: a degree)"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -104,9 +106,10 @@ class Counted(NamedTuple):
 class GroundFinder:
     """Counts heights of points in columns; any number of threads may call `add`."""
 
-    def __init__(self, clouds: int, log: str = "") -> None:
-        """Make one for a build of so many clouds, those of a log."""
-        self._clouds, self._log = clouds, log
+    def __init__(self, clouds: int, log: str = "", ground: Ground | None = None) -> None:
+        """Make one for a build of so many clouds, those of a log, that are laid on some ground."""
+        self._clouds, self._log, self._ground = clouds, log, ground
+        self._floor = ground and lay_columns(ground)
         self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
         self._idle: list[Histogram] = []
         self._paths: defaultdict[Sensor, list[Int64]] = defaultdict(list)
@@ -118,7 +121,7 @@ class GroundFinder:
 
     def start_over(self, log: str) -> "GroundFinder":
         """Make one for a log of the same build that has seen nothing."""
-        return GroundFinder(self._clouds, log)
+        return GroundFinder(self._clouds, log, self._ground)
 
     def wants(self, stamp_ns: int, points: int) -> bool:
         """Whether a cloud is among those that are counted, however logs are cut into parts."""
@@ -132,7 +135,8 @@ class GroundFinder:
         place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
         for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
             start, points = 0, len(cloud.points) // 3
-            while (start := heights.count_heights(cloud, table, start, place, listed)) < points:
+            laid = lay_cloud(cloud, self._floor) if self._floor else cloud
+            while (start := heights.count_heights(laid, table, start, place, listed)) < points:
                 table = grow_table(table, 4 * len(table.keys))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
@@ -218,6 +222,26 @@ class GroundFinder:
         return pack_ground(blocks, height, measured), [*notes, *list_storeys(stood)]
 
 
+def lay_columns(ground: Ground) -> Columns:
+    """Lay out the ground as kernels take it."""
+    blocks = index_blocks(ground.blocks)
+    return Columns(blocks, ground.height_mm.ravel(), ground.measured.ravel())
+
+
+def lay_cloud(cloud: Cloud, floor: Columns) -> Cloud:
+    """Lay a cloud on the ground: its heights lose what the plane of its floor lies above that."""
+    listed = np.empty((3, len(cloud.points) // 3), np.int32)
+    many = growth.list_floor(cloud, cloud.points.view(np.int32), floor, listed)
+    lift, right, up = growth.measure_lean(listed, many)
+    steep = max(math.hypot(right, up) / STEEPEST, 1.0)
+    lean = np.array([right, up, 0.0]) / 10 / steep
+    lift_m = float(np.clip(lift, -MOST_LIFT_MM, MOST_LIFT_MM)) / 1000
+    poses = cloud.poses.copy()
+    poses[:, 2] -= lean @ cloud.poses
+    poses[:, 2, 3] += lean @ cloud.origin - lift_m
+    return cloud._replace(poses=poses, origin=cloud.origin - [0, 0, lift_m])
+
+
 def sample_points(cloud: Cloud) -> Float64:
     """Place some points (N, 3) of a cloud, those that are finite (m)."""
     points, pose = pose_points(cloud, UPRIGHT_POINTS)
@@ -257,7 +281,7 @@ def thin_path(*parts: Int64) -> Int64:
     return every[first]
 
 
-class Columns(NamedTuple):
+class Shown(NamedTuple):
     """What points show of columns."""
 
     blocks: Blocks
@@ -282,7 +306,7 @@ class Seat(NamedTuple):
     """So far beside the path this was seen (columns)"""
 
 
-def grow(columns: Columns, seats: Sequence[Seat], known: Ground | None) -> Int32:
+def grow(columns: Shown, seats: Sequence[Seat], known: Ground | None) -> Int32:
     """Let the ground grow from under the path, without what is low and stands on it (C,)."""
     blocks, peaks = columns.blocks, columns.peaks
     height, queue = np.empty_like(peaks.first), np.empty((2, len(peaks.first)), np.int64)
@@ -327,7 +351,7 @@ def fill_around(blocks: Blocks, height: Int32) -> None:
         height[beyond] = plane[beyond]
 
 
-def find_holes(columns: Columns, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
+def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
     """Find columns (C,) that have no ground, since points lie deep below where it would be.
 
     Holes go on to the columns around, as far as ground is filled in, if no ground was measured in
@@ -350,14 +374,14 @@ def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
     return np.asarray(~measured & (around != NO_GROUND) & (known.height_mm == NO_GROUND).ravel())
 
 
-def find_nothing(columns: Columns) -> Found:
+def find_nothing(columns: Shown) -> Found:
     """Begin to look for the ground of columns."""
     height = np.full_like(columns.peaks.first, NO_GROUND)
     return Found(height, np.zeros_like(height), np.zeros(len(height), np.uint8))
 
 
 def look_beside(
-    columns: Columns, path: Int64, reach: tuple[int, int, int], band: tuple[int, int], found: Found
+    columns: Shown, path: Int64, reach: tuple[int, int, int], band: tuple[int, int], found: Found
 ) -> Int64:
     """Add to the ground what lies so deep below a sensor, beside its path.
 
@@ -434,7 +458,7 @@ def list_storeys(stood: Int64) -> Iterator[str]:
         )
 
 
-def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns:
+def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
     kept = np.flatnonzero(table.keys != heights.EMPTY)
     kept = kept[np.argsort(table.keys[kept])]  # column by column, and in each from the lowest piece
@@ -452,7 +476,7 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Columns
     first[at], of_column[at] = np.cumsum(many) - many, many
     peaks = Peaks(first, of_column, level[:found].copy(), weight[:found].copy())
     pieces = Pieces(at[np.cumsum(is_next) - 1], keys, counts)
-    return Columns(blocks, peaks, len(places), pieces)
+    return Shown(blocks, peaks, len(places), pieces)
 
 
 def unpack_columns(keys: Int64, path: Int64) -> Int64:
@@ -493,9 +517,7 @@ def index_blocks(places: Int64) -> Blocks:
     return Blocks(table, corner, places)
 
 
-def list_seats(
-    columns: Columns, paths: Mapping[Sensor, Int64], given_m: float | None
-) -> list[Seat]:
+def list_seats(columns: Shown, paths: Mapping[Sensor, Int64], given_m: float | None) -> list[Seat]:
     """Measure how high each sensor is above the ground; those that are as high count as one.
 
     Raises
@@ -519,7 +541,7 @@ def list_seats(
 
 
 def measure_seat(
-    columns: Columns, paths: Mapping[Sensor, Int64], given_m: float | None
+    columns: Shown, paths: Mapping[Sensor, Int64], given_m: float | None
 ) -> Seat | None:
     """Measure how high sensors are: the median depth of peaks beside their path.
 

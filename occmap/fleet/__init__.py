@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from occmap import pipeline, writers
-from occmap.cells import CellBox
+from occmap.cells import CellBox, Ground
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
@@ -81,17 +81,18 @@ class Crew:
         """Find the ground below the clouds of all logs."""
         from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-        def count(options: BuildOptions) -> GroundFinder:
-            self.setting = replace(self.setting, options=options)
+        def count(options: BuildOptions, ground: Ground | None) -> GroundFinder:
+            keep = self.setting.keep._replace(ground=ground)
+            setting = replace(self.setting, options=options, keep=keep)
             level = "".join(f" {angle}" for angle in options.posing.level or ())
-            some = [replace(job, name=job.name + level) for job in self.logs]
-            finder = GroundFinder(self.setting.scans)
-            for counted in self.cluster.run(tasks.survey_ground, self.setting, some):
+            some = [replace(job, name=f"{job.name}{level} {bool(ground)}") for job in self.logs]
+            finder = GroundFinder(setting.scans)
+            for counted in self.cluster.run(tasks.survey_ground, setting, some):
                 finder.join(counted)
             return finder
 
         known = self.setting.keep
-        found = levelling.level_ground(count, self.setting.options, known.ground)
+        found = levelling.settle_ground(count, self.setting.options, known.ground)
         self.tally.notes += found.notes
         keep = known._replace(ground=found.ground)
         self.setting = replace(self.setting, keep=keep, options=found.options)

@@ -139,7 +139,8 @@ def survey_ground(setting: Setting, job: Job) -> "Counted":
     """Count what the clouds of a log show of the ground; raises OccmapError as `count_ground`."""
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    finder, options = GroundFinder(setting.scans), replace(setting.options, jobs=1)
+    options = replace(setting.options, jobs=1)
+    finder = GroundFinder(setting.scans, ground=setting.keep.ground)
     count_ground(open_drive(open_log(Path(job.where), options.reading), options), finder)
     return finder.count()
 

@@ -280,10 +280,11 @@ MOST_TILT_DEG = 10.0
 def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground) -> CellBox | None:
     """Read clouds once more, and find the cells that their points observe; None: they do none."""
     from occmap.clouds import engine  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.ground import lay_columns  # noqa: PLC0415  likewise
     from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
 
     band = engine.make_band(options.clouds, options.returns)
-    extent = engine.Extent(Lattice(options.resolution), engine.lay_columns(ground), band)
+    extent = engine.Extent(Lattice(options.resolution), lay_columns(ground), band)
     for posed in Drive(log, poser, options).read(Tally()):  # it knows by now what leaps away
         for cloud in list_clouds(posed):
             extent.add(cloud)

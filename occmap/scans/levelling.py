@@ -6,11 +6,12 @@ Heights of poses that drift are corrected on the way, and known ground goes on b
 import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
 from occmap.cells import Ground
+from occmap.clouds import FLAT
 from occmap.errors import MapError, name_log
 from occmap.evidence import refuse_other
 from occmap.options import BuildOptions
@@ -69,33 +70,43 @@ def find_ground(
     """
     from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
 
-    def count(options: BuildOptions) -> GroundFinder:
+    def count(options: BuildOptions, ground: Ground | None) -> GroundFinder:
         scans = (count_scans(drive.log, options.selection.topics) for drive in drives)
-        finder = GroundFinder(sum(scans))
+        finder = GroundFinder(sum(scans), ground=ground)
         for drive in drives:
             count_ground(drive.renew(options), finder)
         return finder
 
-    return level_ground(count, options, known)
+    return settle_ground(count, options, known)
 
 
-def level_ground(
-    count: Callable[[BuildOptions], "GroundFinder"], options: BuildOptions, known: Ground | None
-) -> BuildGround:
+Count: TypeAlias = Callable[[BuildOptions, Ground | None], "GroundFinder"]
+"""Reads all clouds, and counts what they show of the ground; they may be laid on some first"""
+
+
+def settle_ground(count: Count, options: BuildOptions, known: Ground | None) -> BuildGround:
+    """Find the ground, and once more by clouds that are laid on it, which poses blur less."""
+    finder = count(options, None)
+    if known is None:
+        first = level_ground(count, finder, options)
+    else:
+        first = extend_ground(finder, options, known)
+    if options.clouds.ground == FLAT or first.ground is known:
+        return first
+    posing = first.options.posing
+    settled = replace(posing, height_drift=posing.height_drift or {})  # none is looked for again
+    finder = count(replace(first.options, posing=settled), first.ground)
+    ground, notes = finder.find(options.clouds, known)
+    return BuildGround(ground, [*notes, *first.notes], first.options)
+
+
+def level_ground(count: Count, finder: "GroundFinder", options: BuildOptions) -> BuildGround:
     """Find the ground, and lay a map flat of which the floor leans, and the walls with it.
 
     SLAM that knows no gravity has its map in the frame of the first cloud, however the sensor was
     held. Of a street that climbs the walls stand upright, and it stays as it is.
-
-    Parameters
-    ----------
-    count
-        Reads all clouds, and counts what they show of the ground.
     """
-    finder, level = count(options), (0.0, 0.0)
-    if known is not None:
-        return extend_ground(finder, options, known)
-    found = keep_drifts(finder, options, *finder.find(options.clouds))
+    level, found = (0.0, 0.0), keep_drifts(finder, options, finder.find(options.clouds)[0])
     if options.posing.level is not None:
         return found
     place = place_logs(options.posing)
@@ -113,8 +124,8 @@ def level_ground(
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
-        finder = count(laid)
-        found = keep_drifts(finder, laid, *finder.find(options.clouds))
+        finder = count(laid, None)
+        found = keep_drifts(finder, laid, finder.find(options.clouds)[0])
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
@@ -176,21 +187,19 @@ def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) 
         if len(rise) >= LEAST_OVERLAP * min(own.measured.sum(), known.measured.sum()):
             with name_log(join_names(logs)):
                 refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
-    found = (known, []) if is_whole else finder.find(options.clouds, known)
-    return keep_drifts(finder, options, *found)
+    ground = known if is_whole else finder.find(options.clouds, known)[0]
+    return keep_drifts(finder, options, ground)
 
 
-def keep_drifts(
-    finder: "GroundFinder", options: BuildOptions, ground: Ground, notes: list[str]
-) -> BuildGround:
+def keep_drifts(finder: "GroundFinder", options: BuildOptions, ground: Ground) -> BuildGround:
     """Keep by what heights were corrected while clouds were counted, and say so."""
-    notes += (
+    notes: list[str] = [
         Note(
             f"heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where the "
             "drive comes by again: they are corrected; `height_drift=off` leaves them"
         ).placed(log)
         for log, drift in finder.drifts.items()
-    )
+    ]
     if finder.drifts:
         options = replace(options, posing=replace(options.posing, height_drift=finder.drifts))
     return BuildGround(ground, notes, options)

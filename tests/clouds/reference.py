@@ -2,6 +2,7 @@
 
 import math
 from collections import defaultdict
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,17 @@ def is_beneath(floor: Seen, hits: list[Seen]) -> bool:
 def weigh(cell: Cell, start: Cell) -> int:
     """What a cloud weighs in a cell: four times as much up to 8 m from its sensor's cell."""
     return 4 if math.dist(cell, start) * 0.05 < 8 else 1
+
+
+def fit_plane(places: Float64, above: Float64) -> Float64:
+    """How high the floor of a cloud is (mm), and how it rises (mm a cm), at places (N, 2; cm)."""
+    plane: Float64 = np.zeros(3)
+    terms = np.insert(places, 0, 1, axis=1)
+    for gate in (150, 80, 40):
+        near = np.abs(above - terms @ plane) <= gate
+        sums = terms[near].T @ terms[near] + np.diag([100, 100 * 500**2, 100 * 500**2])
+        plane = np.asarray(np.linalg.solve(sums, terms[near].T @ above[near]))
+    return plane
 
 
 class SlowEngine:
@@ -162,8 +174,29 @@ class SlowEngine:
                 hits.append(seen)
         return hits, floor
 
+    def lay(self, posed: PosedScans) -> PosedScans:
+        """Lay a cloud of at most 10,000 points on the ground."""
+        assert posed.batch.clouds
+        origin = posed.position[0]
+        points = posed.batch.clouds[0].points @ posed.rotation[0].T.astype(np.float64)
+        near = points[(np.hypot(*points.T[:2]) < 40) & (np.hypot(*points.T[:2]) > 0.05)] + origin
+        seen = []
+        for x, y, z in near.tolist():
+            column = math.floor(y / 0.15), math.floor(x / 0.15)
+            height = find_height(self.ground, x, y) if column in self.measured else None
+            if height is not None and abs(round(z * 1000 - height)) < 300:
+                away = round((x - origin[0]) * 100), round((y - origin[1]) * 100)
+                seen.append((*away, round(z * 1000 - height)))
+        floor = np.array(seen).reshape(-1, 3).astype(np.float64)
+        lift, right, up = fit_plane(floor[:, :2], floor[:, 2]).tolist()
+        least = -0.1 / max(math.hypot(right, up) / 0.175, 1.0)
+        shear = np.array([[1, 0, 0], [0, 1, 0], [least * right, least * up, 1]])
+        position = posed.position - [0, 0, np.clip(lift, -50, 50) / 1000]
+        return replace(posed, position=position, rotation=shear @ posed.rotation)
+
     def add(self, posed: PosedScans) -> None:
         """Observe one cloud whose points share a pose."""
+        posed = self.lay(posed)
         hits, floor = self.look(posed)
         near, far = group(hits), group(floor)
         missed = {each.cell for each in floor if not is_beneath(each, near[each.sector])}

@@ -171,11 +171,16 @@ def drive_turning(
 
 
 def find_ground(drives: Sequence[PosedScans]) -> Ground:
-    """Find the ground below a drive."""
-    finder = GroundFinder(len(drives))
-    for posed in drives:
-        finder.add(posed)
-    return finder.find(CloudOptions())[0]
+    """Find the ground below a drive, and once more by clouds that are laid on it."""
+    laid: Ground | None = None
+    while True:
+        finder = GroundFinder(len(drives), ground=laid)
+        for posed in drives:
+            finder.add(posed)
+        ground, _ = finder.find(CloudOptions())
+        if laid:
+            return ground
+        laid = ground
 
 
 def observe(

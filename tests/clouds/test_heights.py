@@ -58,7 +58,7 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     first, many = lay({0: 0}, empty=0), lay({0: 3}, empty=0)
     heights = np.array([-280, -160, 0], np.int32)
     peaks = growth.Peaks(first, many, heights, np.array(weights, np.int32))
-    columns = ground.Columns(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
+    columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
     found = ground.find_nothing(columns)
     ground.look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300), found)
     assert found.height[0] == height
@@ -87,7 +87,7 @@ def test_ground_that_was_not_measured_around_points_deep_below_it_is_a_hole(
     counts = np.zeros((len(keys), BINS), np.int32)
     counts[np.arange(len(keys)), [up & 15 for _, up, _ in counted]] = [many for *_, many in counted]
     pieces = Pieces(np.array([at for at, *_ in counted]), keys, counts)
-    columns = ground.Columns(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
+    columns = ground.Shown(BLOCKS, growth.Peaks(*np.zeros((4, 0), np.int32)), 1, pieces)
     found = ground.find_holes(columns, height, measured.astype(np.bool_), CloudOptions())
     assert np.flatnonzero(found).tolist() == list(holes)
 
@@ -115,7 +115,10 @@ def test_a_column_is_a_low_thing_where_lower_ones_hold_more_points(
 @pytest.mark.parametrize(
     ("step", "passed", "is_dropped"),
     # A step from one column to the next is more than 60 + 0.12 x 150 = 78 mm, far away 156 mm.
-    [(77, PASSED, False), (79, PASSED, True), (79, STOOD, False), (155, 0, False), (157, 0, True)],
+    [
+        *((77, PASSED, False), (79, PASSED, True), (79, STOOD, False), (155, 0, False)),
+        *((157, 0, True), (299, PASSED, True), (300, PASSED, False)),
+    ],
 )
 def test_a_step_is_higher_where_the_robot_did_not_pass(
     step: int, passed: int, is_dropped: bool
@@ -125,32 +128,6 @@ def test_a_step_is_higher_where_the_robot_did_not_pass(
     base = drop(lay({650: step, 651: 0}), lay({650: 5, 651: 9}, 0), where)
 
     assert base[650] == (0 if is_dropped else step)
-
-
-@pytest.mark.parametrize(
-    ("rise", "lift", "is_dropped"),
-    # To the column below it is 60 + 1.25 x 30 = 97 mm on the hill, or 60 + 0.12 x 150 = 78 mm.
-    [(30, 60, False), (30, 66, False), (30, 69, True), (0, 77, False), (0, 79, True)],
-)
-def test_what_stands_on_a_hill_is_higher_than_the_hill_rises(
-    rise: int, lift: int, is_dropped: bool
-) -> None:
-    heights = np.tile(np.arange(64, dtype=np.int32) * rise, 64)
-    heights[32 * 64 + 32] += lift
-
-    base = drop(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
-
-    assert (base[32 * 64 + 32] < heights[32 * 64 + 32]) == is_dropped
-    assert not is_dropped or np.count_nonzero(base != heights) == 1
-
-
-@pytest.mark.parametrize(("tread_mm", "rise_mm"), [(300, 150), (400, 120), (350, 130)])
-def test_stairs_are_no_hill(tread_mm: int, rise_mm: int) -> None:
-    heights = np.tile(np.arange(64, dtype=np.int32) * 150 // tread_mm * rise_mm, 64)
-
-    base = drop(heights, np.ones_like(heights), np.full(4096, PASSED, np.uint8))
-
-    assert (base < heights).reshape(64, 64)[:, 3:].all()
 
 
 def lay_rows(rows: list[int]) -> Int32:

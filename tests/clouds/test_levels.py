@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.cells import OccupancyMap
+from occmap.cells import Ground, OccupancyMap
 from occmap.clouds.drift import list_drifts
 from occmap.clouds.ground import GroundFinder
 from occmap.errors import MapError
@@ -19,7 +19,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.readers.ros_log import RosLog
-from occmap.scans.levelling import level_ground
+from occmap.scans.levelling import Count, settle_ground
 from occmap.types import Float64, Int64, Pose, PoseBatch, PosedScans, PoseSample
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import ask, occmap
@@ -61,11 +61,11 @@ def climb(clouds: Sequence[PosedScans], slope: float) -> list[PosedScans]:
     return [replace(each, position=each.position @ up) for each in raised]
 
 
-def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder]:
+def count(clouds: Sequence[PosedScans]) -> Count:
     """Count clouds as a build does, in a map that is levelled as the options say."""
 
-    def count_levelled(options: BuildOptions) -> GroundFinder:
-        finder = GroundFinder(len(clouds))
+    def count_levelled(options: BuildOptions, ground: Ground | None) -> GroundFinder:
+        finder = GroundFinder(len(clouds), ground=ground)
         roll, pitch = options.posing.level or (0.0, 0.0)
         level = lean(clouds, turn(roll, pitch, 0))
         moved = [shift(each, *PLACE) for each in lean(level, turn(0, 0, math.degrees(YAW)))]
@@ -81,7 +81,7 @@ def count(clouds: Sequence[PosedScans]) -> Callable[[BuildOptions], GroundFinder
 @pytest.mark.parametrize("posing", [PosingOptions(), ELSEWHERE])
 def test_a_map_that_leans_is_laid_flat(angles: tuple[float, float], posing: PosingOptions) -> None:
     clouds, given = lean(drive(Room()), turn(*angles, 0)), BuildOptions(posing=posing)
-    ground, notes, options = level_ground(count(clouds), given, None)
+    ground, notes, options = settle_ground(count(clouds), given, None)
 
     assert options.posing.level is not None
     up = turn(*options.posing.level, 0) @ turn(*angles, 0) @ [0, 0, 1]
@@ -94,12 +94,12 @@ def test_a_map_that_leans_is_laid_flat(angles: tuple[float, float], posing: Posi
 def test_a_map_that_does_not_begin_at_its_zero_knows_what_is_up() -> None:
     """Such as one in UTM: to turn it about the zero would move it by far."""
     clouds = [shift(each, 5e5, 4e5) for each in lean(drive(Room()), turn(3, 0, 0))]
-    assert level_ground(count(clouds), BuildOptions(), None).options == BuildOptions()
+    assert settle_ground(count(clouds), BuildOptions(), None).options == BuildOptions()
 
 
 def test_a_street_that_climbs_stays_as_it_is() -> None:
     clouds = climb(drive(Room()), math.tan(math.radians(5)))
-    _, notes, options = level_ground(count(clouds), BuildOptions(), None)
+    _, notes, options = settle_ground(count(clouds), BuildOptions(), None)
     assert options == BuildOptions()
     assert len(notes) == 1
 
@@ -110,7 +110,7 @@ def test_a_floor_without_walls_does_not_tell_if_it_climbs() -> None:
     floors = [
         change_points(it, each[each[:, 2] < -0.5]) for it, each in zip(clouds, points, strict=True)
     ]
-    _, notes, options = level_ground(count(floors), BuildOptions(), None)
+    _, notes, options = settle_ground(count(floors), BuildOptions(), None)
     assert options == BuildOptions()
     assert len(notes) == 1
 
@@ -119,7 +119,7 @@ def test_a_floor_without_walls_does_not_tell_if_it_climbs() -> None:
 def test_what_the_user_says_goes_before_what_clouds_show(level: tuple[float, float]) -> None:
     given = BuildOptions(posing=PosingOptions(level=level))
     clouds = lean(drive(Room()), turn(-3, 0, 0))
-    _, notes, options = level_ground(count(clouds), given, None)
+    _, notes, options = settle_ground(count(clouds), given, None)
     assert options is given
     assert len(notes) == 1
 
@@ -131,7 +131,7 @@ def test_grounds_that_hardly_overlap_are_not_compared() -> None:
             replace(each, position=each.position + np.array([away, 0, 0.4])) for each in clouds
         ]
         with pytest.raises(MapError, match=r"0\.40 m lower") if is_compared else nullcontext():
-            level_ground(count(clouds), BuildOptions(), find_ground(moved))
+            settle_ground(count(clouds), BuildOptions(), find_ground(moved))
 
 
 def test_a_build_says_how_it_was_levelled_and_a_session_takes_it_over(tmp_path: Path) -> None:

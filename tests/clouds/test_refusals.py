@@ -100,7 +100,7 @@ def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None
         done = occmap(*words)
         assert done.code == 1
         assert "0.40 m lower" in done.err
-        assert "--transform 0.5,0,0,0" in done.err
+        assert "--transform 0.5,0,0" in done.err
     nearly = (*lower[:4], "--transform", "0,0,0,0.02", "--resume", first)
     assert occmap(*nearly, "-o", tmp_path / "nearly.npz").code == 0
 

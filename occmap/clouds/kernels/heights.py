@@ -90,6 +90,17 @@ def find_place(keys: Int64, key: int) -> int:
     return place
 
 
+@step
+def place_point(cloud: Cloud, i: int) -> tuple[float, float, float]:
+    """Say where a point lies in the map, by the pose that it has."""
+    pose = cloud.poses[cloud.which[i] if cloud.which.size else 0]
+    u, v, w = cloud.points[3 * i], cloud.points[3 * i + 1], cloud.points[3 * i + 2]
+    x = pose[0, 0] * u + pose[0, 1] * v + pose[0, 2] * w + pose[0, 3]
+    y = pose[1, 0] * u + pose[1, 1] * v + pose[1, 2] * w + pose[1, 3]
+    z = pose[2, 0] * u + pose[2, 1] * v + pose[2, 2] * w + pose[2, 3]
+    return x, y, z
+
+
 @kernel
 def place_points(cloud: Cloud, start: int, place: Float64) -> int:
     """Fill `place` (3, `SOME`) with where points from `start` on lie in the map; return how many.
@@ -110,10 +121,8 @@ def place_points(cloud: Cloud, start: int, place: Float64) -> int:
         place[1, i] = yx * u + yy * v + yz * w + at_y
         place[2, i] = zx * u + zy * v + zz * w + at_z
     for i in range(size if cloud.which.size else 0):
-        k, u, v, w = cloud.which[start + i], flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
-        for axis in range(0 if np.isnan(place[0, i]) else 3):
-            turned = poses[k, axis, 0] * u + poses[k, axis, 1] * v + poses[k, axis, 2] * w
-            place[axis, i] = turned + poses[k, axis, 3]
+        if not np.isnan(place[0, i]):
+            place[0, i], place[1, i], place[2, i] = place_point(cloud, start + i)
     return size
 
 

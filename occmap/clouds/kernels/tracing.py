@@ -4,14 +4,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.growth import BLOCK, Blocks, find_column, locate
+from occmap.clouds.kernels.growth import (
+    BLOCK,
+    STEP_MM,
+    Blocks,
+    Columns,
+    find_column,
+    ground_at,
+    locate,
+)
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int16, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int16, Int32, Int64, UInt8
 
-STEP_MM = 80
-"""The ground is bilinear between columns that differ by no more."""
 MISS, HIT, UNKNOWN = 1, 2, 4
 """Bits of a cell in one cloud; the last one stays where there is no ground."""
 SECTORS_OF_QUARTER = 180
@@ -40,16 +46,6 @@ CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
 
-class Columns(NamedTuple):
-    """The ground that the second pass goes over."""
-
-    blocks: Blocks
-    height: Int32
-    """(C,) of each column (mm), or `NO_GROUND`"""
-    measured: Bool
-    """(C,) whether points showed it"""
-
-
 class Canvas(NamedTuple):
     """What the second pass writes to, tile by tile."""
 
@@ -71,30 +67,6 @@ class Canvas(NamedTuple):
     """(6,) how many points were of each kind"""
     resolution: float
     """Side of a cell (m)"""
-
-
-@step
-def ground_at(columns: Columns, x: float, y: float) -> int:
-    """The height of the ground at a point (mm): bilinear where it is flat, else of its column."""
-    blocks, height, _ = columns
-    across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
-    own = find_column(blocks, int(np.floor(along)), int(np.floor(across)))
-    if own < 0 or height[own] == NO_GROUND:
-        return NO_GROUND
-    col, row = int(np.floor(across - 0.5)), int(np.floor(along - 0.5))
-    right, up = across - 0.5 - col, along - 0.5 - row
-    level: int = height[own]
-    low, high, total = level, level, 0.0
-    for i in range(2):
-        for j in range(2):
-            at = find_column(blocks, row + i, col + j)
-            if at < 0 or height[at] == NO_GROUND:
-                return level
-            low, high = min(low, height[at]), max(high, height[at])
-            total += height[at] * (up if i else 1 - up) * (right if j else 1 - right)
-    if high - low > STEP_MM:
-        return level
-    return int(np.rint(total))
 
 
 @kernel
