@@ -37,6 +37,9 @@ SET_BACK_S = 1.0
 """Messages of one frame are late by less."""
 FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 """A robot that drives turns back at once at hardly any of its poses, and by less"""
+FLICKER_ROW, ROW_GAP, LEAST_SIDE = 10, 5, 0.1
+"""Where it does so again and again, no more samples apart, what lies before or behind that may be
+kept, if it is a larger share of the scans"""
 UNREAL_M_PER_S = 100.0
 """A quarter of the steps of no car is as fast; those of a robot of which places are in mm are."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
@@ -60,19 +63,60 @@ class Jump(NamedTuple):
     """What jumped"""
 
 
-def warn_of_mixed(chain: Chain) -> Concern | None:
-    """Say if a step holds poses of two times, or of two nodes, among each other."""
+def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | None:
+    """Say if a step holds poses of two times, or of two nodes, among each other.
+
+    Parameters
+    ----------
+    scans_ns, first_ns
+        Stamps (S,) of the used scans, and of the first scan of the log, by the clock of the poses.
+    """
     for step in (leg.step for leg in chain.legs if isinstance(leg, Moving)):
         name, track = f"{step.parent} -> {step.child}", step.track
         if track.set_back_s > SET_BACK_S:
             found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
             why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
             return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
-        share = measure_flicker(track)
+        turns = list_turns(track, scans_ns)
+        share, found = len(turns) / len(track), f"{name} jumps to and fro"
+        if way_out := leave_row_out(track, turns, scans_ns, first_ns):
+            option, value = way_out
+            why = f"was the clock set back? `{option}={value}` keeps what is not mixed"
+            return Concern(f"{found} for a while: {why}", {option: value})
         if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
-            found = f"{name} jumps to and fro at {share:.0%} of its {len(track):,} samples"
+            found += f" at {share:.0%} of its {len(track):,} samples"
             return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
     return None
+
+
+def leave_row_out(
+    track: Track, turns: Int64, scans_ns: Int64, first_ns: int
+) -> tuple[str, str] | None:
+    """Find the option that keeps most scans (S,) before or behind where a track is mixed.
+
+    That is the longest row of samples (K,) at which it turns back at once. None: there is no such
+    row, or hardly a scan beside it.
+    """
+    row = max(np.split(turns, np.flatnonzero(np.diff(turns) > ROW_GAP) + 1), key=len)
+    if len(row) < FLICKER_ROW:
+        return None
+    start_ns, end_ns = int(track.stamp_ns[row[0] - 1]), int(track.stamp_ns[row[-1] + 1])
+    before, behind = np.mean(scans_ns <= start_ns), np.mean(scans_ns >= end_ns)
+    if max(before, behind) < LEAST_SIDE:
+        return None
+    if before > behind:
+        return "end_s", write_end(start_ns - first_ns)
+    return "start_s", write_start(end_ns - first_ns)
+
+
+def write_start(since_ns: int) -> str:
+    """Write a time after the first scan (ns) as the option that keeps no earlier scan."""
+    return f"{-(-since_ns // MS_NS) / 1e3:.12g}"
+
+
+def write_end(since_ns: int) -> str:
+    """Write a time after the first scan (ns) as the option that keeps no later scan."""
+    return f"{since_ns // MS_NS / 1e3:.12g}"
 
 
 def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern | None:
@@ -89,7 +133,7 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     first_ns
         Stamp of the first scan of the log, by the clock of the poses.
     """
-    if chain and (mixed := warn_of_mixed(chain)):
+    if chain and (mixed := warn_of_mixed(chain, track.stamp_ns, first_ns)):
         return mixed
     stated = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
     found = find_jumps(chain or stated, track.stamp_ns)
@@ -98,11 +142,10 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     scans, jumps = np.diff([0, *found, len(track)]), list(found.values())
     longest = int(np.argmax(scans))
     remedy = {}
-    if longest > 0:  # rounded so that no scan of another part is kept
-        start_ms = -(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS)
-        remedy["start_s"] = f"{start_ms / 1e3:.12g}"
+    if longest > 0:
+        remedy["start_s"] = write_start(jumps[longest - 1].stamp_ns - first_ns)
     if longest < len(jumps):
-        remedy["end_s"] = f"{(jumps[longest].stamp_ns - first_ns) // MS_NS / 1e3:.12g}"
+        remedy["end_s"] = write_end(jumps[longest].stamp_ns - first_ns)
     keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
     worst = max(jumps, key=lambda jump: jump.metres + jump.radians)
     text = (
@@ -182,12 +225,13 @@ def find_strides(track: Track) -> Int64:
     return strides
 
 
-def measure_flicker(track: Track) -> float:
-    """Measure at what share of the samples of a track it turns back at once."""
+def list_turns(track: Track, scans_ns: Int64) -> Int64:
+    """List the samples (K,) among the scans (S,) at which a track turns back at once."""
     before, here, after = (track.position[at : len(track) - 2 + at] for at in range(3))
     aside = np.linalg.norm(here - (before + after) / 2, axis=1)
     turns = aside > np.maximum(FLICKER_M, np.linalg.norm(after - before, axis=1))
-    return np.count_nonzero(turns) / len(track)
+    among = np.searchsorted(scans_ns, track.stamp_ns[1:-1])
+    return np.flatnonzero(turns & (among > 0) & (among < len(scans_ns))) + 1
 
 
 SLACK_M = 1.0

@@ -19,7 +19,18 @@ from occmap.readers import Echo, Fix, Role, cloud_messages
 from occmap.readers.containers import Channel
 from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
 from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
-from occmap.types import IDENTITY, Bool, Cloud, Int64, Pose, PoseBatch, PoseSample, Scan, UInt8
+from occmap.types import (
+    IDENTITY,
+    Bool,
+    Cloud,
+    Int64,
+    Pose,
+    PoseBatch,
+    PoseSample,
+    Scan,
+    UInt8,
+    name_origin,
+)
 from occmap.values import as_float32, as_number
 
 ReadMany: TypeAlias = Callable[[Locate, FromBytes[Any], UInt8, Int64], tuple[Sequence[Any], Bool]]
@@ -165,7 +176,7 @@ def _find_header(message: Any, topic: str, record_ns: int) -> tuple[int, str]:
 def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Give the pose of a foxglove.LaserScan in its frame; none where it is the frame's own."""
     (sample,) = FOXGLOVE.read(message, topic, record_ns)
-    child = f"{sample.parent}:{topic.strip('/')}"
+    child = name_origin(sample.parent, topic)
     return [] if sample.pose == IDENTITY else [sample._replace(child=child)]
 
 

@@ -71,6 +71,7 @@ PLACES = {
     "poses without a tree": case(POSES, [4, 0, 0], "mocap"),
     "nameless odometry": case(NAMELESS, [4.5, 0, 0], sensor_pose=AHEAD),
     "of a base in tf": case([*NAMELESS, MOUNT], [4.5, 0, 0]),
+    "a frame in itself": case([*drive("gps", "gps", "/gps"), MOUNT], [4.5, 0, 0], "gps"),
     "of another base": case([*NAMELESS, bolted("torso", "laser", AHEAD)], [4.5, 0, 0]),
     "bolted to the map": case([bolted("map", "laser", turned(0, x=3))], [3, 0, 0], "map"),
     "a chosen topic": case([*TF, *MOCAP], [0.5, 4, 0], "mocap", poses="/mocap/pose"),
@@ -111,6 +112,7 @@ NOTES = {
         "are the robot's"
     ],
     "of a base in tf": [TAKEN.format("/odom", "base_link") + OWN],
+    "a frame in itself": [TAKEN.format("/gps", "base_link") + OWN],
     "of another base": [TAKEN.format("/odom", "torso") + OWN],
     "a chosen topic": [TAKEN.format("/mocap/pose", "base_link") + OWN],
     "chosen odometry": [TAKEN.format("/fused", "base_link")],
@@ -283,6 +285,11 @@ def test_two_lasers_ride_on_one_topic_of_poses() -> None:
     poser.find_chains(["laser", "rear"])
     assert place(poser, frame="rear") == [4, 0, 0]
     assert place(poser, frame="laser") == [4.5, 0, 0]
+
+
+def test_where_scans_begin_in_their_frame_says_nothing_of_how_that_moves() -> None:
+    origin = [at(t, "laser", "laser:scan", AHEAD, "/scan") for t in range(11)]
+    assert place(build(*POSES, *origin), frame="laser:scan") == [4.5, 0, 0]
 
 
 @pytest.mark.parametrize(
