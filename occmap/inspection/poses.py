@@ -27,7 +27,7 @@ from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.sources import Sources
 from occmap.readers import Log, Role
 from occmap.report import count
-from occmap.report.results import DOUBTFUL_AGREEMENT
+from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.scans import estimate_agreement, mounts
 from occmap.scans.logs import read_poser
 from occmap.scans.mounts import Posing
@@ -77,6 +77,8 @@ def find_better(
         poser, parts = pose_sample(log, posing, topic, changed)
         agreement = estimate_agreement(parts, changed)
         share = posed if topic.stated else share_posed(poser, topic)
+        if (agreement or 1.0) < LEAST_AGREEMENT <= (found.agreement or 0.0):
+            continue  # poses that do not fit are no gain, however many
         if (fit := share * (usual if agreement is None else agreement)) > most:
             most, better = fit, Better(name, value, agreement)
     # Of a mount it is told in any case that it is wrong.
@@ -123,8 +125,9 @@ def list_other_poses(sources: Sources, way: Chain) -> Iterator[tuple[str, str]]:
 def pose_sample(
     log: Log, posing: Posing, topic: TopicSurvey, options: BuildOptions
 ) -> tuple[Poser, list[PosedScans]]:
-    """Pose the sample of a topic by other options; for other times, the log is read once more."""
-    if options.posing.stamps is not posing.poser.options.stamps:
+    """Pose the sample of a topic by other options; for other scans, the log is read once more."""
+    chosen, usual = options.posing, posing.poser.options
+    if chosen.stamps != usual.stamps or chosen.max_pose_gap_s != usual.max_pose_gap_s:
         one = (topic.stream.topic,)
         options = replace(options, selection=replace(options.selection, topics=one))
         drive = Drive(log, read_poser(log, options.posing, one), options)
