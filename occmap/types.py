@@ -253,11 +253,6 @@ class PoseSample(NamedTuple):
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
 
-def name_origin(parent: str, topic: str) -> str:
-    """Name the frame of scans on a topic that state where in another frame they begin."""
-    return f"{parent}:{topic.strip('/')}"
-
-
 @dataclass(frozen=True, slots=True)
 class PoseBatch:
     """Samples of one frame in another from one source, stacked so that NumPy sees many at once."""

@@ -20,7 +20,8 @@ from occmap.posing.frames import Edge, FrameTree, Source, find_moving, find_stra
 from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import read_trajectory
 from occmap.report import count, join_names
-from occmap.types import Moments, PoseBatch, PoseSample, name_origin
+from occmap.types import Moments, PoseBatch, PoseSample
+from occmap.values import name_origin
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""

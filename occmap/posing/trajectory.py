@@ -8,6 +8,7 @@ times.txt beside it.
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -121,13 +122,13 @@ def _read_timed(
     path: Path, notes: list[str], moments: Moments | None
 ) -> tuple[Sequence[int], Float64]:
     """Read the times (ns) and poses (N, 7) of a file; its first line tells its format."""
-    lines = list(_read_lines(path))
+    lines, heading = _read_rows(path)
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
     if not has_header and len(begin.split()) == MATRIX:
         return _read_matrices(path, lines, notes, moments)
     rows: list[Row] = []
-    for parse in _parse_lines(path, lines[:1], _find_format):
+    for parse in _parse_lines(path, lines[:1], partial(_find_format, heading)):
         rows += _parse_lines(path, lines[has_header:], parse)
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
@@ -139,7 +140,7 @@ def _read_timed(
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
     elif parse is TUM and _begins_with_w(poses[np.isfinite(poses).all(axis=1), 3:]):
-        header = "a header stamp x y z qw qx qy qz, without a #, says so"
+        header = "a header stamp x y z qw qx qy qz says so"
         notes.append(f"{path}: the poses turn about x alone: does qw come first? {header}")
     return times, poses
 
@@ -178,11 +179,22 @@ def _read_times(path: Path) -> list[int]:
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_lines(beside), values.parse_seconds, fix))
+    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_seconds, fix))
+
+
+def _read_rows(path: Path) -> tuple[list[NumberedLine], str]:
+    """Read the lines that are no comments, and the comment right above them."""
+    rows, heading = list[NumberedLine](), ""
+    for number, text in _read_lines(path):
+        if not text.startswith("#"):
+            rows.append((number, text))
+        elif not rows:
+            heading = text.lstrip("# ")
+    return rows, heading
 
 
 def _read_lines(path: Path) -> Iterator[NumberedLine]:
-    """Read the lines that are neither empty nor comments."""
+    """Read the lines that are not empty."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
             begin = file.read(BINARY_WITHIN)
@@ -193,7 +205,7 @@ def _read_lines(path: Path) -> Iterator[NumberedLine]:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
                 text = line.strip()
-                if text and not text.startswith("#"):
+                if text:
                     yield number, text
 
 
@@ -209,17 +221,32 @@ def _parse_lines(
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _find_format(text: str) -> Callable[[str], Row]:
+def _find_format(heading: str, text: str) -> Callable[[str], Row]:
     """Tell by its first line how the lines of a file are parsed; raises ValueError.
+
+    Parameters
+    ----------
+    heading
+        The comment above it, which may name the columns.
+    """
+    if not NUMBER.match(text):
+        return _read_header(text)
+    if re.match(r"-?\d+\s*,", text):
+        return EUROC
+    with suppress(ValueError):
+        parse = _read_header(heading)
+        parse(text)  # raises: it names other columns
+        return parse
+    if set(text).intersection(",;"):
+        raise ValueError("no header says what the columns are")
+    return TUM
+
+
+def _read_header(text: str) -> Callable[[str], Row]:
+    """Tell by a header how the lines below are parsed; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
-    if NUMBER.match(text):
-        if not set(text).intersection(",;"):
-            return TUM
-        if re.match(r"-?\d+\s*,", text):
-            return EUROC
-        raise ValueError("no header says what the columns are")
     separator = values.find_separator(text)
     columns, is_ns = values.split_header(text, separator)
     names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]

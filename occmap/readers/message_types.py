@@ -19,19 +19,8 @@ from occmap.readers import Echo, Fix, Role, cloud_messages
 from occmap.readers.containers import Channel
 from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
 from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
-from occmap.types import (
-    IDENTITY,
-    Bool,
-    Cloud,
-    Int64,
-    Pose,
-    PoseBatch,
-    PoseSample,
-    Scan,
-    UInt8,
-    name_origin,
-)
-from occmap.values import as_float32, as_number
+from occmap.types import IDENTITY, Bool, Cloud, Int64, Pose, PoseBatch, PoseSample, Scan, UInt8
+from occmap.values import as_float32, as_number, name_origin
 
 ReadMany: TypeAlias = Callable[[Locate, FromBytes[Any], UInt8, Int64], tuple[Sequence[Any], Bool]]
 """From what finds numbers in a message, what reads one, messages of one length (M, L), and when
@@ -216,6 +205,7 @@ _LIVOX = MessageType(
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType({Role.SCAN: convert_laser_scan}, many=read_scan_run),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType({Role.SCAN: convert_multi_echo}, needs=Echo),
+    "sensor_msgs/msg/PointCloud": MessageType({Role.CLOUD: cloud_messages.convert_listed}),
     "sensor_msgs/msg/PointCloud2": MessageType({Role.CLOUD: cloud_messages.convert_cloud}),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,

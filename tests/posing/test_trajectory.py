@@ -44,6 +44,7 @@ TURN = (0, 0, 0.6, 0.8)
             "y,x,name,z,roll,pitch,yaw,stamp\n2,1,run7,3,3.141592653589793,0,0,3\n",
             (1, 2, 3, 1, 0, 0, 0),
         ),
+        ("#stamp x y z qx qy qz qw id\n3 1 2 4 0 0 0.6 0.8 7\n", (1, 2, 4, *TURN)),
         ("stamp,x,y,qx,qy,qz,qw\n3,2,3,0.1,0.2,0.3,0.4\n", (2, 3, 0, 0.1, 0.2, 0.3, 0.4)),
         ("\ufeffstamp,x,y,yaw\r\n3,1,2,0\r\n", (1, 2, 0, 0, 0, 0, 1)),
         ('"Time [s]","x [m]","y (m)","theta [rad]"\n3,1,2,0\n', (1, 2, 0, 0, 0, 0, 1)),
@@ -60,7 +61,8 @@ TURN = (0, 0, 0.6, 0.8)
         ),
     ],
     ids=[
-        *("heading", "columns in any order beside others", "quaternion", "byte order mark"),
+        *("heading", "columns in any order beside others", "a comment of RTAB-Map's"),
+        *("quaternion", "byte order mark"),
         *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
         "names of EuRoC",
     ],
