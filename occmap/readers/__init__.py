@@ -10,6 +10,7 @@ or mcap: a reader is loaded on use.
 A probe holds the first bytes of a path, by which readers know it.
 """
 
+import re
 import shlex
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -90,6 +91,9 @@ def _miss(path: Path) -> LogError:
     if path.is_symlink():
         found = f"a link to {path.readlink()}, which is not there"
         return LogError(found, where=path, fix="mend the link, or give the log itself")
+    if scheme := re.match(r"(\w{2,}):/", str(path)):
+        fix = "leave out file://" if scheme[1] == "file" else "download it, and give that file"
+        return LogError("an address, where a file or a folder belongs", where=path, fix=fix)
     if has_magic(str(path)):
         return LogError("no file matches", where=path, fix="check the pattern and its folder")
     there = []

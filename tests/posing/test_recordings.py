@@ -1,6 +1,6 @@
 """Poses of another recording: of a robot's own topics, or what a SLAM exports after the drive."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -136,16 +136,16 @@ def test_transforms_of_a_recording_replace_those_of_the_log(log: Path, whole: st
 @pytest.mark.parametrize(
     ("names", "write", "version"),
     [
-        ("day_{}.bag", write_bag1, ROS1),
-        ("day_2026-01-02-03-04-0{}_{}.bag", write_bag1, ROS1),
-        ("day_{}.mcap", write_mcap, ROS2),
+        (("day_0.bag", "day_1.bag.active"), write_bag1, ROS1),
+        (("day_2026-01-02-03-04-00_0.bag", "day_2026-01-02-03-04-01_1.bag"), write_bag1, ROS1),
+        (("day_0.mcap", "day_1.mcap"), write_mcap, ROS2),
     ],
 )
 def test_a_later_part_of_a_split_recording_takes_what_never_changes_from_the_first(
-    names: str, write: Callable[..., Path], version: Any, whole: str
+    names: Sequence[str], write: Callable[..., Path], version: Any, whole: str
 ) -> None:
     messages = drive(version)
-    parts = [Path("day", names.format(n, n)) for n in range(2)]
+    parts = [Path("day", name) for name in names]
     parts[0].parent.mkdir()
     for part, some in zip(parts, (messages[:7], messages[7:]), strict=True):
         write(part, some)

@@ -103,5 +103,5 @@ def test_without_protobuf_the_extra_is_named(
 
     assert read(log) == ([], [])
     assert any("pip install '.[foxglove]'" in note.text for note in log.notes)
-    with pytest.raises(LogError):
+    with pytest.raises(LogError, match=r"pip install '.\[foxglove\]'"):
         build([path], BuildOptions())
