@@ -420,16 +420,21 @@ class Stance(NamedTuple):
     """z (m)"""
     ahead: float
     """How far its x axis points up (rad); below 0: down"""
+    swing: float
+    """How much its scan plane nods or rolls, but for the tenth at either end (rad)"""
 
     @classmethod
     def measure(cls, track: Track) -> Self:
         """Measure how a sensor sat."""
-        ahead, _, up = tracks.rotate_by(track.quaternion)[:, 2].T
+        rise = tracks.rotate_by(track.quaternion)[:, 2]
+        ahead, _, up = rise.T
+        lowest, highest = np.quantile(np.arcsin(np.clip(rise[:, :2], -1, 1)), (0.1, 0.9), axis=0)
         return cls(
             upside_down=bool(np.median(up) < 0),
             tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),
             height=float(np.median(track.position[:, 2])),
             ahead=float(np.arcsin(np.clip(np.median(ahead), -1, 1))),
+            swing=float((highest - lowest).max()),
         )
 
 
@@ -450,6 +455,9 @@ def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
     reach = math.floor(10 * stance.height / math.sin(stance.tilt)) / 10
     if stance.tilt >= STEEP_RAD:
         yield Concern(f"{found}: the laser looks at the floor or the ceiling, not at walls", None)
+    elif stance.swing > 2 * TILTED_RAD:
+        found = f"the scan plane nods by {math.degrees(stance.swing):.0f} deg and meets the floor"
+        yield Concern(f"{found}: map clouds of its scans, which `laser_assembler` makes")
     elif reach < LEAST_REACH_M:
         yield Concern(f"{found}: it meets the floor")
     elif max_range > reach:

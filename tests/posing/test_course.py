@@ -53,6 +53,16 @@ def test_a_range_that_ends_before_the_floor_is_right() -> None:
     assert concern.remedy == {"max_range": "3.4"}
 
 
+def test_a_laser_that_nods_is_not_cut_short() -> None:
+    to_and_fro = (Pose.from_xyzrpy((0, 0, 0.3), (0, pitch, 0)) for pitch in (0.1, -0.1) * 20)
+    nods = [at(s, "base_link", "laser", pose) for s, pose in enumerate(to_and_fro)]
+    poser = build(*drive("odom", "base_link", seconds=range(41)), *nods)
+    attach(poser, batch_at(range(40)))
+    ((_, concern),) = poser.list_concerns(0, math.inf)
+    assert "nods by 11 deg" in concern.text  # 0.2 rad
+    assert not concern.remedy
+
+
 STILL = "/scan: the laser never moves, so the map is what it sees from one place"
 
 
