@@ -40,8 +40,9 @@ FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 FLICKER_ROW, ROW_GAP, LEAST_SIDE = 10, 5, 0.1
 """Where it does so again and again, no more samples apart, what lies before or behind that may be
 kept, if it is a larger share of the scans"""
-UNREAL_M_PER_S = 100.0
-"""A quarter of the steps of no car is as fast; those of a robot of which places are in mm are."""
+UNREAL_M_PER_S, BLIND_M_PER_S = 100.0, 10.0
+"""A quarter of the steps of no car is as fast, or where it sees less far than it goes from scan to
+scan; those of a robot of which places are in mm are, or in cm."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
 """Offsets from a step to those beside it, which say how fast the robot drives there."""
 FASTEST_BESIDE = 3
@@ -401,13 +402,18 @@ def stands(track: Track) -> bool:
     return len(track) >= STILL_SCANS and not moves
 
 
-def suspect_places(track: Track) -> str:
-    """Say if a sensor moves faster than any does between most scans; "" if it does not."""
-    speed = track.step_m / track.interval_s
-    if len(speed) < STILL_SCANS or np.quantile(speed, 0.75) < UNREAL_M_PER_S:
+def suspect_places(track: Track, middle_m: float) -> str:
+    """Say if a sensor moves faster than any does between most scans; "" if it does not.
+
+    A slower one is as doubtful where scans do not overlap, by their median range.
+    """
+    if len(track) <= STILL_SCANS:
         return ""
-    found = f"the sensor moves at {np.quantile(speed, 0.75):.3g} m/s"
-    return f"{found}: places are metres; are these millimetres, or are the times wrong?"
+    speed, step_m = np.quantile([track.step_m / track.interval_s, track.step_m], 0.75, axis=1)
+    if speed < (BLIND_M_PER_S if step_m > 2 * middle_m else UNREAL_M_PER_S):
+        return ""
+    found = f"the sensor moves at {speed:.3g} m/s: places are metres"
+    return f"{found}; are these millimetres or centimetres, or are the times wrong?"
 
 
 class Stance(NamedTuple):

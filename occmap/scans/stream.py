@@ -305,7 +305,7 @@ class Drive:
         for topic in (topic for topic, it in self._middle_m.items() if FAR_M < it < math.inf):
             found = f"most ranges are above {FAR_M:g} m: ranges are metres"
             yield topic, f"{found}; are these millimetres or centimetres?"
-        yield from self.poser.suspect_places()
+        yield from self.poser.suspect_places(self._middle_m)
 
     def list_left(self) -> Iterator[str]:
         """Say which clouds are left out where there are scans, and the user chose nothing."""
