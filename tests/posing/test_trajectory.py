@@ -61,8 +61,7 @@ TURN = (0, 0, 0.6, 0.8)
         ),
     ],
     ids=[
-        *("heading", "columns in any order beside others", "a comment of RTAB-Map's"),
-        *("quaternion", "byte order mark"),
+        *("heading", "columns in any order beside others", "comment", "quaternion", "byte order"),
         *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
         "names of EuRoC",
     ],
@@ -190,11 +189,6 @@ def test_a_bad_line_is_named(tmp_path: Path, text: str, line: int, found: str) -
 def test_an_empty_trajectory_is_refused(tmp_path: Path, text: str) -> None:
     with pytest.raises(LogError, match="holds no poses"):
         read(tmp_path, text)
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="No such file"):
-        read_trajectory(tmp_path / "none.tum", [])
 
 
 @pytest.mark.parametrize(

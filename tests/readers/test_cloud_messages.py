@@ -15,19 +15,9 @@ from occmap.readers import Role, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets
 from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
-from tests.readers.clouds import cloud, image, info, livox, packed
+from tests.readers.clouds import cloud, image, info, listed, livox, packed
 from tests.readers.foxglove_logs import Message, place, stamp, write_json
-from tests.readers.ros import (
-    ROS1,
-    ROS2,
-    SECOND,
-    Written,
-    both,
-    drive,
-    header,
-    write_bag1,
-    write_mcap,
-)
+from tests.readers.ros import ROS1, ROS2, SECOND, Written, both, drive, write_bag1, write_mcap
 
 DEPTH, INFO = "/camera/depth/image_rect_raw", "/camera/depth/camera_info"
 
@@ -112,15 +102,7 @@ def test_livox_points_have_their_times(
 
 @both
 def test_an_old_cloud_lists_its_points_and_their_times(store: Typestore, tmp_path: Path) -> None:
-    point, channel = (
-        store.types[name]
-        for name in ("geometry_msgs/msg/Point32", "sensor_msgs/msg/ChannelFloat32")
-    )
-    points = [point(1.0, 2.0, 3.0), point(-4.0, 5.5, 0.25)]
-    channels = [channel(name, np.array([0, 0.0625], np.float32)) for name in ("i", "time")]
-    at = header(store, SECOND, "lidar")
-    message = store.types["sensor_msgs/msg/PointCloud"](at, points, channels)
-    (cloud,), _ = record(tmp_path, ("/cloud", message), store=store)
+    (cloud,), _ = record(tmp_path, ("/cloud", listed(store)), store=store)
     assert cloud.points.tolist() == [[1, 2, 3], [-4, 5.5, 0.25]]
     assert cloud.offset_ns is not None
     assert cloud.offset_ns.tolist() == [0, 62_500_000]
