@@ -77,7 +77,7 @@ def find_better(
         poser, parts = pose_sample(log, posing, topic, changed)
         agreement = estimate_agreement(parts, changed)
         share = posed if topic.stated else share_posed(poser, topic)
-        if (agreement or 1.0) < LEAST_AGREEMENT <= (found.agreement or 0.0):
+        if agreement is not None and agreement < LEAST_AGREEMENT <= (found.agreement or 0.0):
             continue  # poses that do not fit are no gain, however many
         if (fit := share * (usual if agreement is None else agreement)) > most:
             most, better = fit, Better(name, value, agreement)

@@ -37,9 +37,9 @@ SET_BACK_S = 1.0
 """Messages of one frame are late by less."""
 FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 """A robot that drives turns back at once at hardly any of its poses, and by less"""
-FLICKER_ROW, ROW_GAP, LEAST_SIDE = 10, 5, 0.1
-"""Where it does so again and again, no more samples apart, what lies before or behind that may be
-kept, if it is a larger share of the scans"""
+FLICKER_ROW, ROW_GAP, FLICKER_TIMES, LEAST_SIDE = 10, 2, 2.0, 0.2
+"""Where it does so again and again, no more samples apart, and so many times as far as noise does,
+what lies before or behind that may be kept, if it is a larger share of the scans"""
 UNREAL_M_PER_S, BLIND_M_PER_S = 100.0, 10.0
 """A quarter of the steps of no car is as fast, or where it sees less far than it goes from scan to
 scan; those of a robot of which places are in mm are, or in cm."""
@@ -78,26 +78,26 @@ def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | Non
             found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
             why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
             return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
-        turns = list_turns(track, scans_ns)
-        share, found = len(turns) / len(track), f"{name} jumps to and fro"
-        if way_out := leave_row_out(track, turns, scans_ns, first_ns):
+        found = f"{name} jumps to and fro"
+        if way_out := leave_row_out(track, scans_ns, first_ns):
             option, value = way_out
-            why = f"was the clock set back? `{option}={value}` keeps what is not mixed"
-            return Concern(f"{found} for a while: {why}", {option: value})
+            why = "was the clock set back, or do two nodes send it?"
+            keep = f"`{option}={value}` keeps what is not mixed"
+            return Concern(f"{found} for a while: {why} {keep}", {option: value})
+        share = len(list_turns(track, scans_ns, 1.0)) / len(track)
         if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
             found += f" at {share:.0%} of its {len(track):,} samples"
             return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
     return None
 
 
-def leave_row_out(
-    track: Track, turns: Int64, scans_ns: Int64, first_ns: int
-) -> tuple[str, str] | None:
+def leave_row_out(track: Track, scans_ns: Int64, first_ns: int) -> tuple[str, str] | None:
     """Find the option that keeps most scans (S,) before or behind where a track is mixed.
 
-    That is the longest row of samples (K,) at which it turns back at once. None: there is no such
-    row, or hardly a scan beside it.
+    That is the longest row of samples at which it clearly turns back at once. None: there is no
+    such row, or hardly a scan beside it.
     """
+    turns = list_turns(track, scans_ns, FLICKER_TIMES)
     row = max(np.split(turns, np.flatnonzero(np.diff(turns) > ROW_GAP) + 1), key=len)
     if len(row) < FLICKER_ROW:
         return None
@@ -226,11 +226,14 @@ def find_strides(track: Track) -> Int64:
     return strides
 
 
-def list_turns(track: Track, scans_ns: Int64) -> Int64:
-    """List the samples (K,) among the scans (S,) at which a track turns back at once."""
+def list_turns(track: Track, scans_ns: Int64, times: float) -> Int64:
+    """List the samples (K,) among the scans (S,) at which a track turns back at once.
+
+    Each lies so many times as far from the way between its neighbours as these lie apart.
+    """
     before, here, after = (track.position[at : len(track) - 2 + at] for at in range(3))
     aside = np.linalg.norm(here - (before + after) / 2, axis=1)
-    turns = aside > np.maximum(FLICKER_M, np.linalg.norm(after - before, axis=1))
+    turns = aside > np.maximum(FLICKER_M, times * np.linalg.norm(after - before, axis=1))
     among = np.searchsorted(scans_ns, track.stamp_ns[1:-1])
     return np.flatnonzero(turns & (among > 0) & (among < len(scans_ns))) + 1
 

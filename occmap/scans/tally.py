@@ -223,9 +223,9 @@ def refuse_unused(tally: Tally) -> None:
     if tally.scans_read:
         found = write_unused(tally.scans_read, tally.dropped)
         raise PoseError(found, where=where, fix=advise_on_dropped(tally.dropped))
-    lost = next(filter(is_damage, tally.notes), None)
-    if lost:
-        raise LogError(f"no scan can be read: {lost}")
+    damage = (note for note in tally.notes if isinstance(note, Note) and note.damage)
+    if lost := next(damage, None):
+        raise LogError(f"no scan can be read: {lost.text}", where=lost.log)
     fix = "`occmap check` shows what it holds"
     raise LogError("holds no scan that can be read", where=where, fix=fix)
 
