@@ -23,10 +23,9 @@ from occmap.scans.logs import choose_topics
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Reading
-from occmap.scoring import SMALL, Gain, HoldOut, Trial, score_map
+from occmap.scoring import SMALL, Gain, Trial, has_hits, hold_out, score_map
 from occmap.scoring.compare import refuse_unscored
 from occmap.sensor import interpret
-from occmap.threads import Threads
 from occmap.tuning import slicing
 from occmap.types import Pose, PosedScans, Rays, ScanBatch
 
@@ -229,21 +228,16 @@ class Scorer:
         if correction not in self.tried:
             trial = Trial.join(self.score_log(log, correction) for log in self.logs)
             paths = [log.path for log in self.logs]
-            refuse_unscored(paths, len(trial.totals), trial.score.beams)
+            refuse_unscored(paths, len(trial.totals), trial.score.beams > 0)
             self.tried[correction] = trial
             self.advance()
         return self.tried[correction]
 
     def score_log(self, log: KeptLog, correction: Correction) -> Trial:
         """Score a map of one log alone, since the frames of several may lie anywhere."""
-        hold_out, engine = HoldOut(), make_engine(self.options)
-        with Threads(engine.add, self.options.jobs) as threads:
-            for rays in self.trace(log, correction):
-                seen = hold_out.split(rays)
-                if len(seen.kind):
-                    threads.give(seen)
-        held_out = hold_out.sample
-        if not hold_out.hits:
+        engine = make_engine(self.options)
+        held_out = hold_out(self.trace(log, correction), [engine], self.options.jobs)
+        if not has_hits(held_out):
             return Trial(np.zeros((held_out.scans, 6)), np.zeros((1, 3)), None)
         made = render(engine.finish(), self.options.model, self.options.max_cells)
         return score_map(made, held_out.parts, self.options.jobs)
