@@ -173,6 +173,8 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         yield "seen", str(seen)
         yield from list_forgotten(explanation)
         yield from list_builds(explanation)
+        pairs = [["/".join(write_pair(each)) for each in row] for row in explanation.around]
+        yield from label_first("around", align(pairs))
     elif explanation.verdict != "unknown":
         beside = "hits of the cells beside it count here in part (--spread)"
         yield "seen", f"nothing of its own: {beside}"

@@ -62,6 +62,8 @@ class Jump(NamedTuple):
     """How far it turned"""
     name: str
     """What jumped"""
+    is_correction: bool
+    """It was the correction of odometry: no robot can have moved so"""
 
 
 def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | None:
@@ -154,9 +156,10 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
         f"{(worst.stamp_ns - first_ns) / 1e9:.3f} s after the first scan"
     )
     text += f", the largest of {len(jumps)} jumps" if len(jumps) > 1 else ""
+    unless = "" if worst.is_correction else "unless the robot did so, as in a simulator, "
     return Concern(
-        f"{text}: unless the robot did so, as in a simulator, scans from before and after do not "
-        f"fit together; {keep} keeps the longest part, {scans[longest] / len(track):.0%} of them",
+        f"{text}: {unless}scans from before and after do not fit together; {keep} keeps the "
+        f"longest part, {scans[longest] / len(track):.0%} of them",
         remedy,
     )
 
@@ -177,7 +180,7 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
     dict
         By the number of scans before each jump, in the order of time.
     """
-    breaks: dict[int, tuple[int, str]] = {}
+    breaks: dict[int, tuple[int, str, bool]] = {}
     """By the first stamp after a jump: the last one that is clearly before it, and what jumps"""
     for step, holds in ((leg.step, leg.holds) for leg in chain.legs if isinstance(leg, Moving)):
         samples_ns = step.track.stamp_ns
@@ -185,7 +188,8 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
         for at in np.union1d(np.flatnonzero(holds[:-1]), find_strides(step.track)):
             after_ns = int(samples_ns[at + 1])
             # A pose that holds does so until just before the next sample.
-            breaks[after_ns] = after_ns - 1 if holds[at] else int(samples_ns[at]), name
+            before_ns = after_ns - 1 if holds[at] else int(samples_ns[at])
+            breaks[after_ns] = before_ns, name, bool(holds[at])
     times = np.array(sorted(breaks), np.int64)
     before = chain.at(np.array([breaks[each][0] for each in times.tolist()], np.int64))
     moved = chain.at(times).then(before.invert())
@@ -200,7 +204,7 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
         cosine = (np.trace(whole.rotation[0]) - 1) / 2
         radians = float(np.arccos(np.clip(cosine, -1, 1)))
         if metres > JUMP_M or radians > JUMP_RAD:
-            found[number] = Jump(time_ns, metres, radians, breaks[time_ns][1])
+            found[number] = Jump(time_ns, metres, radians, *breaks[time_ns][1:])
     return found
 
 
