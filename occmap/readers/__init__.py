@@ -27,7 +27,7 @@ from occmap.errors import DamageError, LogError, name_log, refuse_unreadable
 from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
-from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
+from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanBatch
 from occmap.values import find_separator, name_other, shorten, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -202,7 +202,7 @@ class Log:
         """
         return iter(()) if type(self).poses is Log.poses else self.poses()
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanBatch]:
         """The scans of some topics, in file order, many at once where one by one takes long."""
         return iter(()) if type(self).scans is Log.scans else self.scans(topics)
 
@@ -222,7 +222,7 @@ class Log:
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """What `stacked_scans` gives, one at a time."""
         for each in self.stacked_scans(topics):
-            yield from each.split() if isinstance(each, ScanRun) else (each,)
+            yield from each.split() if isinstance(each, ScanBatch) else (each,)
 
 
 class PluginLog(Log):
@@ -244,15 +244,15 @@ class PluginLog(Log):
         ask = getattr(self._log, "stacked_poses", self._log.poses)
         yield from self._check(ask, PoseSample | PoseBatch, "PoseSample")
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanBatch]:
         """The scans, many at once if the plugin can.
 
         One that names no topic is of the first: a plugin for one stream need not say.
         """
         name = next(iter(topics), "")
         ask = partial(getattr(self._log, "stacked_scans", self._log.scans), topics)
-        for each in self._check(ask, Scan | ScanRun, "Scan"):
-            is_named = isinstance(each, ScanRun) or each.topic
+        for each in self._check(ask, Scan | ScanBatch, "Scan"):
+            is_named = isinstance(each, ScanBatch) or each.topic
             yield each if is_named else each._replace(topic=name)
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:

@@ -32,7 +32,7 @@ from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
-from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanBatch
 from occmap.values import as_float32, parse_number, parse_seconds
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -222,8 +222,8 @@ class CarmenLog(TextLog):
                 self._words[word if is_keyword or word in self._words else "other"] += len(rows)
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
-    def _count_scans(self, some: Scan | ScanRun) -> None:
-        topic, beams = some.first.topic, some.first.ranges.size
+    def _count_scans(self, some: Scan | ScanBatch) -> None:
+        topic, beams = some.topic, some.ranges.shape[-1]
         self._words[topic if beams else f"{topic} without beams"] += some.scans
         if beams and not SCAN_LINES[topic].before and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
@@ -247,11 +247,11 @@ def pick_odometry(block: Block) -> Mapping[str, Sequence[int]]:
     return {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
 
 
-def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
+def make_poses(odometry: Scan | ScanBatch) -> PoseBatch:
     """Make poses of what is read as scans without ranges."""
     times = np.atleast_1d(odometry.stamp_ns), np.atleast_1d(odometry.record_ns)
-    poses, first = np.atleast_2d(np.array(odometry.pose)), odometry.first
-    return PoseBatch(*times, poses, "odom", first.frame, static=False, topic=first.topic)
+    poses = np.atleast_2d(np.array(odometry.pose))
+    return PoseBatch(*times, poses, "odom", odometry.frame, static=False, topic=odometry.topic)
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:

@@ -21,7 +21,7 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
 from occmap.readers.containers import Channel, normalise_type
-from occmap.types import Bool, Int64, Scan, ScanRun, UInt8
+from occmap.types import Bool, Int64, Scan, ScanBatch, UInt8
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -311,7 +311,7 @@ class Fields(NamedTuple):
 
 def read_scan_run(
     locate: Locate, read: FromBytes[list[Scan]], rows: UInt8, record_ns: Int64
-) -> tuple[list[ScanRun], Bool]:
+) -> tuple[list[ScanBatch], Bool]:
     """Read scans of one length that follow one another.
 
     Parameters
@@ -340,5 +340,5 @@ def read_scan_run(
         return [], left
     ranges = fields.read("ranges").astype(np.float32, copy=False)
     increments = fields.read("time_increment")[:, 0].astype(np.float64)
-    times = fields.read_stamps("header.stamp"), record_ns
-    return [ScanRun(first, *times, ranges, increments)], left
+    stamps = {"stamp_ns": fields.read_stamps("header.stamp"), "record_ns": record_ns}
+    return [ScanBatch.like(first, **stamps, ranges=ranges, time_increment=increments)], left
