@@ -76,8 +76,11 @@ def _parse_pose(
 
 
 TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.parse_seconds)
+W_FIRST = re.compile(r"^#.*\bqw\s+qx\s+qy\s+qz$")
+"""A comment by which the quaternions of a TUM file begin with w"""
 EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 """Others may follow."""
+TUM_W_FIRST = partial(_parse_pose, EUROC_COLUMNS, None, values.parse_seconds)
 EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
@@ -90,8 +93,8 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     """Read the poses of a body in the map, in file order.
 
     Their `child` is "", for such files do not name the body. Empty lines and lines that start with
-    # are passed over. A pose with a nan or inf in it stays as it is: trackers write them where they
-    were lost.
+    # are passed over, unless one says that the quaternions of TUM begin with w. A pose with a nan
+    or inf in it stays as it is: trackers write them where they were lost.
 
     Parameters
     ----------
@@ -121,14 +124,16 @@ def _read_timed(
     path: Path, notes: list[str], moments: Moments | None
 ) -> tuple[Sequence[int], Float64]:
     """Read the times (ns) and poses (N, 7) of a file; its first line tells its format."""
-    lines = list(_read_lines(path))
+    every = list(_read_lines(path))
+    lines = [each for each in every if not each[1].startswith("#")]
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
     if not has_header and len(begin.split()) == MATRIX:
         return _read_matrices(path, lines, notes, moments)
     rows: list[Row] = []
     for parse in _parse_lines(path, lines[:1], _find_format):
-        rows += _parse_lines(path, lines[has_header:], parse)
+        is_w_first = parse is TUM and any(W_FIRST.match(text) for _, text in every)
+        rows += _parse_lines(path, lines[has_header:], TUM_W_FIRST if is_w_first else parse)
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
@@ -139,7 +144,7 @@ def _read_timed(
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
     elif parse is TUM and _begins_with_w(poses[np.isfinite(poses).all(axis=1), 3:]):
-        header = "a header stamp x y z qw qx qy qz, without a #, says so"
+        header = "a header stamp x y z qw qx qy qz says so"
         notes.append(f"{path}: the poses turn about x alone: does qw come first? {header}")
     return times, poses
 
@@ -178,11 +183,12 @@ def _read_times(path: Path) -> list[int]:
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_lines(beside), values.parse_seconds, fix))
+    lines = (each for each in _read_lines(beside) if not each[1].startswith("#"))
+    return list(_parse_lines(beside, lines, values.parse_seconds, fix))
 
 
 def _read_lines(path: Path) -> Iterator[NumberedLine]:
-    """Read the lines that are neither empty nor comments."""
+    """Read the lines that are not empty."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
             begin = file.read(BINARY_WITHIN)
@@ -192,8 +198,7 @@ def _read_lines(path: Path) -> Iterator[NumberedLine]:
             raise LogError(found, where=path, fix=fix or SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
-                text = line.strip()
-                if text and not text.startswith("#"):
+                if text := line.strip():
                     yield number, text
 
 
