@@ -209,8 +209,7 @@ class PoseSample(NamedTuple):
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
 
-@dataclass(frozen=True, slots=True)
-class PoseBatch:
+class PoseBatch(NamedTuple):
     """Samples of one frame in another from one source, stacked so that NumPy sees many at once."""
 
     stamp_ns: Int64
