@@ -220,29 +220,21 @@ class _Finder:
 
     def find(self, path: str, node: Nodetype, detail: Any) -> None:
         """Pass over a part of the message, and add the places of its numbers."""
+        parts: Any = ()
         if node == Nodetype.NAME:
-            parts: Any = self._types[detail][1]
-            for part, inner in parts:
-                self.find(f"{path}.{part}" if path else part, *inner)
-            return
-        if node == Nodetype.BASE:
-            self._add(path, detail[0], 1)
-            return
-        inner, many = detail
-        many = many if node == Nodetype.ARRAY else self._read_count()
-        if inner[0] == Nodetype.BASE and inner[1][0] != "string":
-            self._add(path, inner[1][0], many)
-        else:
-            for index in range(many):
-                self.find(f"{path}.{index}", *inner)
-
-    def _add(self, path: str, kind: str, many: int) -> None:
-        """Pass over numbers of one kind, or the letters of a string."""
-        if kind == "string":
+            parts = self._types[detail][1]
+        elif node == Nodetype.BASE and detail[0] == "string":
             letters = self._read_count()
             self._at += letters
-            return
-        self.places[path] = self._pass(kind, many)
+        else:
+            inner, many = ((node, detail), 1) if node == Nodetype.BASE else detail
+            many = self._read_count() if node == Nodetype.SEQUENCE else many
+            if inner[0] == Nodetype.BASE and inner[1][0] != "string":
+                self.places[path] = self._pass(inner[1][0], many)
+            else:
+                parts = ((index, inner) for index in range(many))
+        for part, inner in parts:
+            self.find(f"{path}.{part}" if path else part, *inner)
         if len(self.places) > MAX_PLACES:
             raise DamageError(f"holds more than {MAX_PLACES} numbers")
 
