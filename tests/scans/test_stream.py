@@ -36,15 +36,9 @@ RUN = ScanBatch(
 
 
 def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, float, list[float]]]:
+    columns = ((each.stamp_ns, each.time_increment, each.ranges) for each in batches)
     return sorted(
-        scan
-        for batch in batches
-        for scan in zip(
-            batch.stamp_ns.tolist(),
-            batch.time_increment.tolist(),
-            batch.ranges.tolist(),
-            strict=True,
-        )
+        scan for each in columns for scan in zip(*map(np.ndarray.tolist, each), strict=True)
     )
 
 
@@ -121,10 +115,8 @@ def test_runs_are_selected_as_single_scans_are(
     selection = Selection((), start_s, end_s, stride)
     clock = Stamps.RECORD if record else Stamps.HEADER
     some, single = (Selector(selection, clock) for _ in range(2))
-    batches, of_singles = (
-        stack(some.select(items), clock),
-        stack(single.select(flatten(items)), clock),
-    )
+    batches = stack(some.select(items), clock)
+    of_singles = stack(single.select(flatten(items)), clock)
 
     assert list_scans(batches) == list_scans(of_singles)
     assert (some.read, some.left_out) == (single.read, single.left_out)
