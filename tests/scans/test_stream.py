@@ -37,9 +37,8 @@ RUN = ScanBatch(
 
 def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, float, list[float]]]:
     columns = ((each.stamp_ns, each.time_increment, each.ranges) for each in batches)
-    return sorted(
-        scan for each in columns for scan in zip(*map(np.ndarray.tolist, each), strict=True)
-    )
+    rows = (zip(*(part.tolist() for part in each), strict=True) for each in columns)
+    return sorted(scan for each in rows for scan in each)
 
 
 def test_a_run_is_a_batch_as_it_is() -> None:
