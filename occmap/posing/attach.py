@@ -107,8 +107,8 @@ class Poser:
 
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
-        max_speed = self.options.max_speed
-        return any(courses.has_leap(track, max_speed) for _, track in self._list_tracks())
+        rows = (courses.Rows(track, self.options.max_speed) for _, track in self._list_tracks())
+        return not all(each.closes.all() for each in rows)
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.

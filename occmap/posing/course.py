@@ -307,11 +307,6 @@ class Rows:
         return int(found[0]) if len(found) else None
 
 
-def has_leap(track: Track, max_speed: float) -> bool:
-    """Whether any row of a laser's scans ends with a leap."""
-    return not Rows(track, max_speed).closes.all()
-
-
 def find_outliers(track: Track, max_speed: float) -> Bool:
     """(N,) which scans of a laser are outliers, by where it was at each (N)."""
     rows = Rows(track, max_speed)

@@ -163,11 +163,7 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
 def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
     """Read every pose source of another log, with its path before each topic."""
     for each in other.stacked_poses():
-        topic = f"{other.path}:{each.topic}"
-        if isinstance(each, PoseSample):
-            yield each._replace(topic=topic)
-        else:
-            yield replace(each, topic=topic)
+        yield each._replace(topic=f"{other.path}:{each.topic}")
 
 
 PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+(\.bag|\.mcap|\.db3)(\.active)?$")

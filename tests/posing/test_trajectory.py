@@ -146,7 +146,8 @@ def test_quaternions_that_begin_with_w_are_told_and_read_by_a_header(tmp_path: P
     path, notes = tmp_path / "poses.txt", list[str]()
     first = [f"{at} 0 0 0 {w} 0 0 {z}\n" for at, (w, z) in enumerate(halves)]
     last = [f"{at} 0 0 0 0 0 {z} {w}\n" for at, (w, z) in enumerate(halves)]
-    for lines in (last, ["stamp x y z qw qx qy qz\n", *first], first):
+    header = "timestamp tx ty tz qw qx qy qz\n"
+    for lines in (last, [header, *first], [f"# {header}", *first], first):
         assert not notes
         path.write_text("".join(lines))
         read_trajectory(path, notes)
