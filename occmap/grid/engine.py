@@ -118,16 +118,16 @@ class DenseWindow(Window):
         if self.along_lines:
             begin = (2 * rows + 1) * across + inside.col * up + inside.row
             sum_changes(changes, begin, up, *inside.shape[::-1], cols * up)
-        places, tiles = self.read_tiles(self.cells, inside.shrink(TILE))
+        places, tiles = self.read_tiles(self.cells, self.changes, inside.shrink(TILE))
         return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
 
-    def read_tiles(self, cells: Int64, inside: CellBox) -> tuple[Int64, Tile]:
+    def read_tiles(self, cells: Int64, changes: Changes, inside: CellBox) -> tuple[Int64, Tile]:
         """Read the tiles of a box, which counts tiles, in which something was observed."""
         places = np.empty((inside.cells, 2), np.int64)
         numbers = np.int32 if self.bound <= INT32_LIMIT else np.int64
         # The last tile is read into and not kept.
         tiles = np.empty((inside.cells + 1, 2, TILE, TILE), numbers)
-        found = read_tiles(cells, self.changes, self.packing, inside, places, tiles)
+        found = read_tiles(cells, changes, self.packing, inside, places, tiles)
         return places[:found], tiles[:found]
 
 
@@ -158,13 +158,15 @@ class SparseBeamWindow(BeamWindow):
         self.changes = Changes(np.zeros(0, np.int32), rows, cols)
 
     def read(self) -> dict[Key, Tile]:
-        table, used, counts = self.tiles
-        places = np.empty((used[0], 2), np.int64)
+        table, used, counts = self.tiles.table, int(self.tiles.used[0]), self.tiles.counts
+        places = np.empty((used, 2), np.int64)
         places[table[table >= 0]] = np.argwhere(table >= 0) + self.box.shrink(TILE)[:2]
         if self.spec.radial is None:
-            return view_tiles(places, counts.reshape(-1, 2, TILE, TILE)[: used[0]])
+            return view_tiles(places, counts.reshape(-1, 2, TILE, TILE)[:used])
         # They lie as in a window of one column of tiles. To some of them a beam added nothing.
-        numbers, tiles = self.read_tiles(self.cells.reshape(-1, TILE), CellBox(0, 0, used[0], 1))
+        cells, rows = self.cells.reshape(-1, TILE), used * TILE
+        none = Changes(np.zeros(rows * (TILE + PAD), np.int32), rows, TILE)
+        numbers, tiles = self.read_tiles(cells, none, CellBox(0, 0, used, 1))
         return view_tiles(places[numbers[:, 0]], tiles)
 
 

@@ -39,7 +39,7 @@ def read_tiles(
     cells
         (H, W + PAD) of whole tiles: packed sums of what visited cells got.
     changes
-        Summed up by `sum_changes`; has no numbers where all cells were visited.
+        Summed up by `sum_changes`.
     packing
         How a cell's integer holds both of its numbers: how many of the lowest bits hold the second,
         with the first above them; the mask of bits that are evidence and no notes of a kernel; and
@@ -53,16 +53,14 @@ def read_tiles(
     first_row, first_col, last_row, last_col = touched
     across, up = changes.cols + units.PAD, changes.rows + units.PAD
     in_cols, size = (2 * changes.rows + 1) * across, 0
-    has_rows, has_cols = changes.numbers.size > 0, changes.numbers.size > in_cols
+    has_cols = changes.numbers.size > in_cols
     for tile_row in range(first_row, last_row):
         for tile_col in range(first_col, last_col):
             seen = 0
             for r in range(units.TILE):
                 row, col = tile_row * units.TILE + r, tile_col * units.TILE
                 for c in range(units.TILE):
-                    plain = np.int32(0)
-                    if has_rows:
-                        plain += changes.numbers[np.uint64(row * across + col + c)]
+                    plain = changes.numbers[np.uint64(row * across + col + c)]
                     if has_cols:
                         plain += changes.numbers[np.uint64(in_cols + (col + c) * up + row)]
                     packed = (cells[np.uint64(row), np.uint64(col + c)] & kept) + plain * entry
