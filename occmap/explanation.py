@@ -421,12 +421,8 @@ class Explanation(Printed):
     """Those of them that observed the cell, by time"""
     notes: tuple[str, ...]
     """What else to know of the evidence, and what the scans leave unexplained"""
-
-    @property
-    def explained(self) -> Observation:
-        """What the scans add up to."""
-        numbers = (sum(each.seen.numbers[part] for each in self.scans) for part in (0, 1))
-        return Observation.read(numbers, self.seen.kind, self.seen.unit)
+    explained: Observation = field(metadata=HIDDEN)
+    """What the scans add up to"""
 
 
 def explain(saved: Blocks, question: Question, progress: Progress = ignore_progress) -> Explanation:
@@ -452,7 +448,13 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
     made = evidence.paint_box(lasting, model, cell.box)
     uses = find_uses(part, question.logs, question.poses)
     sightings, scans_used = find_sightings(uses, cell, progress)
-    explanation = Explanation(
+    seen = around[1][1]
+    sums = (sum(each.seen.numbers[part] for each in sightings) for part in (0, 1))
+    explained = Observation.read(sums, seen.kind, seen.unit)
+    notes = list(records.list_doubts(manifest))
+    if uses and explained != seen:
+        notes.append(tell_unexplained(f"{explained} of {seen}", part, uses))
+    return Explanation(
         point=(question.x, question.y),
         cell=cell,
         map_extent=open_map(saved, model).extent if saved.blocks else None,
@@ -460,7 +462,7 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
         probability=float(made.probability[0, 0]),
         model=describe_model(model),
         unit=find_unit(manifest.update),
-        seen=around[1][1],
+        seen=seen,
         kept=cell.read_around(lasting)[1][1] if question.min_passes else None,
         ground=measure_ground(saved, question),
         around=around,
@@ -469,10 +471,9 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
         builds=tuple(list_visits(cell, layers, manifest)),
         scans_used=scans_used,
         scans=tuple(sightings),
-        notes=tuple(records.list_doubts(manifest)),
+        notes=tuple(notes),
+        explained=explained,
     )
-    unexplained = list_unexplained(explanation, part, uses)
-    return replace(explanation, notes=(*explanation.notes, *unexplained))
 
 
 def list_visits(cell: Cell, layers: Sequence[Slices], manifest: Manifest) -> Iterator[BuildVisits]:
@@ -500,16 +501,14 @@ def measure_ground(saved: Blocks, question: Question) -> float | None:
     return None if math.isnan(height) else height
 
 
-def list_unexplained(found: Explanation, part: Evidence, uses: Sequence[Use]) -> Iterator[str]:
-    """Say what is not explained by the scans that were found."""
-    if uses and found.explained != found.seen:
-        told = f"these logs explain {found.explained} of {found.seen}"
-        builds, named = part.manifest.builds, {use.log.name for use in uses}
-        if missing := [name for name in records.list_logs(*builds) if name not in named]:
-            yield f"{told}; the rest is in {join_names(missing)}"
-            return
-        makers = ", ".join(sorted({build["occmap"] for build in builds}))
-        yield (
-            f"{told}: a build read one of them twice, evidence was subtracted or moved by `occmap "
-            f"merge`, or the occmap that built it ({makers}) read them differently"
-        )
+def tell_unexplained(explained: str, part: Evidence, uses: Sequence[Use]) -> str:
+    """Say why the scans that were found explain only a part."""
+    told = f"these logs explain {explained}"
+    builds, named = part.manifest.builds, {use.log.name for use in uses}
+    if missing := [name for name in records.list_logs(*builds) if name not in named]:
+        return f"{told}; the rest is in {join_names(missing)}"
+    makers = ", ".join(sorted({build["occmap"] for build in builds}))
+    return (
+        f"{told}: a build read one of them twice, evidence was subtracted or moved by `occmap "
+        f"merge`, or the occmap that built it ({makers}) read them differently"
+    )

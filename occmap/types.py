@@ -138,44 +138,9 @@ class Scan(NamedTuple):
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
     @property
-    def first(self) -> Self:
-        """The scan itself, so that a single scan can stand in for a run of scans."""
-        return self
-
-    @property
     def scans(self) -> int:
         """How many there are: one."""
         return 1
-
-
-class ScanRun(NamedTuple):
-    """Consecutive scans of one log that differ only in times, ranges and poses."""
-
-    first: Scan
-    """Its other values hold for all of them."""
-    stamp_ns: Int64
-    """(S,)"""
-    record_ns: Int64
-    """(S,)"""
-    ranges: Float32
-    """(S, B) m"""
-    time_increment: Float64
-    """(S,) s between beams; some lasers measure their speed, so it differs from scan to scan."""
-    pose: Float64 | None = None
-    """(S, 7) as the fields of `Pose`, where the log states it beside the scans."""
-
-    @property
-    def scans(self) -> int:
-        """How many there are."""
-        return len(self.stamp_ns)
-
-    def split(self) -> list[Scan]:
-        """The single scans."""
-        poses = [None] * self.scans if self.pose is None else map(Pose._make, self.pose.tolist())
-        times = self.stamp_ns.tolist(), self.record_ns.tolist()
-        rows = zip(*times, self.ranges.copy(), self.time_increment.tolist(), poses, strict=True)
-        names = "stamp_ns", "record_ns", "ranges", "time_increment", "pose"
-        return [self.first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 
 
 COLUMN_MM = 150
@@ -209,18 +174,9 @@ class Cloud(NamedTuple):
         return 0.0
 
     @property
-    def first(self) -> Self:
-        """The cloud itself, so that it can stand in for a run of scans."""
-        return self
-
-    @property
     def scans(self) -> int:
         """How many there are: one."""
         return 1
-
-
-Recorded: TypeAlias = Scan | ScanRun | Cloud
-"""What a log holds of its sensors"""
 
 
 class Moments(NamedTuple):
@@ -253,8 +209,7 @@ class PoseSample(NamedTuple):
     """When the recorder stored it; equal to `stamp_ns` in formats that hold one time only."""
 
 
-@dataclass(frozen=True, slots=True)
-class PoseBatch:
+class PoseBatch(NamedTuple):
     """Samples of one frame in another from one source, stacked so that NumPy sees many at once."""
 
     stamp_ns: Int64
@@ -278,7 +233,10 @@ class PoseBatch:
 
 @dataclass(frozen=True, slots=True)
 class ScanBatch:
-    """Scans of one sensor with equal geometry, stacked so that NumPy sees many at once."""
+    """Scans of one sensor with equal geometry, stacked so that NumPy sees many at once.
+
+    Those of a reader follow one another in its log, with stamps and limits as it states them.
+    """
 
     frame: str
     angle_min: float
@@ -287,16 +245,39 @@ class ScanBatch:
     range_max: float
     stamp_ns: Int64
     """(S,)"""
+    record_ns: Int64
+    """(S,)"""
     ranges: Float32
     """(S, B) m"""
     time_increment: Float64
-    """(S,) s between beams"""
+    """(S,) s between beams; some lasers measure their speed, so it differs from scan to scan."""
     pose: Float64 | None = None
     """(S, 7) x y z qx qy qz qw of the sensor, where the log states it beside the scans."""
     topic: str = ""
     """The stream in its log that the scans came from."""
     clouds: tuple[Cloud, ...] | None = None
     """S clouds of points; then a beam stands for a moment of a cloud, and its range is 0"""
+
+    @classmethod
+    def like(cls, scan: Scan, **stacked: Any) -> Self:
+        """Make a batch of scans that differ from one only in times, ranges and poses."""
+        shared = "frame", "angle_min", "angle_increment", "range_min", "range_max", "topic"
+        return cls(**{name: getattr(scan, name) for name in shared}, **stacked)
+
+    @property
+    def scans(self) -> int:
+        """How many there are."""
+        return len(self.stamp_ns)
+
+    def split(self) -> list[Scan]:
+        """The single scans."""
+        shape, limits = (self.angle_min, self.angle_increment), (self.range_min, self.range_max)
+        first = Scan(0, self.frame, *shape, np.empty(0, np.float32), *limits, topic=self.topic)
+        poses = [None] * self.scans if self.pose is None else map(Pose._make, self.pose.tolist())
+        times = self.stamp_ns.tolist(), self.record_ns.tolist()
+        rows = zip(*times, self.ranges.copy(), self.time_increment.tolist(), poses, strict=True)
+        names = "stamp_ns", "record_ns", "ranges", "time_increment", "pose"
+        return [first._replace(**dict(zip(names, row, strict=True))) for row in rows]
 
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices; nothing is copied for a mask of all."""
@@ -305,12 +286,17 @@ class ScanBatch:
         return replace(
             self,
             stamp_ns=self.stamp_ns[scans],
+            record_ns=self.record_ns[scans],
             ranges=self.ranges[scans],
             time_increment=self.time_increment[scans],
             pose=None if self.pose is None else self.pose[scans],
             clouds=self.clouds
             and tuple(self.clouds[at] for at in np.arange(len(self.stamp_ns))[scans]),
         )
+
+
+Recorded: TypeAlias = Scan | ScanBatch | Cloud
+"""What a log holds of its sensors"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,11 @@ def as_float32(values: ArrayLike) -> NDArray[np.float32]:
         return np.asarray(values).astype(np.float32)
 
 
+def name_origin(parent: str, topic: str) -> str:
+    """Name the frame of scans on a topic that state where in another frame they begin."""
+    return f"{parent}:{topic.strip('/')}"
+
+
 def as_number(value: Any) -> float:
     """Convert a number, which may be infinite or NaN, to a float; raises DamageError."""
     if type(value) is float:

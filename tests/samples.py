@@ -56,7 +56,7 @@ def make_batch(ranges: ArrayLike, **fields: Any) -> ScanBatch:
     """Scans of equal length at one time, of a laser that measures 0.1 to 10 m."""
     values = np.array(ranges, np.float32)
     stamps, increments = np.zeros(len(values), np.int64), np.zeros(len(values))
-    batch = ScanBatch("laser", 0.0, 0.1, 0.1, 10.0, stamps, values, increments)
+    batch = ScanBatch("laser", 0.0, 0.1, 0.1, 10.0, stamps, stamps, values, increments)
     return replace(batch, **fields)
 
 

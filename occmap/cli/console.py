@@ -156,14 +156,14 @@ def write_rows(rows: Iterable[tuple[str, str]], width: int = 9) -> Iterator[str]
         yield f"{label:<{width}}{text}".rstrip()
 
 
-def align(rows: Iterable[Sequence[str]], labels: int = 0) -> Iterator[str]:
-    """Write rows with their columns under each other; the first `labels` are flush left."""
+def align(rows: Iterable[Sequence[str]], sides: str = "") -> Iterator[str]:
+    """Write rows with their columns under each other; those without a side (< or >) flush right."""
     table = list(rows)
-    sides = "<" * labels + ">" * len(table[0])
+    sides += ">" * max(map(len, table), default=0)
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     for row in table:
         cells = zip(row, sides, widths, strict=False)
-        yield "  ".join(f"{text:{side}{width}}" for text, side, width in cells)
+        yield "  ".join(f"{text:{side}{width}}" for text, side, width in cells).rstrip()
 
 
 def put_on_stdout(text: str | bytes, nl: bool = True) -> None:

@@ -27,7 +27,7 @@ from occmap.options import FLAGS, OPTIONS, RUN
 from occmap.plugins import guess, suggest
 from occmap.posing import PosingOptions
 from occmap.report import Printed
-from occmap.report.limits import Failed, Limit, Measures, list_failed, parse_bound, parse_limit
+from occmap.report.limits import Failed, Limit, Measures, parse_bound, parse_limit
 from occmap.types import Update
 
 LIMIT_BROKEN = 3
@@ -234,7 +234,7 @@ def command(
 def tell(console: Console, name: str, answer: Answer, limits: Sequence[Limit] | None) -> None:
     """Tell notes, print the result, and say which limits it does not keep to."""
     console.clear()
-    failed = list_failed(limits or (), answer.result)
+    failed = [it for limit in limits or () if (it := limit.find_failure(answer.result))]
     console.note(*getattr(answer.result, "notes", ()))
     if console.as_json:
         added = {} if limits is None else Limited(failed).to_json()
@@ -280,8 +280,7 @@ class ConfigOption(CliOption):
             flags = {flag: each for each in options if each.expose_value for flag in each.opts}
             own = {flag[2:]: each for flag, each in flags.items() if flag.startswith("--")}
             known = read_config(path, ctx.command.name or "", own)
-            mine = {name: it for name, it in known.items() if name in own}
-            taken = {name: it for name, it in mine.items() if own[name].name not in opts}
+            taken = {it: known[it] for it in known if it in own and own[it].name not in opts}
             for name in BESIDE.intersection(taken):
                 beside = str(path.parent / str(taken[name]))
                 # A topic in it may follow, as of poses.

@@ -20,7 +20,7 @@ from occmap.inspection import findings, inspect
 from occmap.inspection.findings import Inspection
 from occmap.options import OPTIONS, BuildOptions
 from occmap.page import compare_logs, write_inspection
-from occmap.report import Row, count
+from occmap.report import Row, count, label_first
 from occmap.report.limits import CHECK, COMPARE, TUNE
 from occmap.scoring import SMALL, compare
 from occmap.tuning import TunedLog, Tuning, tune
@@ -66,10 +66,9 @@ def format_inspection(inspection: Inspection) -> Iterator[str]:
     """Write all findings; problems and the recommended command come last."""
     for log in inspection.logs:
         yield log.path
-        yield from write_rows(
-            ((f"  {name}", text) for name, text in findings.list_rows(log)), LABEL
-        )
-        yield ""
+        topics = label_first("topics", align(findings.list_streams(log), "<<><"))
+        listed = ((f"  {name}", text) for name, text in [*topics, *findings.list_rows(log)])
+        yield from (*write_rows(listed, LABEL), "")
     rows = [] if inspection.map is None else [("map", findings.describe_map(inspection.map))]
     rows += [("warning", text) for text in inspection.warnings]
     rows += [("problem", text) for text in inspection.problems]
@@ -139,10 +138,10 @@ def format_comparison(comparison: compare.VariantComparison) -> list[str]:
         ("looks", *(f"{each.looks:,}" for each in bins)),
     ]
     return [
-        *align([compare.SCORES, *map(compare.list_scores, comparison.results)], labels=1),
+        *align([compare.SCORES, *map(compare.list_scores, comparison.results)], "<"),
         "",
         f"cells of {best.name}, as held-out beams look at them",
-        *align(reliability, labels=1),
+        *align(reliability, "<"),
         "",
         f"scored by {beams} of {held}; {scans.used:,} of {scans.read:,} used",
         *(f"picture: {file}" for file in comparison.files),
@@ -194,7 +193,7 @@ def format_tuning(tuning: Tuning) -> Iterator[str]:
     """Write what came of each search, what the result rests on, and the build line."""
     yield from write_rows(list_searches(tuning))
     if len(tuning.by_log) > 1:
-        yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], labels=1), "")
+        yield from ("", *align([TUNED, *map(list_tuned, tuning.by_log)], "<"), "")
     is_open = tuning.mount.verdict in {Verdict.UNSEEN, Verdict.DISAGREE}
     is_open |= tuning.time.verdict is Verdict.DISAGREE
     nothing = "nothing is recommended" if is_open or tuning.doubts else "nothing to gain"

@@ -26,9 +26,9 @@ from occmap.report import Row, count, join_names, label_first, write_box, write_
 from occmap.report.limits import DIFF, SAVED, SCORE
 from occmap.report.results import Report
 from occmap.scoring.maps import Against, MapScore, score
-from occmap.scoring.matching import STAY, Transform, lay_on
+from occmap.scoring.matching import lay_on
 from occmap.store import Blocks, open_saved
-from occmap.store.merging import combine
+from occmap.store.merging import STAY, Transform, combine
 from occmap.store.painting import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
 
@@ -173,6 +173,8 @@ def list_cell(explanation: Explanation) -> Iterator[Row]:
         yield "seen", str(seen)
         yield from list_forgotten(explanation)
         yield from list_builds(explanation)
+        pairs = [["/".join(write_pair(each)) for each in row] for row in explanation.around]
+        yield from label_first("around", align(pairs))
     elif explanation.verdict != "unknown":
         beside = "hits of the cells beside it count here in part (--spread)"
         yield "seen", f"nothing of its own: {beside}"

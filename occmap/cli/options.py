@@ -20,7 +20,7 @@ from occmap import choices
 from occmap.choices import list_options
 from occmap.cli.console import Console, put_on_stdout, spell
 from occmap.cli.declaring import PATH, CliOption, Value
-from occmap.errors import UsageError
+from occmap.errors import OccmapError, UsageError
 from occmap.evidence import Described, read_model
 from occmap.options import FILES, OF_A_SCORED_MAP, OF_ONE_MAP, OPTIONS, BuildOptions, name_map
 from occmap.report import Row, label_first
@@ -224,7 +224,12 @@ def send_to_stdout(name: str) -> Iterator[Path]:
     """Give a file to write to while a command runs, and then send it to stdout."""
     with tempfile.TemporaryDirectory(prefix=SCRATCH) as folder:
         saved = Path(folder) / name
-        yield saved
+        try:
+            yield saved
+        except OccmapError as error:
+            if error.where == str(saved):
+                raise type(error)(error.found, where="stdout", fix=error.fix) from None
+            raise
         if saved.exists():
             with saved.open("rb") as file:
                 while piece := file.read(PIECE_BYTES):

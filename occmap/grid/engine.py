@@ -25,6 +25,7 @@ from occmap.grid.kernels.projection import Beams, prepare, project
 from occmap.grid.kernels.radial_polygon import trace_radial_polygons
 from occmap.grid.kernels.units import AT_A_TIME, CELL_SHIFT, MANY, PAD, TILE, UNITS_PER_CELL
 from occmap.grid.tiles import (
+    INT32_LIMIT,
     MAX_CELLS,
     WINDOW_CELLS,
     GridSpec,
@@ -54,6 +55,11 @@ class Window(ABC):
         self.touched: CellBox | None = None
         self.observations = 0
         self.allocate(*self.box.shape)
+
+    @property
+    def bound(self) -> int:
+        """No number that it holds of a cell is larger than this, either way."""
+        return self.observations * self.spec.tables.largest
 
     @abstractmethod
     def allocate(self, rows: int, cols: int) -> None:
@@ -112,23 +118,56 @@ class DenseWindow(Window):
         if self.along_lines:
             begin = (2 * rows + 1) * across + inside.col * up + inside.row
             sum_changes(changes, begin, up, *inside.shape[::-1], cols * up)
-        inside = inside.shrink(TILE)
+        places, tiles = self.read_tiles(self.cells, self.changes, inside.shrink(TILE))
+        return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
+
+    def read_tiles(self, cells: Int64, changes: Changes, inside: CellBox) -> tuple[Int64, Tile]:
+        """Read the tiles of a box, which counts tiles, in which something was observed."""
         places = np.empty((inside.cells, 2), np.int64)
-        numbers = np.int32 if self.spec.radial is None else np.int64
+        numbers = np.int32 if self.bound <= INT32_LIMIT else np.int64
         # The last tile is read into and not kept.
         tiles = np.empty((inside.cells + 1, 2, TILE, TILE), numbers)
-        found = read_tiles(self.cells, self.changes, self.packing, inside, places, tiles)
-        return view_tiles(places[:found] + self.box.shrink(TILE)[:2], tiles[:found])
+        found = read_tiles(cells, changes, self.packing, inside, places, tiles)
+        return places[:found], tiles[:found]
 
 
 class BeamWindow(DenseWindow):
     """Beam by beam, with those drawn between where the update asks for them."""
 
     along_lines = True
+    tiles: Tiles | None = None
+    """Where cells lie, if not all of them have a place"""
 
     def trace(self, beams: Beams, field: Field) -> None:
         notes = np.empty(MANY + max(self.box.shape) + AT_A_TIME)  # a line always fits
-        trace_beams(beams, self.spec.radial, field, notes, None)
+        trace_beams(beams, self.spec.radial, field, notes, self.tiles)
+
+
+class SparseBeamWindow(BeamWindow):
+    """Beam by beam, where scans are few for the place: all cells of a beam are visited.
+
+    They lie in tiles made on demand, so that only what a beam crosses costs anything.
+    """
+
+    tiles: Tiles
+
+    def allocate(self, rows: int, cols: int) -> None:
+        table = np.full((rows // TILE, cols // TILE), -1, np.int32)
+        self.cells = np.zeros(rows * cols, np.int64)
+        self.tiles = Tiles(table, np.zeros(1, np.int64), self.cells.view(np.int32))
+        self.changes = Changes(np.zeros(0, np.int32), rows, cols)
+
+    def read(self) -> dict[Key, Tile]:
+        table, used, counts = self.tiles.table, int(self.tiles.used[0]), self.tiles.counts
+        places = np.empty((used, 2), np.int64)
+        places[table[table >= 0]] = np.argwhere(table >= 0) + self.box.shrink(TILE)[:2]
+        if self.spec.radial is None:
+            return view_tiles(places, counts.reshape(-1, 2, TILE, TILE)[:used])
+        # They lie as in a window of one column of tiles. To some of them a beam added nothing.
+        cells, rows = self.cells.reshape(-1, TILE), used * TILE
+        none = Changes(np.zeros(rows * (TILE + PAD), np.int32), rows, TILE)
+        numbers, tiles = self.read_tiles(cells, none, CellBox(0, 0, used, 1))
+        return view_tiles(places[numbers[:, 0]], tiles)
 
 
 class PolygonWindow(DenseWindow):
@@ -149,36 +188,18 @@ class RadialPolygonWindow(DenseWindow):
         trace_radial_polygons(beams, self.spec.tables, field)
 
 
-class SparseBeamWindow(Window):
-    """Hits and misses, beam by beam, where scans are few for the place: cells are visited.
-
-    They lie in tiles made on demand, so that only what a beam crosses costs anything.
-    """
-
-    def allocate(self, rows: int, cols: int) -> None:
-        table = np.full((rows // TILE, cols // TILE), -1, np.int32)
-        self.tiles = Tiles(table, np.zeros(1, np.int64), np.zeros(2 * rows * cols, np.int32))
-        self.cells = np.zeros((0, 0), np.int64)
-        self.changes = Changes(np.zeros(0, np.int32), rows, cols)
-
-    def trace(self, beams: Beams, field: Field) -> None:
-        trace_beams(beams, None, field, np.zeros(0), self.tiles)
-
-    def read(self) -> dict[Key, Tile]:
-        table, used = self.tiles.table, int(self.tiles.used[0])
-        places = np.empty((used, 2), np.int64)
-        places[table[table >= 0]] = np.argwhere(table >= 0)
-        tiles = self.tiles.counts.reshape(-1, 2, TILE, TILE)[:used]
-        return view_tiles(places + self.box.shrink(TILE)[:2], tiles)
-
-
 CROSSED_OFTEN = 6
 """From so many beams a cell on, changes in a dense window cost less than visits of cells. About how
 many there are is seen from every eighth beam of every eighth scan."""
 
 
-def choose_windows(spec: GridSpec, beams: Beams) -> tuple[type[Window], ...]:
-    """The kinds of window that serve for an update, a model and these rays, the best one first."""
+def choose_windows(
+    spec: GridSpec, beams: Beams, most_cells: int = WINDOW_CELLS
+) -> tuple[type[Window], ...]:
+    """The kinds of window that serve for an update, a model and these rays, the best one first.
+
+    None of them has more than `most_cells`; rays that need more are traced part by part.
+    """
     if spec.update is Update.POLYGON and spec.radial is None:
         return (PolygonWindow,)
     # A single beam has no neighbour to say how wide it is: it is a line.
@@ -189,7 +210,9 @@ def choose_windows(spec: GridSpec, beams: Beams) -> tuple[type[Window], ...]:
     up = np.abs(beams.ends_y[some] - beams.origins[*some, 1])
     cells = (np.maximum(across, up) >> CELL_SHIFT) * (beams.rays.kind[some] != Kind.SKIP)
     often = cells.mean() * beams.ends_x.size >= CROSSED_OFTEN * beams.box.cells
-    often |= spec.radial is not None  # it lists what cells get, wherever they are
+    # A model with a radius lists what cells get, and is as quick wherever they are. But hardly any
+    # of a place that needs many windows is crossed.
+    often |= spec.radial is not None and beams.box.cells <= most_cells
     # Few scans cost less in a window that is there already than one of their own does.
     return (BeamWindow,) if often else (SparseBeamWindow, BeamWindow)
 
@@ -359,7 +382,7 @@ class GridEngine(Engine):
             fix = "no laser has so many: see what is in the log with `occmap check`"
             raise MapError(found, fix=fix)
         beams = project(rays, self.spec)
-        best, *others = choose_windows(self.spec, beams)
+        best, *others = choose_windows(self.spec, beams, self._window_cells)
         cells = beams.box.align(TILE).cells
         if cells <= self._window_cells:
             self._trace(beams, best, *others)
@@ -379,7 +402,7 @@ class GridEngine(Engine):
             window: Window | None = self._idle.pop() if self._idle else None
         number = int(self._number(beams.rays.stamp_ns[:1])[0])
         fits = window and window.number == number and window.has_room(beams)
-        if window and not (fits and isinstance(window, (best, *others))):
+        if window and not (fits and type(window) in (best, *others)):
             self._empty(window)
             window = None
         if window is None:
@@ -398,7 +421,7 @@ class GridEngine(Engine):
             self._empty(window)
 
     def _empty(self, window: Window) -> None:
-        self._keep(window.read(), window.observations * self.spec.tables.largest, window.number)
+        self._keep(window.read(), window.bound, window.number)
 
 
 def add_room(box: CellBox, most_cells: int) -> CellBox:

@@ -346,7 +346,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     except LogError as error:  # a part that was read says nothing of the log
         return replace(known, notes=tuple(log.notes), problem=str(error.placed(log.path)))
     seen = list(survey.topics.values())
-    scans = tuple(describe_topic(log, each, posing, options) for each in seen if each.frames)
+    scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)
     doubts += ((topic, warn_of_misfit(mended)) for topic, mended in mounts)
@@ -356,13 +356,13 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     doubts += ((topic, Concern(text, None)) for topic, text in drive.list_doubts())
     box, ground, problem = survey.box, list[str](), ""
     if any(topic.is_of_clouds and topic.poses.posed for topic in scans):
-        box, ground, against, problem = inspect_ground(log, survey, poser, options)
+        box, ground, against, problem = inspect_ground(survey)
         doubts += against
     elif not scans:
         unused = sum((topic.left_out for topic in seen), Counter[str]())
         lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
         problem = f"{log.path}: {lack}"
-    fixes = list(poses.tell_fixes(log, poser))  # the log and the poser take notes meanwhile
+    fixes = list(poses.tell_fixes(drive))  # the log and the poser take notes meanwhile
     notes = *poser.notes, *drive.limits.list_notes(), *drive.list_left(), *fixes
     found = replace(
         known,
@@ -377,9 +377,7 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
     return replace(found, concerns=tuple(list_concerns(found, doubts, parts, options)))
 
 
-def inspect_ground(
-    log: Log, survey: Survey, poser: Poser, options: BuildOptions
-) -> tuple[CellBox | None, list[str], list[Doubt], str]:
+def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doubt], str]:
     """Find the ground below the clouds of a log.
 
     Returns
@@ -389,7 +387,8 @@ def inspect_ground(
         with their topics; and why there is none, "" where there is.
     """
     box, ground, notes, problem = None, None, list[str](), ""
-    options = replace(options, posing=poser.options)
+    log, poser = survey.drive.log, survey.drive.poser
+    options = replace(survey.drive.options, posing=poser.options)
     try:
         ground, notes, options = find_ground([survey.drive], options, None)
     except OccmapError as error:
@@ -398,20 +397,18 @@ def inspect_ground(
     drift, known = options.posing.find_drift(log.path), (poser.fixed, poser.chains)
     level = Poser(poser.sources, options.posing, *known, leaps=poser.leaps, drift=drift)
     again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
-    some = {topic: clouds for topic, clouds in again.items() if clouds}
-    against = list(poses.list_cloud_concerns(some, level, options, ground))
+    some, drive = {it: again[it] for it in again if again[it]}, Drive(log, level, options)
+    against = list(poses.list_cloud_concerns(some, drive, ground))
     if ground is not None:
-        box = poses.enclose_clouds(log, level, options, ground)
+        box = poses.enclose_clouds(drive, ground)
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
 
 
-def describe_topic(
-    log: Log, topic: TopicSurvey, posing: Posing, options: BuildOptions
-) -> ScanFindings:
+def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
-    ranked = topic.shapes.most_common()
-    tracks = [edge.track for edge in posing.poser.sources.tree.edges if edge.track.moves]
+    options, ranked = drive.options, topic.shapes.most_common()
+    tracks = [edge.track for edge in drive.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     found = ScanFindings(
         topic=topic.stream.topic,
@@ -425,14 +422,14 @@ def describe_topic(
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=poses.sum_up_poses(topic, posing),
-        mount=poses.describe_mount(topic, posing, options),
+        mount=poses.describe_mount(drive, topic),
         agreement=estimate_agreement(topic.sample.parts, options),
     )
-    better = poses.find_better(log, posing, topic, found, options)
+    better = poses.find_better(drive, topic, found)
     if better and better.name == "stamps":
         times = replace(found.times, suggested_stamps=Stamps(better.value))
         found = replace(found, times=times)
     is_known = found.poses.stated or found.poses.problem or better
     is_explained = is_known or (found.mount and found.mount.better)
-    hint = "" if is_explained else hint_at_tune(found.agreement, [str(log.path)], options)
+    hint = "" if is_explained else hint_at_tune(found.agreement, [str(drive.log.path)], options)
     return replace(found, better=better, hint=hint)

@@ -328,8 +328,7 @@ class Inspection(Printed):
 
 
 def list_rows(log: LogFindings) -> Iterator[Row]:
-    """List all about one log, for a terminal and for a page."""
-    yield from report.label_first("topics", list_streams(log.streams))
+    """List all about one log beside its topics, for a terminal and for a page."""
     for topic in log.scans:
         yield "", ""
         yield from list_facts(topic)
@@ -339,13 +338,10 @@ def list_rows(log: LogFindings) -> Iterator[Row]:
     yield from report.label_first("note", log.other_notes)
 
 
-def list_streams(streams: tuple[Stream, ...]) -> Iterator[str]:
-    """List the topics with their types and counts, and what each is good for."""
-    width = max((len(stream.topic) for stream in streams), default=0)
-    kinds = max((len(stream.type) for stream in streams), default=0)
-    for stream in streams:
-        role = "" if stream.role is Role.OTHER else f"  {stream.role}s"
-        yield f"{stream.topic:<{width}}  {stream.type:<{kinds}}  {stream.count:>8,}{role}"
+def list_streams(log: LogFindings) -> list[tuple[str, str, str, str]]:
+    """List the topics of a log with their types and counts, and what each is good for."""
+    roles = {role: "" if role is Role.OTHER else f"{role}s" for role in Role}
+    return [(it.topic, it.type, f"{it.count:>8,}", roles[it.role]) for it in log.streams]
 
 
 def list_facts(topic: ScanFindings) -> Iterator[Row]:

@@ -25,9 +25,9 @@ from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
 from occmap.posing.chain import Chain, Status, Transforms
 from occmap.posing.sources import Sources
-from occmap.readers import Log, Role
+from occmap.readers import Role
 from occmap.report import count
-from occmap.report.results import DOUBTFUL_AGREEMENT
+from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.scans import estimate_agreement, mounts
 from occmap.scans.logs import read_poser
 from occmap.scans.mounts import Posing
@@ -53,9 +53,7 @@ MOST_TRIED = 6
 """So many options are tried for a topic: each takes a map of the sample"""
 
 
-def find_better(
-    log: Log, posing: Posing, topic: TopicSurvey, found: ScanFindings, options: BuildOptions
-) -> Better | None:
+def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Better | None:
     """Find the option by which the scans of a topic fit each other best, if clearly better.
 
     Each is tried alone, on the sample of scans. Scans without a pose count as ones that fit none.
@@ -65,33 +63,33 @@ def find_better(
     found
         What is known of the topic so far.
     """
-    options = replace(options, posing=posing.poser.options)
+    given = list_values(replace(drive.options, posing=drive.poser.options))
     usual = 1.0 if found.agreement is None else found.agreement
-    posed = topic.posed / max(found.kept, 1) if topic.stated else share_posed(posing.poser, topic)
+    posed = topic.posed / max(found.kept, 1) if topic.stated else share_posed(drive.poser, topic)
     most, better = usual * posed + BETTER, None
-    others = list(islice(list_others(posing, topic, found), MOST_TRIED))
+    others = list(islice(list_others(drive.poser, topic, found), MOST_TRIED))
     if found.mount and found.mount.better.startswith("sensor_pose="):
         others.insert(0, ("sensor_pose", found.mount.better.partition("=")[2]))
     for name, value in others:
-        changed = take(BuildOptions, list_values(options) | {name: OPTIONS[name].read(value)})
-        poser, parts = pose_sample(log, posing, topic, changed)
+        changed = take(BuildOptions, given | {name: OPTIONS[name].read(value)})
+        poser, parts = pose_sample(drive, topic, changed)
         agreement = estimate_agreement(parts, changed)
         share = posed if topic.stated else share_posed(poser, topic)
+        if agreement is not None and agreement < LEAST_AGREEMENT <= (found.agreement or 0.0):
+            continue  # poses that do not fit are no gain, however many
         if (fit := share * (usual if agreement is None else agreement)) > most:
             most, better = fit, Better(name, value, agreement)
     # Of a mount it is told in any case that it is wrong.
     return None if better and better.name == "sensor_pose" else better
 
 
-def list_others(
-    posing: Posing, topic: TopicSurvey, found: ScanFindings
-) -> Iterator[tuple[str, str]]:
+def list_others(poser: Poser, topic: TopicSurvey, found: ScanFindings) -> Iterator[tuple[str, str]]:
     """List options, with their values, that may suit the scans of a topic better."""
-    options, ranges, times = posing.poser.options, found.ranges, found.times
+    options, ranges, times = poser.options, found.ranges, found.times
     for item in ranges.repeated:
         if not item.is_no_return and item.value > (1 - BAND) * ranges.largest:
             yield "range_max", str(np.float32(item.value)).removesuffix(".0")
-    way = posing.poser.chains.get(next(iter(topic.frames)))
+    way = poser.chains.get(next(iter(topic.frames)))
     if topic.stated or way is None or not found.kept:
         return
     if way.interval_s > (options.max_pose_gap_s or math.inf):
@@ -104,7 +102,7 @@ def list_others(
     if times.time_increment_s and options.deskew is not Deskew.ON:
         yield "deskew", Deskew.ON.value
     if is_poor:
-        yield from list_other_poses(posing.poser.sources, way)
+        yield from list_other_poses(poser.sources, way)
 
 
 def list_other_poses(sources: Sources, way: Chain) -> Iterator[tuple[str, str]]:
@@ -121,15 +119,16 @@ def list_other_poses(sources: Sources, way: Chain) -> Iterator[tuple[str, str]]:
 
 
 def pose_sample(
-    log: Log, posing: Posing, topic: TopicSurvey, options: BuildOptions
+    drive: Drive, topic: TopicSurvey, options: BuildOptions
 ) -> tuple[Poser, list[PosedScans]]:
-    """Pose the sample of a topic by other options; for other times, the log is read once more."""
-    if options.posing.stamps is not posing.poser.options.stamps:
+    """Pose the sample of a topic by other options; for other scans, the log is read once more."""
+    chosen, usual = options.posing, drive.poser.options
+    if chosen.stamps != usual.stamps or chosen.max_pose_gap_s != usual.max_pose_gap_s:
         one = (topic.stream.topic,)
         options = replace(options, selection=replace(options.selection, topics=one))
-        drive = Drive(log, read_poser(log, options.posing, one), options)
-        return drive.poser, drive.sample()
-    sources = posing.poser.sources
+        again = Drive(drive.log, read_poser(drive.log, options.posing, one), options)
+        return again.poser, again.sample()
+    sources = drive.poser.sources
     named = (edge for edge in sources.pose_topics if edge.topic == options.posing.poses)
     sources = replace(sources, trajectory=next(named, sources.trajectory))
     poser = Poser(sources, options.posing)
@@ -183,12 +182,12 @@ LEAST_REACH = 3.0
 """Times the residual: where a drive does not reach farther, its fixes do not show its turn"""
 
 
-def tell_fixes(log: Log, poser: Poser) -> Iterator[str]:
+def tell_fixes(drive: Drive) -> Iterator[str]:
     """Say where on the globe the map lies, by fixes of satellites beside the scans.
 
     The receiver is where its frame is; one that no chain leads to is taken to be at the sensor.
     """
-    fixes = list(log.fixes())
+    poser, fixes = drive.poser, list(drive.log.fixes())
     frames = {fix.frame for fix in fixes}
     tree, fixed = poser.sources.tree, poser.fixed or ""
     poser.find_chains(frame for frame in frames if tree.find_path(fixed, frame))
@@ -260,14 +259,13 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     )
 
 
-def describe_mount(
-    topic: TopicSurvey, posing: Posing, options: BuildOptions
-) -> MountFindings | None:
+def describe_mount(drive: Drive, topic: TopicSurvey) -> MountFindings | None:
     """Say how the sensor of a topic sits; None where no scan has a pose."""
-    stance = posing.poser.find_stance(topic.stream.topic)
+    stance = drive.poser.find_stance(topic.stream.topic)
     if stance is None:
         return None
-    better = mounts.find_better_mount(posing.poser, topic.sample.parts, options.returns)
+    parts, returns = topic.sample.parts, drive.options.returns
+    better = mounts.find_better_mount(drive.poser, parts, returns)
     return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
@@ -277,24 +275,26 @@ MOST_TILT_DEG = 10.0
 """More is no small error, and linear no more."""
 
 
-def enclose_clouds(log: Log, poser: Poser, options: BuildOptions, ground: Ground) -> CellBox | None:
+def enclose_clouds(drive: Drive, ground: Ground) -> CellBox | None:
     """Read clouds once more, and find the cells that their points observe; None: they do none."""
     from occmap.clouds import engine  # noqa: PLC0415  late: it brings numba
     from occmap.clouds.ground import lay_columns  # noqa: PLC0415  likewise
     from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
 
+    options = drive.options
     band = engine.make_band(options.clouds, options.returns)
     extent = engine.Extent(Lattice(options.resolution), lay_columns(ground), band)
-    for posed in Drive(log, poser, options).read(Tally()):  # it knows by now what leaps away
+    for posed in drive.read(Tally()):  # it knows by now what leaps away
         for cloud in list_clouds(posed):
             extent.add(cloud)
     return extent.box
 
 
 def list_cloud_concerns(
-    some: Mapping[str, Clouds], poser: Poser, options: BuildOptions, ground: Ground | None
+    some: Mapping[str, Clouds], drive: Drive, ground: Ground | None
 ) -> Iterator[Doubt]:
     """List what some clouds say against mounts and poses, and if they show the robot."""
+    poser, options = drive.poser, drive.options
     yield from ((topic, Concern(doubt)) for topic, doubt in poser.suspect_axes(ground))
     for topic, clouds in sorted(some.items()):
         mount = mounts.find_mount(poser, clouds[0].batch.frame, in_3d=True)

@@ -383,13 +383,12 @@ class TopicSurvey:
         if reason in NOT_ASKED_FOR:
             return
         self.stamps.add(some)
-        first = some.first
-        self.stated &= first.pose is not None
-        self.frames.setdefault(first.frame)
-        if isinstance(first, Cloud):
+        self.stated &= some.pose is not None
+        self.frames.setdefault(some.frame)
+        if isinstance(some, Cloud):
             return
-        angles = first.angle_min, first.angle_increment
-        shape = ScanShape(len(first.ranges), *angles, *sensor.read_limits(first), scans=0)
+        angles = some.angle_min, some.angle_increment
+        shape = ScanShape(some.ranges.shape[-1], *angles, *sensor.read_limits(some), scans=0)
         self.shapes[shape] += some.scans
 
 
@@ -445,4 +444,4 @@ class Survey(Selector):
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Count scans, and take note of what their topic has."""
         super().see(some, reason)
-        self.topics[some.first.topic].see(some, reason)
+        self.topics[some.topic].see(some, reason)

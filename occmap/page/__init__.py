@@ -192,7 +192,8 @@ def tell_findings(found: Inspection) -> Iterator[Section]:
         blocks.append(Block("code", title="Recommended", texts=[shlex.join(found.command)]))
     yield Section("What check finds", blocks)
     for log in found.logs:
-        yield Section(f"In {log.path}", [Block("facts", list(findings.list_rows(log)))])
+        topics = Block("table", findings.list_streams(log), ("topic", "type", "#messages", "holds"))
+        yield Section(f"In {log.path}", [topics, Block("facts", list(findings.list_rows(log)))])
 
 
 def tell_notes(result: Noted) -> Section:

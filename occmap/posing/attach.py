@@ -5,7 +5,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -107,8 +107,8 @@ class Poser:
 
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
-        max_speed = self.options.max_speed
-        return any(courses.has_leap(track, max_speed) for _, track in self._list_tracks())
+        rows = (courses.Rows(track, self.options.max_speed) for _, track in self._list_tracks())
+        return not all(each.closes.all() for each in rows)
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.
@@ -296,10 +296,10 @@ class Poser:
                 why = "does z point down in the poses (NED)? `level=(180,0)` turns the map over"
                 yield laser[0], f"{found}, and no floor is near below it: {why}"
 
-    def suspect_places(self) -> Iterator[tuple[str, str]]:
-        """Say where places of sensors can hardly be metres, each with its topic."""
+    def suspect_places(self, middle_m: Mapping[str, float]) -> Iterator[tuple[str, str]]:
+        """Say where places of sensors can hardly be metres, by topic, as are the median ranges."""
         for (topic, _), track in self._list_tracks():
-            if doubt := courses.suspect_places(track):
+            if doubt := courses.suspect_places(track, middle_m[topic]):
                 yield topic, doubt
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:

@@ -37,8 +37,12 @@ SET_BACK_S = 1.0
 """Messages of one frame are late by less."""
 FLICKER_M, FLICKER_SHARE, FLICKER_SAMPLES = 0.1, 0.05, 100
 """A robot that drives turns back at once at hardly any of its poses, and by less"""
-UNREAL_M_PER_S = 100.0
-"""A quarter of the steps of no car is as fast; those of a robot of which places are in mm are."""
+FLICKER_ROW, ROW_GAP, FLICKER_TIMES, LEAST_SIDE = 10, 2, 2.0, 0.2
+"""Where it does so again and again, no more samples apart, and so many times as far as noise does,
+what lies before or behind that may be kept, if it is a larger share of the scans"""
+UNREAL_M_PER_S, BLIND_M_PER_S = 100.0, 10.0
+"""A quarter of the steps of no car is as fast, or where it sees less far than it goes from scan to
+scan; those of a robot of which places are in mm are, or in cm."""
 BESIDE = np.array([*range(-10, 0), *range(1, 11)])
 """Offsets from a step to those beside it, which say how fast the robot drives there."""
 FASTEST_BESIDE = 3
@@ -58,21 +62,64 @@ class Jump(NamedTuple):
     """How far it turned"""
     name: str
     """What jumped"""
+    is_correction: bool
+    """It was the correction of odometry: no robot can have moved so"""
 
 
-def warn_of_mixed(chain: Chain) -> Concern | None:
-    """Say if a step holds poses of two times, or of two nodes, among each other."""
+def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | None:
+    """Say if a step holds poses of two times, or of two nodes, among each other.
+
+    Parameters
+    ----------
+    scans_ns, first_ns
+        Stamps (S,) of the used scans, and of the first scan of the log, by the clock of the poses.
+    """
     for step in (leg.step for leg in chain.legs if isinstance(leg, Moving)):
         name, track = f"{step.parent} -> {step.child}", step.track
         if track.set_back_s > SET_BACK_S:
             found = f"the stamps of {name} were set back by {track.set_back_s:.3g} s"
             why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
             return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
-        share = measure_flicker(track)
+        found = f"{name} jumps to and fro"
+        if way_out := leave_row_out(track, scans_ns, first_ns):
+            option, value = way_out
+            why = "was the clock set back, or do two nodes send it?"
+            keep = f"`{option}={value}` keeps what is not mixed"
+            return Concern(f"{found} for a while: {why} {keep}", {option: value})
+        share = len(list_turns(track, scans_ns, 1.0)) / len(track)
         if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
-            found = f"{name} jumps to and fro at {share:.0%} of its {len(track):,} samples"
+            found += f" at {share:.0%} of its {len(track):,} samples"
             return Concern(f"{found}: do two nodes send it? give one trajectory with `poses`")
     return None
+
+
+def leave_row_out(track: Track, scans_ns: Int64, first_ns: int) -> tuple[str, str] | None:
+    """Find the option that keeps most scans (S,) before or behind where a track is mixed.
+
+    That is the longest row of samples at which it clearly turns back at once. None: there is no
+    such row, or hardly a scan beside it.
+    """
+    turns = list_turns(track, scans_ns, FLICKER_TIMES)
+    row = max(np.split(turns, np.flatnonzero(np.diff(turns) > ROW_GAP) + 1), key=len)
+    if len(row) < FLICKER_ROW:
+        return None
+    start_ns, end_ns = int(track.stamp_ns[row[0] - 1]), int(track.stamp_ns[row[-1] + 1])
+    before, behind = np.mean(scans_ns <= start_ns), np.mean(scans_ns >= end_ns)
+    if max(before, behind) < LEAST_SIDE:
+        return None
+    if before > behind:
+        return "end_s", write_end(start_ns - first_ns)
+    return "start_s", write_start(end_ns - first_ns)
+
+
+def write_start(since_ns: int) -> str:
+    """Write a time after the first scan (ns) as the option that keeps no earlier scan."""
+    return f"{-(-since_ns // MS_NS) / 1e3:.12g}"
+
+
+def write_end(since_ns: int) -> str:
+    """Write a time after the first scan (ns) as the option that keeps no later scan."""
+    return f"{since_ns // MS_NS / 1e3:.12g}"
 
 
 def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern | None:
@@ -89,7 +136,7 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     first_ns
         Stamp of the first scan of the log, by the clock of the poses.
     """
-    if chain and (mixed := warn_of_mixed(chain)):
+    if chain and (mixed := warn_of_mixed(chain, track.stamp_ns, first_ns)):
         return mixed
     stated = make_chain([Edge("", "", track, Source.ODOMETRY)], None)
     found = find_jumps(chain or stated, track.stamp_ns)
@@ -98,11 +145,10 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     scans, jumps = np.diff([0, *found, len(track)]), list(found.values())
     longest = int(np.argmax(scans))
     remedy = {}
-    if longest > 0:  # rounded so that no scan of another part is kept
-        start_ms = -(-(jumps[longest - 1].stamp_ns - first_ns) // MS_NS)
-        remedy["start_s"] = f"{start_ms / 1e3:.12g}"
+    if longest > 0:
+        remedy["start_s"] = write_start(jumps[longest - 1].stamp_ns - first_ns)
     if longest < len(jumps):
-        remedy["end_s"] = f"{(jumps[longest].stamp_ns - first_ns) // MS_NS / 1e3:.12g}"
+        remedy["end_s"] = write_end(jumps[longest].stamp_ns - first_ns)
     keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
     worst = max(jumps, key=lambda jump: jump.metres + jump.radians)
     text = (
@@ -110,9 +156,10 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
         f"{(worst.stamp_ns - first_ns) / 1e9:.3f} s after the first scan"
     )
     text += f", the largest of {len(jumps)} jumps" if len(jumps) > 1 else ""
+    unless = "" if worst.is_correction else "unless the robot did so, as in a simulator, "
     return Concern(
-        f"{text}: unless the robot did so, as in a simulator, scans from before and after do not "
-        f"fit together; {keep} keeps the longest part, {scans[longest] / len(track):.0%} of them",
+        f"{text}: {unless}scans from before and after do not fit together; {keep} keeps the "
+        f"longest part, {scans[longest] / len(track):.0%} of them",
         remedy,
     )
 
@@ -133,7 +180,7 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
     dict
         By the number of scans before each jump, in the order of time.
     """
-    breaks: dict[int, tuple[int, str]] = {}
+    breaks: dict[int, tuple[int, str, bool]] = {}
     """By the first stamp after a jump: the last one that is clearly before it, and what jumps"""
     for step, holds in ((leg.step, leg.holds) for leg in chain.legs if isinstance(leg, Moving)):
         samples_ns = step.track.stamp_ns
@@ -141,7 +188,8 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
         for at in np.union1d(np.flatnonzero(holds[:-1]), find_strides(step.track)):
             after_ns = int(samples_ns[at + 1])
             # A pose that holds does so until just before the next sample.
-            breaks[after_ns] = after_ns - 1 if holds[at] else int(samples_ns[at]), name
+            before_ns = after_ns - 1 if holds[at] else int(samples_ns[at])
+            breaks[after_ns] = before_ns, name, bool(holds[at])
     times = np.array(sorted(breaks), np.int64)
     before = chain.at(np.array([breaks[each][0] for each in times.tolist()], np.int64))
     moved = chain.at(times).then(before.invert())
@@ -156,7 +204,7 @@ def find_jumps(chain: Chain, stamp_ns: Int64) -> dict[int, Jump]:
         cosine = (np.trace(whole.rotation[0]) - 1) / 2
         radians = float(np.arccos(np.clip(cosine, -1, 1)))
         if metres > JUMP_M or radians > JUMP_RAD:
-            found[number] = Jump(time_ns, metres, radians, breaks[time_ns][1])
+            found[number] = Jump(time_ns, metres, radians, *breaks[time_ns][1:])
     return found
 
 
@@ -182,12 +230,16 @@ def find_strides(track: Track) -> Int64:
     return strides
 
 
-def measure_flicker(track: Track) -> float:
-    """Measure at what share of the samples of a track it turns back at once."""
+def list_turns(track: Track, scans_ns: Int64, times: float) -> Int64:
+    """List the samples (K,) among the scans (S,) at which a track turns back at once.
+
+    Each lies so many times as far from the way between its neighbours as these lie apart.
+    """
     before, here, after = (track.position[at : len(track) - 2 + at] for at in range(3))
     aside = np.linalg.norm(here - (before + after) / 2, axis=1)
-    turns = aside > np.maximum(FLICKER_M, np.linalg.norm(after - before, axis=1))
-    return np.count_nonzero(turns) / len(track)
+    turns = aside > np.maximum(FLICKER_M, times * np.linalg.norm(after - before, axis=1))
+    among = np.searchsorted(scans_ns, track.stamp_ns[1:-1])
+    return np.flatnonzero(turns & (among > 0) & (among < len(scans_ns))) + 1
 
 
 SLACK_M = 1.0
@@ -253,11 +305,6 @@ class Rows:
         shows = self.is_long[others] | (self.is_long[row] & self.closes[others])
         found = others[shows & ~is_too_far(metres, seconds, self._max_speed)]
         return int(found[0]) if len(found) else None
-
-
-def has_leap(track: Track, max_speed: float) -> bool:
-    """Whether any row of a laser's scans ends with a leap."""
-    return not Rows(track, max_speed).closes.all()
 
 
 def find_outliers(track: Track, max_speed: float) -> Bool:
@@ -357,13 +404,18 @@ def stands(track: Track) -> bool:
     return len(track) >= STILL_SCANS and not moves
 
 
-def suspect_places(track: Track) -> str:
-    """Say if a sensor moves faster than any does between most scans; "" if it does not."""
-    speed = track.step_m / track.interval_s
-    if len(speed) < STILL_SCANS or np.quantile(speed, 0.75) < UNREAL_M_PER_S:
+def suspect_places(track: Track, middle_m: float) -> str:
+    """Say if a sensor moves faster than any does between most scans; "" if it does not.
+
+    A slower one is as doubtful where scans do not overlap, by their median range.
+    """
+    if len(track) <= STILL_SCANS:
         return ""
-    found = f"the sensor moves at {np.quantile(speed, 0.75):.3g} m/s"
-    return f"{found}: places are metres; are these millimetres, or are the times wrong?"
+    speed, step_m = np.quantile([track.step_m / track.interval_s, track.step_m], 0.75, axis=1)
+    if speed < (BLIND_M_PER_S if step_m > 2 * middle_m else UNREAL_M_PER_S):
+        return ""
+    found = f"the sensor moves at {speed:.3g} m/s: places are metres"
+    return f"{found}; are these millimetres or centimetres, or are the times wrong?"
 
 
 class Stance(NamedTuple):
@@ -376,16 +428,21 @@ class Stance(NamedTuple):
     """z (m)"""
     ahead: float
     """How far its x axis points up (rad); below 0: down"""
+    swing: float
+    """How much its scan plane nods or rolls, but for the tenth at either end (rad)"""
 
     @classmethod
     def measure(cls, track: Track) -> Self:
         """Measure how a sensor sat."""
-        ahead, _, up = tracks.rotate_by(track.quaternion)[:, 2].T
+        rise = tracks.rotate_by(track.quaternion)[:, 2]
+        ahead, _, up = rise.T
+        lowest, highest = np.quantile(np.arcsin(np.clip(rise[:, :2], -1, 1)), (0.1, 0.9), axis=0)
         return cls(
             upside_down=bool(np.median(up) < 0),
             tilt=float(np.median(np.arccos(np.clip(np.abs(up), 0, 1)))),
             height=float(np.median(track.position[:, 2])),
             ahead=float(np.arcsin(np.clip(np.median(ahead), -1, 1))),
+            swing=float((highest - lowest).max()),
         )
 
 
@@ -406,6 +463,9 @@ def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
     reach = math.floor(10 * stance.height / math.sin(stance.tilt)) / 10
     if stance.tilt >= STEEP_RAD:
         yield Concern(f"{found}: the laser looks at the floor or the ceiling, not at walls", None)
+    elif stance.swing > 2 * TILTED_RAD:
+        found = f"the scan plane nods by {math.degrees(stance.swing):.0f} deg and meets the floor"
+        yield Concern(f"{found}: map clouds of its scans, which `laser_assembler` makes")
     elif reach < LEAST_REACH_M:
         yield Concern(f"{found}: it meets the floor")
     elif max_range > reach:

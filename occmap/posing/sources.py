@@ -21,6 +21,7 @@ from occmap.posing.tracks import Track, TrackBuilder, differ
 from occmap.posing.trajectory import read_trajectory
 from occmap.report import count, join_names
 from occmap.types import Moments, PoseBatch, PoseSample
+from occmap.values import name_origin
 
 TF_TOPICS = frozenset({"", "tf", "tf_static"})
 """Last parts of topics that carry the tree itself; any other states the pose of one body."""
@@ -133,17 +134,26 @@ def _build_edges(
                 f"{count(builder.unusable, 'pose')} of {parent} -> {child or 'a body'} left out: "
                 "not finite, beyond 1e12 m, without a rotation, or with a damaged stamp"
             )
-        if track is not None and static:
-            if track.moves:
+        if track is not None:
+            if static and track.moves:
                 changed[topic].append(f"{parent} -> {child}")
-            track = track.hold_last()  # of a transform that was sent more than once
-        if track is not None and parent != child:
-            is_tf = child and (static or last_part(topic.rpartition(":")[2]) in TF_TOPICS)
-            source = Source.TF if is_tf else Source.ODOMETRY
-            edges.append(Edge(parent.strip("/"), child.strip("/"), track, source, topic))
+            edges += _make_edges(topic, parent, child, track, static)
     for topic, names in changed.items():
         notes.append(f"{topic} changes {join_names(names, MOST_CHANGED)}: the last pose counts")
     return edges
+
+
+def _make_edges(topic: str, parent: str, child: str, track: Track, static: bool) -> Iterator[Edge]:
+    """Make an edge of a track; none of a transform that leads from a frame to itself."""
+    # Scans that always begin at one place of their frame say nothing of how that went.
+    if static or (child == name_origin(parent, topic) and not track.moves):
+        track = track.hold_last()  # of a transform that was sent more than once
+    is_tf = static or last_part(topic.rpartition(":")[2]) in TF_TOPICS
+    if not is_tf and parent == child:
+        child = ""  # as if it named no body
+    if parent != child or not is_tf:
+        source = Source.TF if is_tf and child else Source.ODOMETRY
+        yield Edge(parent.strip("/"), child.strip("/"), track, source, topic)
 
 
 def _list_lent(others: Iterable[Edge], name: str) -> Iterator[Edge]:
@@ -353,7 +363,7 @@ class Search:
             raise PoseError(f"no frame {wanted!r} in the log", fix=fix)
         if base := wanted or self.tree.find_base(self.frame):
             return base
-        example = next(iter(self.tree.list_bases(self.frame)), "FRAME")
+        example = next(iter(self.tree.list_bases(self.frame)), self.tree.find_root(self.frame))
         found = f"which frame the laser is mounted on is not clear ({self.known})"
         raise PoseError(found, fix=f"name it: `base_frame={example}`")
 

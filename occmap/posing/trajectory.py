@@ -8,6 +8,7 @@ times.txt beside it.
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias, TypeVar
@@ -90,8 +91,8 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     """Read the poses of a body in the map, in file order.
 
     Their `child` is "", for such files do not name the body. Empty lines and lines that start with
-    # are passed over. A pose with a nan or inf in it stays as it is: trackers write them where they
-    were lost.
+    # are passed over, unless the one above the first pose names columns. A pose with a nan or inf
+    in it stays as it is: trackers write them where they were lost.
 
     Parameters
     ----------
@@ -106,8 +107,10 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     LogError
         The file cannot be read or holds no poses, or a line is not a pose.
     """
-    times, poses = _read_timed(path, notes, moments)
-    if moments is not None and not moments.is_timed:  # only the order of the scans is known
+    times, poses = _read_poses(path, notes)
+    if moments is None:
+        times = _read_times(path) if times is None else times
+    elif times is None or not moments.is_timed:  # where only the order of the scans is known
         times = moments.stamp_ns
     if len(times) != len(poses):
         counted, each = (TIMES, "time") if moments is None else ("the log", "cloud")
@@ -117,17 +120,15 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     return PoseBatch(stamp_ns, stamp_ns, poses, TRAJECTORY_FRAME, "", static=False, topic="")
 
 
-def _read_timed(
-    path: Path, notes: list[str], moments: Moments | None
-) -> tuple[Sequence[int], Float64]:
-    """Read the times (ns) and poses (N, 7) of a file; its first line tells its format."""
-    lines = list(_read_lines(path))
+def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Float64]:
+    """Read the times (ns), where there are any, and poses (N, 7); a first line tells the format."""
+    lines, heading = _read_rows(path)
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
     if not has_header and len(begin.split()) == MATRIX:
-        return _read_matrices(path, lines, notes, moments)
+        return None, _read_matrices(path, lines, notes)
     rows: list[Row] = []
-    for parse in _parse_lines(path, lines[:1], _find_format):
+    for parse in _parse_lines(path, lines[:1], partial(_find_format, heading)):
         rows += _parse_lines(path, lines[has_header:], parse)
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
@@ -139,7 +140,7 @@ def _read_timed(
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
     elif parse is TUM and _begins_with_w(poses[np.isfinite(poses).all(axis=1), 3:]):
-        header = "a header stamp x y z qw qx qy qz, without a #, says so"
+        header = "a header stamp x y z qw qx qy qz says so"
         notes.append(f"{path}: the poses turn about x alone: does qw come first? {header}")
     return times, poses
 
@@ -150,16 +151,13 @@ def _begins_with_w(quaternions: Float64) -> bool:
     return bool(len(x)) and x.max() > 0.1 and max(y.max(), z.max()) < 0.01
 
 
-def _read_matrices(
-    path: Path, lines: Iterable[NumberedLine], notes: list[str], moments: Moments | None
-) -> tuple[Sequence[int], Float64]:
-    """Read KITTI's poses, each with its time.
+def _read_matrices(path: Path, lines: Iterable[NumberedLine], notes: list[str]) -> Float64:
+    """Read KITTI's poses.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
     are told by where they lead: on the ground only such poses go far along z.
     """
     rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
-    times = moments.stamp_ns if moments else _read_times(path)
     finite = rows[np.isfinite(rows).all(axis=(1, 2))]
     y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
     notes.append(
@@ -169,7 +167,7 @@ def _read_matrices(
     if z > y:
         rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
     rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
-    return times, np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
+    return np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
 
 
 def _read_times(path: Path) -> list[int]:
@@ -178,11 +176,22 @@ def _read_times(path: Path) -> list[int]:
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_lines(beside), values.parse_seconds, fix))
+    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_seconds, fix))
+
+
+def _read_rows(path: Path) -> tuple[list[NumberedLine], str]:
+    """Read the lines that are no comments, and the comment right above them."""
+    rows, heading = list[NumberedLine](), ""
+    for number, text in _read_lines(path):
+        if not text.startswith("#"):
+            rows.append((number, text))
+        elif not rows:
+            heading = text.lstrip("# ")
+    return rows, heading
 
 
 def _read_lines(path: Path) -> Iterator[NumberedLine]:
-    """Read the lines that are neither empty nor comments."""
+    """Read the lines that are not empty."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
             begin = file.read(BINARY_WITHIN)
@@ -192,8 +201,7 @@ def _read_lines(path: Path) -> Iterator[NumberedLine]:
             raise LogError(found, where=path, fix=fix or SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
-                text = line.strip()
-                if text and not text.startswith("#"):
+                if text := line.strip():
                     yield number, text
 
 
@@ -209,17 +217,32 @@ def _parse_lines(
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _find_format(text: str) -> Callable[[str], Row]:
+def _find_format(heading: str, text: str) -> Callable[[str], Row]:
     """Tell by its first line how the lines of a file are parsed; raises ValueError.
+
+    Parameters
+    ----------
+    heading
+        The comment above it, which may name the columns.
+    """
+    if not NUMBER.match(text):
+        return _read_header(text)
+    if re.match(r"-?\d+\s*,", text):
+        return EUROC
+    with suppress(ValueError):
+        parse = _read_header(heading)
+        parse(text)  # raises: it names other columns
+        return parse
+    if set(text).intersection(",;"):
+        raise ValueError("no header says what the columns are")
+    return TUM
+
+
+def _read_header(text: str) -> Callable[[str], Row]:
+    """Tell by a header how the lines below are parsed; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
-    if NUMBER.match(text):
-        if not set(text).intersection(",;"):
-            return TUM
-        if re.match(r"-?\d+\s*,", text):
-            return EUROC
-        raise ValueError("no header says what the columns are")
     separator = values.find_separator(text)
     columns, is_ns = values.split_header(text, separator)
     names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]

@@ -10,14 +10,14 @@ or mcap: a reader is loaded on use.
 A probe holds the first bytes of a path, by which readers know it.
 """
 
+import re
 import shlex
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
-from functools import partial
 from glob import has_magic
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
@@ -27,7 +27,7 @@ from occmap.errors import DamageError, LogError, name_log, refuse_unreadable
 from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
-from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanRun
+from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanBatch
 from occmap.values import find_separator, name_other, shorten, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"
@@ -90,6 +90,9 @@ def _miss(path: Path) -> LogError:
     if path.is_symlink():
         found = f"a link to {path.readlink()}, which is not there"
         return LogError(found, where=path, fix="mend the link, or give the log itself")
+    if scheme := re.match(r"(\w{2,}):/", str(path)):
+        fix = "leave out file://" if scheme[1] == "file" else "download it, and give that file"
+        return LogError("an address, where a file or a folder belongs", where=path, fix=fix)
     if has_magic(str(path)):
         return LogError("no file matches", where=path, fix="check the pattern and its folder")
     there = []
@@ -202,7 +205,7 @@ class Log:
         """
         return iter(()) if type(self).poses is Log.poses else self.poses()
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanBatch]:
         """The scans of some topics, in file order, many at once where one by one takes long."""
         return iter(()) if type(self).scans is Log.scans else self.scans(topics)
 
@@ -222,7 +225,7 @@ class Log:
     def scans(self, topics: Collection[str]) -> Iterator[Scan]:
         """What `stacked_scans` gives, one at a time."""
         for each in self.stacked_scans(topics):
-            yield from each.split() if isinstance(each, ScanRun) else (each,)
+            yield from each.split() if isinstance(each, ScanBatch) else (each,)
 
 
 class PluginLog(Log):
@@ -241,37 +244,36 @@ class PluginLog(Log):
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """Every pose source, many samples at once if the plugin can."""
-        ask = getattr(self._log, "stacked_poses", self._log.poses)
-        yield from self._check(ask, PoseSample | PoseBatch, "PoseSample")
+        return self._take("poses", (PoseSample, PoseBatch))
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanBatch]:
         """The scans, many at once if the plugin can.
 
         One that names no topic is of the first: a plugin for one stream need not say.
         """
         name = next(iter(topics), "")
-        ask = partial(getattr(self._log, "stacked_scans", self._log.scans), topics)
-        for each in self._check(ask, Scan | ScanRun, "Scan"):
-            is_named = isinstance(each, ScanRun) or each.topic
+        for each in self._take("scans", (Scan, ScanBatch), topics):
+            is_named = isinstance(each, ScanBatch) or each.topic
             yield each if is_named else each._replace(topic=name)
 
     def clouds(self, topics: Collection[str]) -> Iterator[Cloud]:
         """The clouds, if it has any."""
-        ask = partial(getattr(self._log, "clouds", super().clouds), topics)
-        yield from self._check(ask, Cloud, "Cloud")
+        return self._take("clouds", (Cloud,), topics)
 
     def fixes(self) -> Iterator[Fix]:
         """The fixes, if it has any."""
-        yield from self._check(getattr(self._log, "fixes", super().fixes), Fix, "Fix")
+        return self._take("fixes", (Fix,))
 
-    def _check(self, ask: Callable[[], Any], kind: Any, name: str) -> Iterator[Any]:
+    def _take(self, what: str, kinds: tuple[type, ...], *topics: Collection[str]) -> Iterator[Any]:
         """Give what a plugin does; raises DamageError where that is of another kind."""
+        one_by_one = getattr(self._log, what, lambda *_: ())
         with name_log(self.path):
-            given = ask()
+            given = getattr(self._log, f"stacked_{what}", one_by_one)(*topics)
+            name = kinds[0].__name__
             if not isinstance(given, Iterable):
                 raise DamageError(f"its reader gives {shorten(given)} where some {name} belongs")
             for each in given:
-                if not isinstance(each, kind):
+                if not isinstance(each, kinds):
                     raise DamageError(f"its reader gives {shorten(each)} where a {name} belongs")
                 yield each
 

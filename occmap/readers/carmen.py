@@ -21,8 +21,9 @@ FLASER and RLASER imply their angles: from -90 degrees, 180 or 181 beams 1 degre
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +33,7 @@ from occmap.readers import Probe, Role, Stream, decimals
 from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
-from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanBatch
 from occmap.values import as_float32, parse_number, parse_seconds
 
 FRONT, REAR = "front_laser", "rear_laser"
@@ -176,12 +177,15 @@ class CarmenLog(TextLog):
 
     def stacked_poses(self) -> Iterator[PoseSample | PoseBatch]:
         """The odometry."""
-        if self._words["ODOM"]:
-            yield from map(make_poses, self._parse_all(pick_odometry))
+        lines = self._parse_all(partial(pick, ["ODOM"])) if self._words["ODOM"] else ()
+        for some in lines:  # which are read as scans without ranges
+            times = np.atleast_1d(some.stamp_ns), np.atleast_1d(some.record_ns)
+            poses = np.atleast_2d(np.array(some.pose))
+            yield PoseBatch(*times, poses, "odom", some.frame, static=False, topic=some.topic)
 
     def pick_scans(self, block: Block) -> Mapping[str, Sequence[int]]:
         """Find the lines of scans by their keywords."""
-        return {word: rows for word, rows in sort_lines(block).items() if word in SCAN_LINES}
+        return pick(SCAN_LINES, block)
 
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common: all but times, ranges and poses.
@@ -222,8 +226,8 @@ class CarmenLog(TextLog):
                 self._words[word if is_keyword or word in self._words else "other"] += len(rows)
         return {word: rows for word, rows in lines.items() if word in SCAN_LINES}
 
-    def _count_scans(self, some: Scan | ScanRun) -> None:
-        topic, beams = some.first.topic, some.first.ranges.size
+    def _count_scans(self, some: Scan | ScanBatch) -> None:
+        topic, beams = some.topic, some.ranges.shape[-1]
         self._words[topic if beams else f"{topic} without beams"] += some.scans
         if beams and not SCAN_LINES[topic].before and beams not in USUAL_BEAMS:
             spacing = f"{math.degrees(imply_increment(beams)):g} deg apart, from -90 deg"
@@ -242,16 +246,9 @@ class CarmenReader:
         return any(map(TELLING_LINE.match, probe.lines))
 
 
-def pick_odometry(block: Block) -> Mapping[str, Sequence[int]]:
-    """Find the lines of odometry."""
-    return {word: rows for word, rows in sort_lines(block).items() if word == "ODOM"}
-
-
-def make_poses(odometry: Scan | ScanRun) -> PoseBatch:
-    """Make poses of what is read as scans without ranges."""
-    times = np.atleast_1d(odometry.stamp_ns), np.atleast_1d(odometry.record_ns)
-    poses, first = np.atleast_2d(np.array(odometry.pose)), odometry.first
-    return PoseBatch(*times, poses, "odom", first.frame, static=False, topic=first.topic)
+def pick(keywords: Container[str], block: Block) -> Mapping[str, Sequence[int]]:
+    """Find the lines of some keywords."""
+    return {word: rows for word, rows in sort_lines(block).items() if word in keywords}
 
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:

@@ -59,6 +59,18 @@ def convert_cloud(message: Any, topic: str, record_ns: int) -> Cloud:
     return make_cloud(columns, get_header(message), topic, record_ns)
 
 
+def convert_listed(message: Any, topic: str, record_ns: int) -> Cloud:
+    """Convert a sensor_msgs/PointCloud, which lists its points, and numbers of each in channels."""
+    listed = [[get(point, axis) for axis in "xyz"] for point in get_list(message, "points")]
+    points = np.array(listed, np.float32).reshape(-1, 3)
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", points.T, strict=True))
+    for channel in get_list(message, "channels"):
+        numbers = np.asarray(get_row(channel, "values"))
+        if len(numbers) == len(points):
+            columns[as_text(get(channel, "name"))] = numbers
+    return make_cloud(columns, get_header(message), topic, record_ns)
+
+
 def read_fields(
     message: Any, type_name: str, kinds: Mapping[int, str]
 ) -> dict[str, tuple[str, int]]:

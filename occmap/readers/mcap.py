@@ -40,17 +40,18 @@ _MOST_HEAD = 1 << 10
 _LATEST_NS = 2**63 - 1
 """A time beyond this is damage."""
 _PASSED = Opcode.MESSAGE_INDEX, Opcode.SUMMARY_OFFSET, Opcode.DATA_END
-_KINDS = {Opcode.CHUNK: records.CHUNK} | dict.fromkeys(
-    (*_PASSED, Opcode.ATTACHMENT, Opcode.METADATA, *range(128, 256)), records.OTHER
-)
+_OPAQUE = frozenset({Opcode.ATTACHMENT, Opcode.METADATA, *range(128, 256)})
+_KINDS = {Opcode.CHUNK: records.CHUNK} | dict.fromkeys((*_PASSED, *_OPAQUE), records.OTHER)
 """All others but messages are read where channels are looked for, not only schemas and channels: a
 chunk under another opcode would else be passed over without a word. Attachments may be large, and
-what anybody may use is known to nobody else."""
+what anybody may use is known to nobody else: of these, what looks like a chunk is read as one."""
 _MESSAGE, _MESSAGE_INDEX = int(Opcode.MESSAGE), int(Opcode.MESSAGE_INDEX)
 _OTHER_OPCODES = frozenset({*range(1, 16), *range(128, 256)}) - {_MESSAGE, Opcode.FOOTER}
 """Of the other records that may be anywhere, with those that anybody may use."""
 _LONGEST = {Opcode.SUMMARY_OFFSET: 17 + _LONGEST_PADDING, Opcode.DATA_END: 4 + _LONGEST_PADDING}
 """Of bodies that only their length tells from those of other records"""
+_CHUNK_BODY = re.compile(rb".{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)(.{8})", re.DOTALL)
+"""How the body of a chunk begins: times, size, checksum, compression, and the length of the rest"""
 
 
 class McapSource(RecordSource):
@@ -85,7 +86,10 @@ class McapSource(RecordSource):
             return records.OTHER, 0, at, at, len(block)
         if opcode not in _OTHER_OPCODES or length > _LONGEST.get(opcode, length):
             return None
-        return _KINDS.get(opcode, records.DESCRIPTION), 0, at, at, end
+        kind = _KINDS.get(opcode, records.DESCRIPTION)
+        if opcode in _OPAQUE and _is_chunk(block[at + _SHORT : at + _MOST_HEAD], length):
+            kind = records.CHUNK
+        return kind, 0, at, at, end
 
     def _list_records(self, position: int, block: memoryview) -> Sequence[Record]:
         """List the records of a chunk; quickly if all are messages, as they are in most.
@@ -109,6 +113,8 @@ class McapSource(RecordSource):
 
     def _open_chunk(self, position: int, record: memoryview) -> Buffer:
         """Decompress a chunk, and verify its checksum when it is first read."""
+        if record[0] != Opcode.CHUNK:
+            self._note(position, f"is marked as a record of kind {record[0]}, and read as a chunk")
         stream = _open_body(bytes(record[:_MOST_HEAD]))
         try:  # not by Chunk.read, which gives nothing of a chunk that is cut
             times, size = (stream.read8(), stream.read8()), stream.read8()
@@ -164,6 +170,12 @@ class McapSource(RecordSource):
                 described = {key for key, channel in summary.channels.items() if channel.type}
                 summary.is_whole = summary.counts.keys() <= described
         return summary
+
+
+def _is_chunk(begin: memoryview, length: int) -> bool:
+    """Whether a body of some length, which begins so, is laid out as that of a chunk."""
+    head = _CHUNK_BODY.match(begin)
+    return head is not None and head.end() + int.from_bytes(head[1], "little") == length
 
 
 def _parse_records(data: Buffer) -> Iterator[McapRecord]:

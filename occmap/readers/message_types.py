@@ -20,7 +20,7 @@ from occmap.readers.containers import Channel
 from occmap.readers.fields import get, get_frame, get_header, get_list, get_row, get_stamp, look
 from occmap.readers.messages import Fields, FromBytes, Locate, Parser, read_scan_run
 from occmap.types import IDENTITY, Bool, Cloud, Int64, Pose, PoseBatch, PoseSample, Scan, UInt8
-from occmap.values import as_float32, as_number
+from occmap.values import as_float32, as_number, name_origin
 
 ReadMany: TypeAlias = Callable[[Locate, FromBytes[Any], UInt8, Int64], tuple[Sequence[Any], Bool]]
 """From what finds numbers in a message, what reads one, messages of one length (M, L), and when
@@ -165,7 +165,7 @@ def _find_header(message: Any, topic: str, record_ns: int) -> tuple[int, str]:
 def convert_origin(message: Any, topic: str, record_ns: int) -> list[PoseSample]:
     """Give the pose of a foxglove.LaserScan in its frame; none where it is the frame's own."""
     (sample,) = FOXGLOVE.read(message, topic, record_ns)
-    child = f"{sample.parent}:{topic.strip('/')}"
+    child = name_origin(sample.parent, topic)
     return [] if sample.pose == IDENTITY else [sample._replace(child=child)]
 
 
@@ -205,6 +205,7 @@ _LIVOX = MessageType(
 TYPES = {
     "sensor_msgs/msg/LaserScan": MessageType({Role.SCAN: convert_laser_scan}, many=read_scan_run),
     "sensor_msgs/msg/MultiEchoLaserScan": MessageType({Role.SCAN: convert_multi_echo}, needs=Echo),
+    "sensor_msgs/msg/PointCloud": MessageType({Role.CLOUD: cloud_messages.convert_listed}),
     "sensor_msgs/msg/PointCloud2": MessageType({Role.CLOUD: cloud_messages.convert_cloud}),
     "livox_ros_driver/msg/CustomMsg": _LIVOX,
     "livox_ros_driver2/msg/CustomMsg": _LIVOX,

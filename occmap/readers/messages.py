@@ -21,7 +21,7 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import DamageError, LogError
 from occmap.readers.containers import Channel, normalise_type
-from occmap.types import Bool, Int64, Scan, ScanRun, UInt8
+from occmap.types import Bool, Int64, Scan, ScanBatch, UInt8
 
 T = TypeVar("T")
 FromBytes: TypeAlias = Callable[[memoryview, int], T]
@@ -220,29 +220,21 @@ class _Finder:
 
     def find(self, path: str, node: Nodetype, detail: Any) -> None:
         """Pass over a part of the message, and add the places of its numbers."""
+        parts: Any = ()
         if node == Nodetype.NAME:
-            parts: Any = self._types[detail][1]
-            for part, inner in parts:
-                self.find(f"{path}.{part}" if path else part, *inner)
-            return
-        if node == Nodetype.BASE:
-            self._add(path, detail[0], 1)
-            return
-        inner, many = detail
-        many = many if node == Nodetype.ARRAY else self._read_count()
-        if inner[0] == Nodetype.BASE and inner[1][0] != "string":
-            self._add(path, inner[1][0], many)
-        else:
-            for index in range(many):
-                self.find(f"{path}.{index}", *inner)
-
-    def _add(self, path: str, kind: str, many: int) -> None:
-        """Pass over numbers of one kind, or the letters of a string."""
-        if kind == "string":
+            parts = self._types[detail][1]
+        elif node == Nodetype.BASE and detail[0] == "string":
             letters = self._read_count()
             self._at += letters
-            return
-        self.places[path] = self._pass(kind, many)
+        else:
+            inner, many = ((node, detail), 1) if node == Nodetype.BASE else detail
+            many = self._read_count() if node == Nodetype.SEQUENCE else many
+            if inner[0] == Nodetype.BASE and inner[1][0] != "string":
+                self.places[path] = self._pass(inner[1][0], many)
+            else:
+                parts = ((index, inner) for index in range(many))
+        for part, inner in parts:
+            self.find(f"{path}.{part}" if path else part, *inner)
         if len(self.places) > MAX_PLACES:
             raise DamageError(f"holds more than {MAX_PLACES} numbers")
 
@@ -311,7 +303,7 @@ class Fields(NamedTuple):
 
 def read_scan_run(
     locate: Locate, read: FromBytes[list[Scan]], rows: UInt8, record_ns: Int64
-) -> tuple[list[ScanRun], Bool]:
+) -> tuple[list[ScanBatch], Bool]:
     """Read scans of one length that follow one another.
 
     Parameters
@@ -340,5 +332,5 @@ def read_scan_run(
         return [], left
     ranges = fields.read("ranges").astype(np.float32, copy=False)
     increments = fields.read("time_increment")[:, 0].astype(np.float64)
-    times = fields.read_stamps("header.stamp"), record_ns
-    return [ScanRun(first, *times, ranges, increments)], left
+    stamps = {"stamp_ns": fields.read_stamps("header.stamp"), "record_ns": record_ns}
+    return [ScanBatch.like(first, **stamps, ranges=ranges, time_increment=increments)], left

@@ -26,7 +26,7 @@ from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_cl
 from occmap.readers.containers import Buffer, Channel, Source
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import PARSERS
-from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanRun
+from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanBatch
 
 T = TypeVar("T")
 Convert: TypeAlias = Callable[[Any, str, int], Any]
@@ -91,7 +91,7 @@ class RosLog(Log):
         """Every sample of every pose topic, many at once where messages are laid out alike."""
         return self._read(Role.POSE)
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanBatch]:
         """The scans of these topics, many at once where one laser has many in a row."""
         return self._read(Role.SCAN, topics)
 
@@ -157,7 +157,7 @@ class RosLog(Log):
                 is_run = len(groups) == 1 and len(held) >= SHORTEST_RUN
                 together, left = reader.read_together(held)
                 for each in together:
-                    parts = each.split() if isinstance(each, ScanRun) and not is_run else [each]
+                    parts = each.split() if isinstance(each, ScanBatch) and not is_run else [each]
                     found += zip((number for number, _, _ in held), parts, strict=False)
                 for number, record_ns, data in left:
                     found += ((number, each) for each in reader.read(data, record_ns))

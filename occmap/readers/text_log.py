@@ -16,7 +16,7 @@ import numpy as np
 from occmap.errors import LogError, refuse_unreadable
 from occmap.readers import GZIP_MAGIC, Log, NoteList
 from occmap.readers.decimals import Words, parse_words
-from occmap.types import Float64, Int64, Pose, Scan, ScanRun
+from occmap.types import Float64, Int64, Scan, ScanBatch
 from occmap.values import suspect_degrees
 
 MAX_LINE_BYTES = 1 << 24
@@ -149,7 +149,7 @@ class Pattern(NamedTuple):
     scan: Scan
     """What is the same in all scans; whether it has a pose says whether they have"""
 
-    def make_run(self, words: Words) -> ScanRun:
+    def make_run(self, words: Words) -> ScanBatch:
         """Make scans of the words of lines."""
 
         def take(name: str) -> Float64:
@@ -166,14 +166,14 @@ class Pattern(NamedTuple):
         increments = take("time_increment")
         increments[~np.isfinite(increments)] = 0  # it says nothing, and the scan is none the worse
         pose = None if self.scan.pose is None else stack_planar(*map(take, POSE_NAMES))
-        first = self.scan._replace(
-            stamp_ns=int(stamp_ns[0]),
-            record_ns=int(record_ns[0]),
-            ranges=words.ranges[0],
-            time_increment=float(increments[0]),
-            pose=None if pose is None else Pose(*pose[0].tolist()),
+        return ScanBatch.like(
+            self.scan,
+            stamp_ns=stamp_ns,
+            record_ns=record_ns,
+            ranges=words.ranges,
+            time_increment=increments,
+            pose=pose,
         )
-        return ScanRun(first, stamp_ns, record_ns, words.ranges, increments, pose)
 
 
 class TextLog(Log, ABC):
@@ -190,7 +190,7 @@ class TextLog(Log, ABC):
 
     def __init__(self, path: Path) -> None:
         self.path, self.notes = path, NoteList()
-        self._kept: list[Scan | ScanRun] | None = []
+        self._kept: list[Scan | ScanBatch] | None = []
         """The scans, where they are few enough to be kept"""
 
     @abstractmethod
@@ -201,7 +201,7 @@ class TextLog(Log, ABC):
     def find_pattern(self, line: Line) -> Pattern:
         """Say what lines like one have in common; raises ValueError where it is malformed."""
 
-    def _survey(self, pick: PickLines) -> Iterator[Scan | ScanRun]:
+    def _survey(self, pick: PickLines) -> Iterator[Scan | ScanBatch]:
         """Give all scans for the first time, and keep them if they are few.
 
         Raises
@@ -218,13 +218,13 @@ class TextLog(Log, ABC):
                 self._kept = None
             yield some
 
-    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanRun]:
+    def stacked_scans(self, topics: Collection[str]) -> Iterator[Scan | ScanBatch]:
         """The scans of some topics, many at once where only times, ranges and poses differ."""
         for some in self._parse_all(self.pick_scans) if self._kept is None else self._kept:
-            if some.first.topic in topics and some.first.ranges.size:
+            if some.topic in topics and some.ranges.size:
                 yield some
 
-    def _parse_all(self, pick: PickLines) -> Iterator[Scan | ScanRun]:
+    def _parse_all(self, pick: PickLines) -> Iterator[Scan | ScanBatch]:
         """Parse the lines that are picked from each block, given by kind.
 
         Raises
@@ -252,7 +252,7 @@ class TextLog(Log, ABC):
 
     def _parse_block(
         self, block: Block, lines: Mapping[str, Sequence[int]], faults: dict[int, str]
-    ) -> Sequence[Scan | ScanRun]:
+    ) -> Sequence[Scan | ScanBatch]:
         """Parse some lines, given by kind: the scans in file order, without damaged ones.
 
         Where all lines are alike they are one run, else single scans. What is malformed is added
@@ -268,7 +268,7 @@ class TextLog(Log, ABC):
 
     def _parse_kind(
         self, block: Block, rows: Sequence[int], faults: dict[int, str]
-    ) -> Iterator[tuple[Sequence[int], ScanRun]]:
+    ) -> Iterator[tuple[Sequence[int], ScanBatch]]:
         """Parse lines of one kind: at once the first and those that are like it, then the others.
 
         What is malformed is left out, and added to `faults`.

@@ -7,7 +7,7 @@ docs/pipelines.md says what.
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import permutations
@@ -138,11 +138,6 @@ def parse_bound(text: str, measure: Measure, where: str) -> float:
         fix = f"write {bound:g}% or {bound / 100:g}" if is_meant else "write 0% to 100%"
         raise UsageError(f"{text} is not a share", where=where, fix=fix)
     return bound
-
-
-def list_failed(limits: Iterable[Limit], result: object) -> list[Failed]:
-    """Hold a result against every limit; list those that it does not keep to."""
-    return [failed for limit in limits if (failed := limit.find_failure(result))]
 
 
 def list_measures(unit: str, *names: str, of: str = "") -> Measures:

@@ -163,27 +163,24 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
 def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
     """Read every pose source of another log, with its path before each topic."""
     for each in other.stacked_poses():
-        topic = f"{other.path}:{each.topic}"
-        if isinstance(each, PoseSample):
-            yield each._replace(topic=topic)
-        else:
-            yield replace(each, topic=topic)
+        yield each._replace(topic=f"{other.path}:{each.topic}")
 
 
-PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+\.(bag|mcap|db3)$")
-"""How the names of the parts of a recording that was split end: PREFIX_DATE_NUMBER.bag"""
+PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+(\.bag|\.mcap|\.db3)(\.active)?$")
+"""How the names of the parts of a recording that was split end: PREFIX_DATE_NUMBER.bag, of which
+the last one stays active where the recorder was killed"""
 
 
 def find_first_part(log: Log) -> Path | None:
     """Find the first part of a split recording, if the log is a later one without /tf_static."""
     held = {last_part(each.topic) for each in log.streams if each.count}
-    prefix, is_part = PART.subn("", log.path.name)
-    if not is_part or "tf_static" in held:
+    part = PART.search(log.path.name)
+    if not part or "tf_static" in held:
         return None
-    firsts = (
-        each for each in log.path.parent.glob(f"*_0{log.path.suffix}") if each.name < log.path.name
-    )
-    return max((each for each in firsts if PART.sub("", each.name) == prefix), default=None)
+    firsts = log.path.parent.glob(f"*_0{part[3]}")
+    before = (each for each in firsts if each.name < log.path.name)
+    prefix = log.path.name[: part.start()]
+    return max((each for each in before if PART.sub("", each.name) == prefix), default=None)
 
 
 def look_ahead(log: Log, options: BuildOptions) -> list[Scan | Cloud]:

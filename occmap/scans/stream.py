@@ -18,15 +18,15 @@ from occmap.scans.logs import choose_topics
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import drop_own_points, read_limits
 from occmap.sensor.bands import RangeLimits
-from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, PosedScans, Recorded, Scan, ScanBatch
 
 
-def find_flaw(scan: Scan | Cloud) -> LeftOut | None:
-    """Say why nobody can use a scan; None where it can be used."""
-    beams = len(scan.points if isinstance(scan, Cloud) else scan.ranges)
+def find_flaw(some: Recorded) -> LeftOut | None:
+    """Say why nobody can use a scan, or those of a batch; None where they can be used."""
+    beams = len(some.points) if isinstance(some, Cloud) else some.ranges.shape[-1]
     if not beams:
         return LeftOut.NO_BEAMS
-    last = 0.0 if isinstance(scan, Cloud) else scan.angle_min + scan.angle_increment * beams
+    last = 0.0 if isinstance(some, Cloud) else some.angle_min + some.angle_increment * beams
     return None if math.isfinite(last) else LeftOut.BAD_ANGLES
 
 
@@ -46,11 +46,19 @@ class Selector:
 
     def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass on the scans that are used, and count the others."""
-        for some in self._split(scans):
-            reason = self._find_reason(some.first)
-            self.see(some, reason)
-            if reason is None:
+        for some in scans:
+            if self.first_ns is None:
+                stamps = self._stamps.choose(some.stamp_ns, some.record_ns)
+                self.first_ns = int(np.ravel(stamps)[0])
+            if isinstance(some, ScanBatch) and self._wants_all and not find_flaw(some):
+                self.see(some, None)
                 yield some
+                continue
+            for scan in some.split() if isinstance(some, ScanBatch) else (some,):
+                reason = self._find_reason(scan)
+                self.see(scan, reason)
+                if reason is None:
+                    yield scan
 
     def see(self, some: Recorded, reason: LeftOut | None) -> None:
         """Count scans that are used, or a scan that is left out for a reason."""
@@ -61,20 +69,11 @@ class Selector:
     def see_batch(self, batch: ScanBatch) -> None:
         """Take a look at scans that are used, of which some may have no pose."""
 
-    def _split(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
-        """Split runs, but for those of which the user wants every scan, and that can be used."""
-        for some in scans:
-            if isinstance(some, ScanRun) and (find_flaw(some.first) or not self._wants_all):
-                yield from some.split()
-            else:
-                yield some
-
     def _find_reason(self, scan: Scan | Cloud) -> LeftOut | None:
-        stamp_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns)
-        self.first_ns = stamp_ns if self.first_ns is None else self.first_ns
         if (flaw := find_flaw(scan)) is not None:
             return flaw
-        if not self._selection.start_s <= (stamp_ns - self.first_ns) / 1e9 < self._selection.end_s:
+        passed_ns = self._stamps.choose(scan.stamp_ns, scan.record_ns) - (self.first_ns or 0)
+        if not self._selection.start_s <= passed_ns / 1e9 < self._selection.end_s:
             return LeftOut.TIME
         self._wanted[scan.topic] += 1
         is_between = (self._wanted[scan.topic] - 1) % self._selection.stride
@@ -95,11 +94,11 @@ MOST_TURNS = 1.5
 
 
 def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
-    """Stack scans, holding no more than a batch at a time; a run is a batch as it is."""
+    """Stack scans, holding no more than a batch at a time; one of a reader stays as it is."""
     held: defaultdict[object, list[Any]] = defaultdict(list)
     beams = 0
     for some in scans:
-        if not isinstance(some, ScanRun):
+        if not isinstance(some, ScanBatch):
             held[find_shape(some)].append(some)
             beams += len(some.points) // 2 if isinstance(some, Cloud) else len(some.ranges)
             if beams < BATCH_BEAMS:
@@ -107,8 +106,8 @@ def stack(scans: Iterable[Recorded], stamps: Stamps) -> Iterator[ScanBatch]:
         yield from (pack(alike, stamps) for alike in held.values())
         held.clear()
         beams = 0
-        if isinstance(some, ScanRun):
-            yield make_batch(some, stamps)
+        if isinstance(some, ScanBatch):
+            yield settle(some, stamps)
     yield from (pack(alike, stamps) for alike in held.values())
 
 
@@ -124,27 +123,22 @@ def pack(alike: list[Any], stamps: Stamps) -> ScanBatch:
     """Make a batch of scans, or of clouds, of one shape."""
     if isinstance(alike[0], Cloud):
         return make_cloud_batch(alike, stamps)
-    return make_batch(join_scans(alike), stamps)
-
-
-def join_scans(scans: Sequence[Scan]) -> ScanRun:
-    """Make a run of scans of one geometry."""
-    return ScanRun(
-        scans[0],
-        np.array([scan.stamp_ns for scan in scans], np.int64),
-        np.array([scan.record_ns for scan in scans], np.int64),
-        np.stack([scan.ranges for scan in scans]),
-        np.array([scan.time_increment for scan in scans], np.float64),
-        np.array([scan.pose for scan in scans]) if scans[0].pose is not None else None,
+    batch = ScanBatch.like(
+        alike[0],
+        stamp_ns=np.array([scan.stamp_ns for scan in alike], np.int64),
+        record_ns=np.array([scan.record_ns for scan in alike], np.int64),
+        ranges=np.stack([scan.ranges for scan in alike]),
+        time_increment=np.array([scan.time_increment for scan in alike], np.float64),
+        pose=np.array([scan.pose for scan in alike]) if alike[0].pose is not None else None,
     )
+    return settle(batch, stamps)
 
 
-def make_batch(run: ScanRun, stamps: Stamps) -> ScanBatch:
-    """Make a batch of scans that are alike."""
-    first = run.first
-    shape = first.frame, first.angle_min, first.angle_increment, *read_limits(first)
-    stamp_ns = stamps.choose(run.stamp_ns, run.record_ns)
-    return ScanBatch(*shape, stamp_ns, run.ranges, run.time_increment, run.pose, first.topic)
+def settle(batch: ScanBatch, stamps: Stamps) -> ScanBatch:
+    """Settle which stamps of a reader's scans count, and up to where they measure."""
+    low, high = read_limits(batch)
+    stamp_ns = stamps.choose(batch.stamp_ns, batch.record_ns)
+    return replace(batch, stamp_ns=stamp_ns, range_min=low, range_max=high)
 
 
 def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
@@ -158,12 +152,12 @@ def make_cloud_batch(clouds: Sequence[Cloud], stamps: Stamps) -> ScanBatch:
     offsets = [at_once if cloud.offset_ns is None else cloud.offset_ns for cloud in clouds]
     span = np.array([(each.min(), each.max()) for each in offsets])
     stamp_ns, record_ns = np.array([(cloud.stamp_ns, cloud.record_ns) for cloud in clouds]).T
-    times = stamps.choose(stamp_ns, record_ns) + span[:, 0]
+    times = stamps.choose(stamp_ns, record_ns) + span[:, 0], record_ns
     step = (span[:, 1] - span[:, 0]) / 1e9 / max(moments - 1, 1)
     ranges = np.zeros((len(clouds), moments), np.float32)
     pose = None if first.pose is None else np.array([cloud.pose for cloud in clouds])
     shape = first.frame, 0.0, math.tau / moments, 0.0, math.inf
-    return ScanBatch(*shape, times, ranges, step, pose, first.topic, clouds=tuple(clouds))
+    return ScanBatch(*shape, *times, ranges, step, pose, first.topic, tuple(clouds))
 
 
 def find_oddity(batch: ScanBatch) -> str:
@@ -305,7 +299,7 @@ class Drive:
         for topic in (topic for topic, it in self._middle_m.items() if FAR_M < it < math.inf):
             found = f"most ranges are above {FAR_M:g} m: ranges are metres"
             yield topic, f"{found}; are these millimetres or centimetres?"
-        yield from self.poser.suspect_places()
+        yield from self.poser.suspect_places(self._middle_m)
 
     def list_left(self) -> Iterator[str]:
         """Say which clouds are left out where there are scans, and the user chose nothing."""

@@ -201,7 +201,8 @@ def advise_on_dropped(dropped: Mapping[str, int]) -> str:
     """Say what to do about scans that are not used, by the reason of most of them."""
     most = max(dropped, key=dropped.__getitem__, default="")
     if most == DropReason.GAP:
-        return "a larger `max_pose_gap_s` interpolates across the gaps"
+        fix = "a larger `max_pose_gap_s` interpolates across the gaps"
+        return f"{fix}, and smears walls where the robot turned in one"
     if most == DropReason.TURN:
         fix = "`max_pose_gap_s=inf` uses them all the same"
         return f"poses of key frames do not tell how the robot turned at clouds between them; {fix}"
@@ -222,7 +223,10 @@ def refuse_unused(tally: Tally) -> None:
     if tally.scans_read:
         found = write_unused(tally.scans_read, tally.dropped)
         raise PoseError(found, where=where, fix=advise_on_dropped(tally.dropped))
-    fix = "`occmap check` shows what is damaged"
+    damage = (note for note in tally.notes if isinstance(note, Note) and note.damage)
+    if lost := next(damage, None):
+        raise LogError(f"no scan can be read: {lost.text}", where=lost.log)
+    fix = "`occmap check` shows what it holds"
     raise LogError("holds no scan that can be read", where=where, fix=fix)
 
 

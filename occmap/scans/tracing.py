@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from occmap.cells import Evidence, Slices
 from occmap.errors import MapError, name_log
@@ -24,10 +24,6 @@ from occmap.scans.tally import Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
 from occmap.types import PosedScans, Rays, Update
-
-if TYPE_CHECKING:  # the engine brings numba, which takes longer to load than all else together
-    pass
-
 
 HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two

@@ -14,6 +14,7 @@ import numpy as np
 from occmap.cells import OccupancyMap
 from occmap.report import Count, Finite, Share
 from occmap.scans import Sample
+from occmap.scans.tracing import TakesRays
 from occmap.threads import Threads
 from occmap.types import Float64, Kind, Rays
 
@@ -190,24 +191,20 @@ def estimate_error(part: Float64, whole: Float64) -> float:
     return math.sqrt(scans / (scans - 1) * math.fsum(rest**2)) / total
 
 
-class HoldOut:
-    """Keeps every fifth scan from the maps; the scans must come in one order, so in one thread."""
+def hold_out(seen: Iterable[Rays], engines: Sequence[TakesRays], jobs: int) -> Sample[Rays]:
+    """Keep every fifth scan, to score maps on, and give all others to each of some engines."""
+    held_out, before = Sample[Rays](MOST_SCANS), 0
+    with Threads[tuple[TakesRays, Rays]](lambda it: it[0].add(it[1]), jobs) as threads:
+        for rays in seen:
+            kept = (before + np.arange(len(rays.kind))) % EVERY == FIRST
+            before += len(rays.kind)
+            held_out.add(rays.take(kept))
+            others = rays.take(~kept)
+            for engine in engines if len(others.kind) else ():
+                threads.give((engine, others))
+    return held_out
 
-    def __init__(self) -> None:
-        self.sample = Sample[Rays](MOST_SCANS)
-        """The held-out scans that maps are scored on"""
-        self._seen = 0
 
-    def split(self, rays: Rays) -> Rays:
-        """Keep some scans, and return the others."""
-        scans = len(rays.kind)
-        kept = (self._seen + np.arange(scans)) % EVERY == FIRST
-        self._seen += scans
-        if kept.any():
-            self.sample.add(rays.take(kept))
-        return rays.take(~kept)
-
-    @property
-    def hits(self) -> int:
-        """Held-out beams that measured a range."""
-        return sum(int(np.count_nonzero(rays.kind == Kind.HIT)) for rays in self.sample.parts)
+def has_hits(scans: Sample[Rays]) -> bool:
+    """Whether any beam of scans measured a range, so that maps can be scored on them."""
+    return any((rays.kind == Kind.HIT).any() for rays in scans.parts)

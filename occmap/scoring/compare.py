@@ -25,9 +25,8 @@ from occmap.report.results import name_frames
 from occmap.scans import make_engine
 from occmap.scans.tally import ScanCounts, Tally
 from occmap.scans.tracing import Progress, Reading, ignore_progress
-from occmap.scoring import SMALL, Gain, HoldOut, Score, Trial, score_map
+from occmap.scoring import SMALL, Gain, Score, Trial, has_hits, hold_out, score_map
 from occmap.sensor.models import SensorModel, parse_model, shorten_model
-from occmap.threads import Threads
 from occmap.types import BEAM_UPDATES, Kind, Rays, Update
 
 FEW_SCANS = 10
@@ -149,10 +148,6 @@ class ScoredVariant:
         )
 
 
-Task = tuple[SharedEvidence, Rays]
-"""Scans for one piece of evidence"""
-
-
 def score_variants(
     variants: Sequence[Variant],
     shared: Mapping[str, SharedEvidence],
@@ -262,28 +257,22 @@ def compare(
         As `build`, no held-out beam measured a range, or logs are mapped in different frames.
     """
     reading = Reading(paths, options, progress)
-    hold_out = HoldOut()
     shared = {  # by the variants that need the same
         each.evidence: SharedEvidence(replace(options, update=each.update, model=each.model))
         for each in variants
     }
-    with Threads[Task](lambda it: it[0].add(it[1]), options.jobs) as threads:
-        for rays in reading.list_rays():
-            seen = hold_out.split(rays)
-            for evidence in shared.values() if len(seen.kind) else ():
-                threads.give((evidence, seen))
+    held_out = hold_out(reading.list_rays(), list(shared.values()), options.jobs)
     tally = reading.tally
     fix = "choose one with `map_frame`, or compare each log by itself"
     if apart := name_frames(tally):
         raise UsageError(apart, fix=fix)
-    held_out = hold_out.sample.scans
-    refuse_unscored(tally.logs, held_out, hold_out.hits)
-    tally.notes += hold_out.sample.list_notes("held-out scans")
-    if held_out < FEW_SCANS:
-        few = count(held_out, "held-out scan")
+    refuse_unscored(tally.logs, held_out.scans, has_hits(held_out))
+    tally.notes += held_out.list_notes("held-out scans")
+    if held_out.scans < FEW_SCANS:
+        few = count(held_out.scans, "held-out scan")
         tally.notes.append(f"{few}: too few to tell variants apart; give a longer log")
-    results = score_variants(variants, shared, hold_out.sample.parts, options)
-    return choose_best(results, options, tally, held_out)
+    results = score_variants(variants, shared, held_out.parts, options)
+    return choose_best(results, options, tally, held_out.scans)
 
 
 def choose_best(
@@ -326,15 +315,15 @@ def compose_variant(
     return compose_build(logs, options, {"model": variant.model}, variant.update.value)
 
 
-def refuse_unscored(logs: Sequence[str], held_out: int, beams: float) -> None:
-    """Refuse to rank maps by nothing: so many held-out scans, whose beams measured so many ranges.
+def refuse_unscored(logs: Sequence[str], held_out: int, are_told: bool) -> None:
+    """Refuse to rank maps by so many held-out scans, unless any of their beams measured a range.
 
     Raises
     ------
     LogError
         No held-out beam measured a range.
     """
-    if not beams:
+    if not are_told:
         raise LogError(
             f"no beam of the {held_out} scans held out for scoring measured a range",
             where=", ".join(logs),

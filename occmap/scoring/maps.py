@@ -19,7 +19,8 @@ from occmap.scans import Sample
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import MOST_SCANS, Trial, score_map
-from occmap.scoring.matching import REACH_M, STAY, Match, Transform, Walls, find_match, list_hits
+from occmap.scoring.matching import REACH_M, Match, Walls, find_match, list_hits
+from occmap.store.merging import STAY, Transform
 from occmap.types import IDENTITY, Bool, Float32, Rays, UInt8
 from occmap.writers import check_picture, refuse_input
 

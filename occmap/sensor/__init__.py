@@ -123,7 +123,7 @@ class ReturnCounts(NamedTuple):
         return type(self)(*(mine + its for mine, its in zip(self, other, strict=True)))
 
 
-def read_limits(scan: Scan) -> tuple[float, float]:
+def read_limits(scan: Scan | ScanBatch) -> tuple[float, float]:
     """Read the nearest and the farthest range (m) that a scan states; 0 and inf where it has none.
 
     A limit that leaves no range, or NaN, counts as none: some drivers write zero there.

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from occmap.sensor import ReturnOptions, read_limits
-from occmap.types import Cloud, Float32, Int64, Recorded, Scan, ScanBatch, ScanRun
+from occmap.types import Cloud, Float32, Int64, Recorded, Scan, ScanBatch
 from occmap.values import as_float32
 
 BAND = 0.025
@@ -150,11 +150,11 @@ class RangeLimits:
         self._applied: dict[str, float] = {}
         self._settled = False
 
-    def see(self, some: Scan | ScanRun) -> None:
+    def see(self, some: Scan | ScanBatch) -> None:
         """Count the ranges of a scan, or of those of a run."""
         if self._looks and not self._settled and some.ranges.size:
-            tally = self._tallies.setdefault(some.first.topic, RangeTally())
-            tally.add(some.ranges, read_limits(some.first)[1])
+            tally = self._tallies.setdefault(some.topic, RangeTally())
+            tally.add(some.ranges, read_limits(some)[1])
 
     def watch(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:
         """Pass scans on, and count their ranges."""

@@ -23,12 +23,10 @@ from occmap.scans.logs import choose_topics
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally, refuse_unused
 from occmap.scans.tracing import Reading
-from occmap.scoring import SMALL, Gain, HoldOut, Trial, score_map
+from occmap.scoring import SMALL, Gain, Trial, has_hits, hold_out, score_map
 from occmap.scoring.compare import refuse_unscored
-from occmap.sensor import interpret
-from occmap.threads import Threads
-from occmap.tuning import slicing
-from occmap.types import Pose, PosedScans, Rays, ScanBatch
+from occmap.sensor import ReturnOptions, interpret
+from occmap.types import Float64, Int64, Kind, Pose, PosedScans, Rays, ScanBatch
 
 MOST_SCANS, MOST_OF_ALL = 1000, 4000
 """Scans of a log, and of all: more tell little more, and each is traced over thirty times."""
@@ -114,7 +112,7 @@ def keep_log(drive: Drive, most: int, tally: Tally) -> KeptLog:
     """Read a log, and keep at most so many of the scans that have a pose."""
     sample = Sample[ScanBatch](most)
     for posed in drive.read(tally):
-        sample.add((slicing.thin_clouds(posed) if posed.batch.clouds else posed).batch)
+        sample.add((thin_clouds(posed) if posed.batch.clouds else posed).batch)
     tally.scans_used += sample.seen
     has_others = len(choose_topics(drive.log, ())) > len(drive.topics)
     return KeptLog(str(drive.log.path), drive.poser, tuple(sample.parts), has_others)
@@ -149,6 +147,68 @@ def find_common_mount(logs: Sequence[KeptLog]) -> Pose | None:
     places = [it.pose._replace(z=0.0) for it in found if it and not it.frames]
     is_one = len(places) == len(found) and np.ptp(places, axis=0).max() < ALIKE
     return places[0] if is_one else None
+
+
+SLICED_BEAMS = 720
+"""Of a planar scan out of each cloud, at the height of its sensor, as a laser there would take it:
+walls are sharp in such scans where time and mount are right. For the map itself clouds are not cut.
+"""
+BAND_M = 0.2
+"""Points that lie less far above or below their sensor are of its planar scan"""
+KEPT_BAND_M, KEPT_POINTS = 0.6, 10_000
+"""Of about so many points of a cloud those are kept that may lie in the band by other poses"""
+NEAREST_M, FARTHEST_M = 0.3, 30.0
+
+
+def thin_clouds(posed: PosedScans) -> PosedScans:
+    """Keep, of clouds, copies of some points that lie near the height of their sensor."""
+    every = [len(cloud.points) // KEPT_POINTS + 1 for cloud in posed.batch.clouds or ()]
+    some = take_points(posed, [slice(None, None, stride) for stride in every])
+    near = [np.flatnonzero(np.abs(away[:, 2]) < KEPT_BAND_M) for away, _ in list_away(some)]
+    return take_points(some, near)
+
+
+def take_points(posed: PosedScans, chosen: Sequence[slice | Int64]) -> PosedScans:
+    """Take of each cloud the points that are chosen of it."""
+    kept = []
+    for cloud, which in zip(posed.batch.clouds or (), chosen, strict=True):
+        times = None if cloud.offset_ns is None else cloud.offset_ns[which]
+        kept.append(cloud._replace(points=cloud.points[which], offset_ns=times))
+    return replace(posed, batch=replace(posed.batch, clouds=tuple(kept)))
+
+
+def slice_clouds(posed: PosedScans, options: ReturnOptions) -> Rays:
+    """Make a planar scan of each cloud: of each half degree the nearest point in the band."""
+    shape = len(posed.batch.stamp_ns), SLICED_BEAMS
+    origin, direction = np.zeros((shape[0], 1, 2)), np.zeros((*shape, 2))
+    distance, kind = np.zeros(shape, np.float32), np.zeros(shape, np.uint8)
+    nearest, farthest = max(NEAREST_M, options.min_range), min(FARTHEST_M, options.max_range)
+    for scan, (away, sensor) in enumerate(list_away(posed)):
+        reach = np.hypot(away[:, 0], away[:, 1])
+        seen = (np.abs(away[:, 2]) < BAND_M) & (reach > nearest) & (reach < farthest)
+        order = np.flatnonzero(seen)[np.argsort(-reach[seen], kind="stable")]
+        x_y, length = away[order, :2], reach[order]
+        bearing = np.arctan2(x_y[:, 1], x_y[:, 0]) * (SLICED_BEAMS / math.tau)
+        beam = np.floor(bearing).astype(np.int64) % SLICED_BEAMS
+        # Of several points of a beam the last one is kept, which is the nearest.
+        direction[scan, beam], distance[scan, beam] = x_y / length[:, np.newaxis], length
+        kind[scan, beam], origin[scan, 0] = Kind.HIT, sensor[:2]
+    stamp_ns = posed.batch.stamp_ns
+    return Rays.along(origin, direction, distance, kind, stamp_ns, full_circle=True)
+
+
+def list_away(posed: PosedScans) -> Iterator[tuple[Float64, Float64]]:
+    """List for each cloud where its points lie from its sensor (N, 3), and where that is (3,) (m).
+
+    Both are turned as the map is.
+    """
+    from occmap.clouds.ground import pose_points  # noqa: PLC0415  late: it brings LLVM
+    from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
+
+    for cloud in list_clouds(posed):
+        points, pose = pose_points(cloud, len(cloud.points))
+        turned = np.einsum("nij,nj->ni", pose[:, :, :3], points)
+        yield turned + pose[:, :, 3] - cloud.origin, cloud.origin
 
 
 @dataclass(frozen=True)
@@ -229,21 +289,16 @@ class Scorer:
         if correction not in self.tried:
             trial = Trial.join(self.score_log(log, correction) for log in self.logs)
             paths = [log.path for log in self.logs]
-            refuse_unscored(paths, len(trial.totals), trial.score.beams)
+            refuse_unscored(paths, len(trial.totals), trial.score.beams > 0)
             self.tried[correction] = trial
             self.advance()
         return self.tried[correction]
 
     def score_log(self, log: KeptLog, correction: Correction) -> Trial:
         """Score a map of one log alone, since the frames of several may lie anywhere."""
-        hold_out, engine = HoldOut(), make_engine(self.options)
-        with Threads(engine.add, self.options.jobs) as threads:
-            for rays in self.trace(log, correction):
-                seen = hold_out.split(rays)
-                if len(seen.kind):
-                    threads.give(seen)
-        held_out = hold_out.sample
-        if not hold_out.hits:
+        engine = make_engine(self.options)
+        held_out = hold_out(self.trace(log, correction), [engine], self.options.jobs)
+        if not has_hits(held_out):
             return Trial(np.zeros((held_out.scans, 6)), np.zeros((1, 3)), None)
         made = render(engine.finish(), self.options.model, self.options.max_cells)
         return score_map(made, held_out.parts, self.options.jobs)
@@ -254,7 +309,7 @@ class Scorer:
         posing = replace(self.options.posing, max_pose_gap_s=None)
         for posed in log.pose(correction.apply(posing, self.mount)):
             if posed.batch.clouds:
-                yield slicing.slice_clouds(posed, self.options.returns)
+                yield slice_clouds(posed, self.options.returns)
             else:
                 yield interpret(posed, self.options.returns)[0]
 

@@ -14,7 +14,7 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.readers import open_log
 from occmap.scans.logs import choose_topics
-from occmap.types import BEAM_UPDATES, Scan, ScanRun, Update
+from occmap.types import BEAM_UPDATES, Scan, ScanBatch, Update
 from tests.bench.engine import COUNTS, trace
 from tests.bench.measuring import ROUNDS, Times, time_in_turn
 from tests.bench.workloads import Workload
@@ -137,7 +137,7 @@ def compare_loadtxt(log: Path, what: str) -> Row:
     return compare(times, ("read", "loadtxt"), f"read {what} / np.loadtxt of its ranges", 0.4)
 
 
-def read_all(path: Path) -> list[Scan | ScanRun]:
+def read_all(path: Path) -> list[Scan | ScanBatch]:
     """Every scan of a log."""
     log = open_log(path)
     return list(log.stacked_scans(choose_topics(log, [])))

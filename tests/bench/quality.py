@@ -30,7 +30,7 @@ from occmap.jit import kernel
 from occmap.options import BuildOptions
 from occmap.posing import PosingOptions
 from occmap.scans.tracing import Reading, ignore_progress
-from occmap.scoring import HoldOut, Score, estimate_error, score_map
+from occmap.scoring import Score, estimate_error, has_hits, hold_out, score_map
 from occmap.scoring.compare import SharedEvidence, refuse_unscored
 from occmap.sensor import ReturnOptions
 from occmap.types import Bool, Float64, Rays
@@ -51,16 +51,12 @@ class Scans:
 
     def __init__(self) -> None:
         self.seen: list[Rays] = []
-        self.hold_out = HoldOut()
-
-    @property
-    def held_out(self) -> list[Rays]:
-        """Every fifth scan."""
-        return self.hold_out.sample.parts
+        self.held_out: list[Rays] = []
+        """Every fifth scan"""
 
     def add(self, rays: Rays) -> None:
         """Take the scans of a batch."""
-        self.seen.append(self.hold_out.split(rays))
+        self.seen.append(rays)
 
 
 class Fare(NamedTuple):
@@ -90,9 +86,10 @@ def read_scans(recording: Recording, options: BuildOptions) -> Scans:
     posing = replace(recording.posing, deskew=options.posing.deskew)
     options = replace(options, posing=posing)
     kept = Scans()
-    for rays in Reading([recording.path], options, ignore_progress).list_rays():
-        kept.add(rays)
-    refuse_unscored([str(recording.path)], kept.hold_out.sample.scans, kept.hold_out.hits)
+    rays = Reading([recording.path], options, ignore_progress).list_rays()
+    held_out = hold_out(rays, [kept], jobs=1)
+    refuse_unscored([str(recording.path)], held_out.scans, has_hits(held_out))
+    kept.held_out = held_out.parts
     return kept
 
 

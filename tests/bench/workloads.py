@@ -99,6 +99,7 @@ class Workload:
             range_min=sensor.range_min,
             range_max=sensor.range_max,
             stamp_ns=np.arange(len(poses)),
+            record_ns=np.arange(len(poses)),
             ranges=self.ranges[scans],
             time_increment=np.zeros(len(poses)),
         )

@@ -40,6 +40,9 @@ def test_a_cell_in_lines() -> None:
         "simple:p_hit=0.7,p_miss=0.4,prior=0.5,cut=0.5,spread=0.0",
         "seen     2 hits and 1 miss",
         "visits   a.csv: hit on 1 of 1 visit, in slices of time from 0.000 s to 10.000 s",
+        "around   0/0  0/0  0/0",
+        "         0/2  2/1  0/2",
+        "         0/0  0/0  0/0",
     ]
 
 
@@ -78,7 +81,7 @@ def test_a_folder_or_a_pattern_stands_for_the_logs_in_it(logs: str) -> None:
 def test_scans_in_lines() -> None:
     result = occmap(f"{ASK} --log a.csv")
     assert (result.code, result.err) == (0, "")
-    assert result.out.splitlines()[4:] == [
+    assert result.out.splitlines()[7:] == [
         "scans    3 of 3 scans used: 2 hits and 1 miss",
         "         stamp (s)  hits  misses  sensor at (m)  away (m)        from",
         "             0.000     1       0   0.050, 0.050     0.300  a.csv scan",
@@ -91,9 +94,9 @@ def test_log_odds_in_lines() -> None:
     lines = occmap("explain q.npz 0.37 0.05 --log a.csv").out.splitlines()
     # logit(0.6), twice up, once down
     assert lines[2] == "seen     log-odds 0.405 of 3 observations"
-    assert lines[4] == ("scans    3 of 3 scans used: log-odds 0.405 of 3 observations")
-    assert lines[5].startswith("         stamp (s)  log-odds  observations  sensor at (m)")
-    assert [line.split()[1] for line in lines[6:]] == ["0.41", "0.41", "-0.41"]
+    assert lines[7] == ("scans    3 of 3 scans used: log-odds 0.405 of 3 observations")
+    assert lines[8].startswith("         stamp (s)  log-odds  observations  sensor at (m)")
+    assert [line.split()[1] for line in lines[9:]] == ["0.41", "0.41", "-0.41"]
 
 
 def test_visits_come_by_build() -> None:
@@ -167,7 +170,7 @@ def test_a_long_list_is_cut_to_those_that_hit_first_and_json_is_not() -> None:
     question = "explain long.npz 0.37 0.05 --log long.csv"
     lines = occmap(question).out.splitlines()
     shown = [*range(40, 50), 0, 1]
-    assert [line.split()[0] for line in lines[6:-1]] == [f"{s}.000" for s in shown]
+    assert [line.split()[0] for line in lines[9:-1]] == [f"{s}.000" for s in shown]
     assert lines[-1] == "         and 38 more: --json lists all"
     found = ask(question)
     assert [scan["stamp_ns"] for scan in found["scans"]] == [s * 10**9 for s in range(50)]

@@ -18,6 +18,7 @@ REFUSED = [
     ("build none.csv -o m.pgm", 1, "none.csv: no such file or directory; check the path"),
     ("build lgo.csv -o m.pgm", 1, "lgo.csv: no such file or directory; did you mean log.csv?"),
     ("build *.bag -o m.pgm", 1, "*.bag: no file matches; check the pattern and its folder"),
+    ("build file:///log.csv -o m.pgm", 1, "an address, where a file or a folder belongs; leave"),
     ("build a.npz -o m.pgm", 1, "a.npz: "),
     ("build polgon log.csv -o m.pgm", 2, "'polgon' is neither a log nor an update"),
     ("build Beam log.csv -o m.pgm", 2, "did you mean 'beam'?"),

@@ -124,7 +124,7 @@ def place(cloud: Cloud, origin: Float64, rotation: Float64) -> PosedScans:
     moments = len(rotation)
     ranges = np.zeros((1, moments), np.float32)
     stamp_ns = np.array([cloud.stamp_ns * 10**9])
-    shape = ("lidar", 0.0, 1.0, 0.0, np.inf, stamp_ns, ranges, np.zeros(1))
+    shape = ("lidar", 0.0, 1.0, 0.0, np.inf, stamp_ns, stamp_ns, ranges, np.zeros(1))
     batch = ScanBatch(*shape, clouds=(cloud,))
     position = np.broadcast_to(origin, (1, moments, 3))
     if moments == 1:

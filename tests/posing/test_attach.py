@@ -186,7 +186,8 @@ def see_wall(start_s: float, beams: int, time_increment: float) -> ScanBatch:
     step = float(bearings[1] - bearings[0])
     stamps = np.array([round(start_s * SECOND)], np.int64)
     row = ranges[None].astype(np.float32)
-    return ScanBatch("laser", -0.7, step, 0.0, 50.0, stamps, row, np.array([time_increment]))
+    times = stamps, stamps
+    return ScanBatch("laser", -0.7, step, 0.0, 50.0, *times, row, np.array([time_increment]))
 
 
 def find_wall(poser: Poser, batch: ScanBatch) -> Float64:

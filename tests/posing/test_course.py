@@ -9,11 +9,13 @@ from occmap.types import Pose
 from tests.posing.scenes import at, attach, batch_at, bolted, build, drive
 
 
-def mount(roll: float = 0.0, pitch: float = 0.0, height: float = 0.3) -> Poser:
-    """A drive whose laser is turned on the robot, in degrees."""
-    angles = math.radians(roll), math.radians(pitch), 0.0
-    sensor = bolted("base_link", "laser", Pose.from_xyzrpy((0, 0, height), angles))
-    poser = build(*drive("odom", "base_link", seconds=range(41)), sensor)
+def mount(roll: float = 0.0, pitch: float = 0.0, height: float = 0.3, nod: int = 1) -> Poser:
+    """A drive whose laser is turned on the robot, in degrees; it nods at each scan by -1."""
+    sensor = []
+    for s in range(41):
+        angles = math.radians(roll), math.radians(pitch) * nod**s, 0.0
+        sensor += [at(s, "base_link", "laser", Pose.from_xyzrpy((0, 0, height), angles))]
+    poser = build(*drive("odom", "base_link", seconds=range(41)), *sensor)
     for first in (0, 10, 20, 30):
         attach(poser, batch_at(range(first, first + 10)))
     return poser
@@ -32,6 +34,7 @@ def tell(poser: Poser, max_range: float = math.inf) -> list[str]:
         (mount(pitch=5, height=0.0), ["by 5.0 deg (5.0 deg down ahead): it meets the floor"]),
         (mount(pitch=45), ["by 45.0 deg (45.0 deg down ahead)", "the floor or the ceiling, not"]),
         (mount(pitch=-60), ["(60.0 deg up ahead): the laser looks at the floor or the ceiling"]),
+        (mount(pitch=5, nod=-1), ["nods by 10 deg and meets the floor: map clouds of its scans"]),
         (mount(roll=90), ["by 90.0 deg: the laser looks at the floor or the ceiling"]),
     ],
 )

@@ -142,6 +142,17 @@ def test_a_transform_that_two_nodes_send_is_told(apart_m: float, is_told: bool) 
     assert told == ["odom -> base_link jumps to and fro at 99% of its 202 samples"][: int(is_told)]
 
 
+def test_what_is_not_mixed_is_kept_where_the_recorders_clock_was_set_back_with_the_others() -> None:
+    """By 20.4 s, at 70 s: of 200 scans 99 come before what was recorded twice, and 60 behind."""
+    driven = [at(s, "odom", "base_link", turned(0, 0.3 * s)) for s in range(70)]
+    again = [at(s - 20.4, "odom", "base_link", turned(0, 0.3 * s)) for s in range(70, 121)]
+    (concern,) = watch(build(*driven, *again))
+    assert concern.remedy == {"end_s": "49"}
+    assert not watch(build(*driven, *again), last_s=49)
+    (concern,) = watch(build(*driven, *again), first_s=30)
+    assert concern.remedy == {"start_s": "69.6"}
+
+
 def test_odometry_that_is_carried_elsewhere_is_told() -> None:
     driven = [at(s, "odom", "base_link", turned(0, 0.1 * s + 4 * (s >= 30))) for s in SECONDS]
     (concern,) = watch(build(*driven))

@@ -1,10 +1,8 @@
 """Which poses a scan gets, told by where its laser ends up."""
 
-import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 
 from occmap.errors import PoseError
@@ -12,7 +10,7 @@ from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
 from occmap.posing.sources import gather
 from occmap.types import Pose, PoseSample
-from tests.posing.scenes import at, bolted, build, drive, positions, turned, yaw_of
+from tests.posing.scenes import at, bolted, build, drive, positions, turned
 
 AHEAD = Pose.planar(0.5, 0, 0)
 MOUNT = bolted("base_link", "laser", AHEAD)
@@ -71,6 +69,7 @@ PLACES = {
     "poses without a tree": case(POSES, [4, 0, 0], "mocap"),
     "nameless odometry": case(NAMELESS, [4.5, 0, 0], sensor_pose=AHEAD),
     "of a base in tf": case([*NAMELESS, MOUNT], [4.5, 0, 0]),
+    "a frame in itself": case([*drive("gps", "gps", "/gps"), MOUNT], [4.5, 0, 0], "gps"),
     "of another base": case([*NAMELESS, bolted("torso", "laser", AHEAD)], [4.5, 0, 0]),
     "bolted to the map": case([bolted("map", "laser", turned(0, x=3))], [3, 0, 0], "map"),
     "a chosen topic": case([*TF, *MOCAP], [0.5, 4, 0], "mocap", poses="/mocap/pose"),
@@ -111,6 +110,7 @@ NOTES = {
         "are the robot's"
     ],
     "of a base in tf": [TAKEN.format("/odom", "base_link") + OWN],
+    "a frame in itself": [TAKEN.format("/gps", "base_link") + OWN],
     "of another base": [TAKEN.format("/odom", "torso") + OWN],
     "a chosen topic": [TAKEN.format("/mocap/pose", "base_link") + OWN],
     "chosen odometry": [TAKEN.format("/fused", "base_link")],
@@ -155,13 +155,8 @@ REFUSALS = {
         base_frame="moon"),
     "no poses": case([], ["the scans have no poses", "give a trajectory: `poses=FILE`"]),
     "goals and plans": case(
-        [
-            sample
-            for topic in ("/goal_pose", "/initialpose", "/move_base/global/plan")
-            for sample in drive("map", "", topic, range(50))
-        ],
-        ["the scans have no poses"],
-    ),
+        [sample for topic in ("/goal_pose", "/initialpose", "/move_base/global/plan")
+         for sample in drive("map", "", topic, range(50))], ["the scans have no poses"]),
     "poses without times": case([MOUNT, *drive("map", "", "/path", [0])],
         ["/path", "are zero", "`stamps=record`"]),
     "such poses without a tree": case(drive("map", "", "/path", [0]), ["/path", "`stamps=record`"]),
@@ -227,22 +222,15 @@ SPACES = {
     "filled by the root": ([bolted("map", "odom", turned(0, x=100)), *ROBOTS], SCAN, [104, 2.2, 0],
         [ONE]),
     "sent again at the root": (
-        [*ROBOTS[10:], *(each._replace(topic="/tf") for each in ROBOTS[11:18])],
-        "/scan",
-        [4, 2.2, 0],
-        [],
-    ),
+        [*ROBOTS[10:], *(each._replace(topic="/tf") for each in ROBOTS[11:18])], "/scan",
+        [4, 2.2, 0], []),
     "beside one with the same mount": (
         [
             *ROBOTS[10:],
             *(at(t, "base_link", "hull", AHEAD, "/robot2/tf") for t in range(9)),
             *(at(t + 0.5, "base_link", "hull", AHEAD, "/arm/tf") for t in range(9)),
             bolted("hull", "gripper", AHEAD)._replace(topic="/arm/tf_static"),
-        ],
-        SCAN,
-        [4, 2.2, 0],
-        [],
-    ),
+        ], SCAN, [4, 2.2, 0], []),
     "beside one of other frames": ([*ROBOTS[10:], *drive("odom", "hull", "/robot1/tf")], SCAN,
         [4, 2.2, 0], []),
 }  # fmt: skip
@@ -283,6 +271,11 @@ def test_two_lasers_ride_on_one_topic_of_poses() -> None:
     poser.find_chains(["laser", "rear"])
     assert place(poser, frame="rear") == [4, 0, 0]
     assert place(poser, frame="laser") == [4.5, 0, 0]
+
+
+def test_where_scans_begin_in_their_frame_says_nothing_of_how_that_moves() -> None:
+    origin = [at(t, "laser", "laser:scan", AHEAD, "/scan") for t in range(11)]
+    assert place(build(*POSES, *origin), frame="laser:scan") == [4.5, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -360,16 +353,6 @@ def test_a_trajectory_file_without_a_usable_pose_is_refused(tmp_path: Path) -> N
     path.write_text("1 nan nan nan nan nan nan nan\n")
     with pytest.raises(PoseError, match="holds no usable pose"):
         build(poses=str(path))
-
-
-def test_yaw_of_the_mount_turns_the_sensor() -> None:
-    poser = build(*drive("odom", "base_link"), sensor_pose=turned(180))
-    poser.find_chains(["laser"])
-    chain = poser.chains["laser"]
-    assert chain is not None
-    rotation = chain.at(np.array([4 * 10**9], np.int64)).rotation
-    assert math.isclose(abs(float(yaw_of(rotation)[0])), math.pi)
-    assert chain.frames == ("odom", "base_link", "laser")
 
 
 def test_of_many_static_transforms_that_change_a_few_are_named() -> None:

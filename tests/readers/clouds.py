@@ -62,6 +62,14 @@ def cloud(store: Typestore, points: list[tuple[float, float, float]], form: str 
     )
 
 
+def listed(store: Typestore) -> Any:
+    names = ("geometry_msgs/msg/Point32", "sensor_msgs/msg/ChannelFloat32")
+    point, channel = (store.types[name] for name in names)
+    points = [point(1.0, 2.0, 3.0), point(-4.0, 5.5, 0.25)]
+    channels = [channel(name, np.array([0, 0.0625], np.float32)) for name in ("i", "time")]
+    return store.types["sensor_msgs/msg/PointCloud"](header(store, SECOND, "it"), points, channels)
+
+
 def livox(store: Typestore, package: str, frame: str) -> Any:
     point = store.types[f"{package}/msg/CustomPoint"]
     points = [point(0, 1.0, 2.0, 3.0, 9, 16, 0), point(50_000_000, -4.0, 5.5, 0.25, 9, 0, 1)]

@@ -10,7 +10,7 @@ import numpy as np
 from occmap.readers import Log
 from occmap.readers.carmen import CarmenLog, CarmenReader
 from occmap.readers.csv import CsvLog, CsvReader
-from occmap.types import Cloud, Pose, Scan, ScanRun
+from occmap.types import Cloud, Pose, Scan, ScanBatch
 
 
 @contextmanager
@@ -42,10 +42,10 @@ def count_scans(log: Log) -> int:
     return len(list(log.scans({"/scan"})))
 
 
-def flatten(items: Iterable[Scan | ScanRun]) -> list[Scan]:
+def flatten(items: Iterable[Scan | ScanBatch]) -> list[Scan]:
     """Every scan by itself."""
     return [
-        scan for item in items for scan in (item.split() if isinstance(item, ScanRun) else [item])
+        scan for item in items for scan in (item.split() if isinstance(item, ScanBatch) else [item])
     ]
 
 

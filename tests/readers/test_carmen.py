@@ -16,7 +16,7 @@ from occmap.readers import Log, Note, Probe, Role, Stream, probe_path, text_log
 from occmap.readers.carmen import CarmenReader
 from occmap.sensor import ReturnOptions
 from occmap.sensor.bands import RangeLimits
-from occmap.types import PoseBatch, ScanRun
+from occmap.types import PoseBatch, ScanBatch
 from tests.readers.runs import open_carmen
 from tests.samples import find_real
 
@@ -154,7 +154,7 @@ def test_scans_of_two_lasers_stay_in_file_order(tmp_path: Path) -> None:
 def test_scans_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
     log = open_carmen(tmp_path, HEADER + "".join(flaser(i) + ODOM.format(i) for i in range(6)))
     (run,) = log.stacked_scans(["FLASER"])
-    assert isinstance(run, ScanRun)
+    assert isinstance(run, ScanBatch)
     assert run.stamp_ns.tolist() == [stamp * 10**9 for stamp in range(6)]
     assert list(log.stacked_scans(["RLASER"])) == []
     (batch,) = log.stacked_poses()

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.readers.carmen import CarmenLog, imply_increment
-from occmap.types import Pose, PoseSample, Scan, ScanRun
+from occmap.types import Pose, PoseSample, Scan, ScanBatch
 from occmap.values import as_float32
 from tests.readers.runs import expect_equal, flatten, list_fields, open_carmen
 
@@ -32,7 +32,7 @@ def open_lines(*lines: str) -> CarmenLog:
         return open_carmen(Path(folder), join(*lines))
 
 
-def parse(*lines: str) -> list[Scan | ScanRun]:
+def parse(*lines: str) -> list[Scan | ScanBatch]:
     """Read lines of scans in a log that states times."""
     log = open_lines(*lines)
     return list(log.stacked_scans({stream.topic for stream in log.streams}))

@@ -15,7 +15,7 @@ from occmap.readers import Role, open_log, read_recorded
 from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets
 from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
-from tests.readers.clouds import cloud, image, info, livox, packed
+from tests.readers.clouds import cloud, image, info, listed, livox, packed
 from tests.readers.foxglove_logs import Message, place, stamp, write_json
 from tests.readers.ros import ROS1, ROS2, SECOND, Written, both, drive, write_bag1, write_mcap
 
@@ -98,6 +98,14 @@ def test_livox_points_have_their_times(
     assert cloud.offset_ns.tolist() == [0, 50_000_000]
     assert (cloud.stamp_ns, cloud.frame, cloud.record_ns) == (SECOND, frame, 2 * SECOND)
     assert notes == ["/livox/lidar: its points have the time offset_time, in ns after the stamp"]
+
+
+@both
+def test_an_old_cloud_lists_its_points_and_their_times(store: Typestore, tmp_path: Path) -> None:
+    (cloud,), _ = record(tmp_path, ("/cloud", listed(store)), store=store)
+    assert cloud.points.tolist() == [[1, 2, 3], [-4, 5.5, 0.25]]
+    assert cloud.offset_ns is not None
+    assert cloud.offset_ns.tolist() == [0, 62_500_000]
 
 
 def test_livox_points_that_are_not_all_there_are_damaged(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.errors import LogError
-from occmap.types import Scan, ScanRun
+from occmap.types import Scan, ScanBatch
 from tests.readers.runs import flatten, list_fields, open_csv
 
 PLAIN = "# angle_min: -1.5\n# angle_increment: 0.25\nstamp,x,y,yaw,r0,r1\n"
@@ -47,7 +47,7 @@ def test_no_row_is_read_in_two_ways(
 def test_rows_that_are_alike_come_at_a_stroke(tmp_path: Path) -> None:
     log = open_csv(tmp_path, PLAIN + "0.5,1,2,0,1.5,\n1.5,,2,0,inf,3\n")
     (run,) = log.stacked_scans(["scan"])
-    assert isinstance(run, ScanRun)
+    assert isinstance(run, ScanBatch)
     assert run.stamp_ns.tolist() == [500_000_000, 1_500_000_000]
     np.testing.assert_array_equal(run.ranges, np.array([[1.5, np.nan], [np.inf, 3]], np.float32))
     np.testing.assert_array_equal(run.pose, [[1, 2, 0, 0, 0, 0, 1], [np.nan, 2, 0, 0, 0, 0, 1]])

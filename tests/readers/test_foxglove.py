@@ -67,19 +67,14 @@ def test_a_scan_that_states_its_origin_has_a_frame_of_its_own(
 
 @each_wire
 def test_poses_in_a_frame(write: Callable[..., Path], tmp_path: Path) -> None:
-    pose = {"timestamp": foxglove.stamp(1), "frame_id": "map", "pose": foxglove.place(1.0, 0.5)}
-    poses = {
-        "timestamp": foxglove.stamp(2),
-        "frame_id": "map",
-        "poses": [foxglove.place(1.0, 0.5), foxglove.place(2, 0.5)],
-    }
-    path = write(
-        tmp_path / "poses.mcap",
-        [
-            foxglove.Message("/pose", "foxglove.PoseInFrame", 1, pose),
-            foxglove.Message("/path", "foxglove.PosesInFrame", 2, poses),
-        ],
-    )
+    here, there = foxglove.place(1.0, 0.5), foxglove.place(2, 0.5)
+    pose = {"timestamp": foxglove.stamp(1), "frame_id": "map", "pose": here}
+    poses = {"timestamp": foxglove.stamp(2), "frame_id": "map", "poses": [here, there]}
+    messages = [
+        foxglove.Message("/pose", "foxglove.PoseInFrame", 1, pose),
+        foxglove.Message("/path", "foxglove.PosesInFrame", 2, poses),
+    ]
+    path = write(tmp_path / "poses.mcap", messages)
     found = [(p.stamp_ns, p.parent, p.child, p.pose.x) for p in open_log(path).poses()]
 
     first, second = 101 * foxglove.SECOND + 5, 102 * foxglove.SECOND + 5
@@ -103,5 +98,5 @@ def test_without_protobuf_the_extra_is_named(
 
     assert read(log) == ([], [])
     assert any("pip install '.[foxglove]'" in note.text for note in log.notes)
-    with pytest.raises(LogError):
+    with pytest.raises(LogError, match=r"pip install '.\[foxglove\]'"):
         build([path], BuildOptions())

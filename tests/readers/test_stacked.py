@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 from occmap.readers import ros_log
 from occmap.readers.containers import Channel, RawMessage
 from occmap.readers.ros_log import RosLog
-from occmap.types import PoseBatch, PoseSample, ScanRun
+from occmap.types import PoseBatch, PoseSample, ScanBatch
 from tests.readers import ros
 from tests.readers.ros import ROS2, SCAN, TF, Memory, both, make_channel, scan, serialise
 from tests.readers.runs import bounded_memory, list_fields
@@ -118,8 +118,8 @@ def test_what_nobody_uses_may_differ_within_a_run(
 
     first, run = RosLog(Memory(messages)).stacked_scans(["/scan"])
 
-    assert isinstance(first, ScanRun)
-    assert isinstance(run, ScanRun)
+    assert isinstance(first, ScanBatch)
+    assert isinstance(run, ScanBatch)
     assert run.stamp_ns.tolist() == [5, 6, 7, 8, 9]
     assert run.record_ns.tolist() == [105, 106, 107, 108, 109]
     assert run.ranges.tolist() == [[k, 0.5] for k in range(5, 10)]
@@ -133,7 +133,7 @@ def test_messages_of_an_own_definition_are_read_by_it(monkeypatch: pytest.Monkey
     log = RosLog(Memory([(channel, i, write_scan(ROS2, i)) for i in range(9)]))
     (run,) = log.stacked_scans(["/scan"])
 
-    assert isinstance(run, ScanRun)
+    assert isinstance(run, ScanBatch)
     monkeypatch.setattr(ros_log, "STACK_BYTES", 1)
     assert list_fields(run.split()) == list_fields(log.scans(["/scan"]))
 

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,31 +20,25 @@ from occmap.scans.stream import Selector, find_oddity, stack
 from occmap.scans.tally import LeftOut, Tally
 from occmap.sensor import ReturnCounts, ReturnOptions
 from occmap.sensor.bands import RangeLimits
-from occmap.types import Float64, Kind, Rays, Scan, ScanBatch, ScanRun
+from occmap.types import Float64, Kind, Rays, Scan, ScanBatch
 from tests.posing.scenes import SECOND, attach, batch_at, bolted, build, drive, turned
 from tests.readers.runs import flatten
 from tests.samples import make_batch
 
-RUN = ScanRun(
-    Scan(0, "laser", -1.0, 0.5, np.zeros(2, np.float32), 0.1, 30.0, topic="/scan"),
+RUN = ScanBatch(
+    *("laser", -1.0, 0.5, 0.1, 30.0),
     stamp_ns=np.arange(5) * SECOND,
     record_ns=np.arange(5) * SECOND + 7,
     ranges=np.arange(10, dtype=np.float32).reshape(5, 2),
     time_increment=np.arange(5) / 1000,
+    topic="/scan",
 )
 
 
 def list_scans(batches: Iterable[ScanBatch]) -> list[tuple[int, float, list[float]]]:
-    return sorted(
-        scan
-        for batch in batches
-        for scan in zip(
-            batch.stamp_ns.tolist(),
-            batch.time_increment.tolist(),
-            batch.ranges.tolist(),
-            strict=True,
-        )
-    )
+    columns = ((each.stamp_ns, each.time_increment, each.ranges) for each in batches)
+    rows = (zip(*(part.tolist() for part in each), strict=True) for each in columns)
+    return sorted(scan for each in rows for scan in each)
 
 
 def test_a_run_is_a_batch_as_it_is() -> None:
@@ -79,12 +74,11 @@ def test_batches_come_in_the_order_of_the_log() -> None:
         ({"angle_min": math.nan}, LeftOut.BAD_ANGLES),
         ({"angle_increment": math.inf}, LeftOut.BAD_ANGLES),
         ({"angle_increment": 1.7e308}, LeftOut.BAD_ANGLES),  # that of the last beam is infinite
-        ({"ranges": np.zeros(0, np.float32)}, LeftOut.NO_BEAMS),
+        ({"ranges": np.zeros((5, 0), np.float32)}, LeftOut.NO_BEAMS),
     ],
 )
 def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: LeftOut) -> None:
-    first = RUN.first._replace(**change)
-    run = RUN._replace(first=first, ranges=RUN.ranges[:, : len(first.ranges)])
+    run = replace(RUN, **change)
     selector = Selector(Selection(), Stamps.HEADER)
 
     assert list(selector.select([run])) == []
@@ -94,7 +88,7 @@ def test_a_run_that_cannot_be_used_is_counted(change: dict[str, Any], reason: Le
 def test_lasers_that_take_turns_are_thinned_each_by_itself() -> None:
     scans = [scan._replace(topic=topic) for scan in RUN.split() for topic in ("/a", "/b")]
     chosen = Selector(Selection(stride=2), Stamps.HEADER).select(scans)
-    assert [some.first.topic for some in chosen] == ["/a", "/b"] * 3
+    assert [some.topic for some in chosen] == ["/a", "/b"] * 3
 
 
 @given(
@@ -108,21 +102,20 @@ def test_lasers_that_take_turns_are_thinned_each_by_itself() -> None:
 def test_runs_are_selected_as_single_scans_are(
     sizes: Sequence[tuple[bool, int]], start_s: float, end_s: float, stride: int, record: bool
 ) -> None:
-    items: list[Scan | ScanRun] = []
+    items: list[Scan | ScanBatch] = []
     begin = 0
     for whole, size in sizes:
         stamps = (begin + np.arange(size)) * SECOND
         begin += size
         ranges = np.full((size, 2), size, np.float32)
-        run = ScanRun(RUN.first, stamps, stamps[::-1] + 5, ranges, stamps / 7)
+        run = replace(RUN, stamp_ns=stamps, record_ns=stamps[::-1] + 5, ranges=ranges)
+        run = replace(run, time_increment=stamps / 7)
         items += [run] if whole else run.split()
     selection = Selection((), start_s, end_s, stride)
     clock = Stamps.RECORD if record else Stamps.HEADER
     some, single = (Selector(selection, clock) for _ in range(2))
-    batches, of_singles = (
-        stack(some.select(items), clock),
-        stack(single.select(flatten(items)), clock),
-    )
+    batches = stack(some.select(items), clock)
+    of_singles = stack(single.select(flatten(items)), clock)
 
     assert list_scans(batches) == list_scans(of_singles)
     assert (some.read, some.left_out) == (single.read, single.left_out)
@@ -131,7 +124,7 @@ def test_runs_are_selected_as_single_scans_are(
 @pytest.mark.parametrize("single", [True, False])
 @pytest.mark.parametrize("range_max", [0.0, math.nan, -3.0, -math.inf])
 def test_a_range_limit_that_none_can_be_is_none(range_max: float, single: bool) -> None:
-    run = RUN._replace(first=RUN.first._replace(range_min=math.nan, range_max=range_max))
+    run = replace(RUN, range_min=math.nan, range_max=range_max)
     limits = RangeLimits(ReturnOptions())
     scans = run.split() if single else [run]
     (batch,) = map(limits.apply, stack(limits.watch(scans), Stamps.HEADER))

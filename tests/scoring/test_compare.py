@@ -11,7 +11,7 @@ import pytest
 from occmap.options import DEFAULT_UPDATE, BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.scans.tally import Tally
-from occmap.scoring import MOST_SCANS, HoldOut, Score, Trial, estimate_error
+from occmap.scoring import MOST_SCANS, Score, Trial, estimate_error, hold_out
 from occmap.scoring.compare import (
     ScoredVariant,
     Variant,
@@ -62,28 +62,33 @@ def make_scans(scans: int) -> Rays:
     return make_rays(origin, (1, 0), 1.0)
 
 
+class Taken(list[Rays]):
+    """What was given to an engine."""
+
+    add = list[Rays].append
+
+
 def list_x(batches: list[Rays]) -> list[float]:
     return [float(x) for rays in batches for x in rays.origin[:, 0, 0]]
 
 
 @pytest.mark.parametrize("sizes", [[20], [1] * 20, [2, 3, 7, 8]])
 def test_every_fifth_scan_is_held_out_however_they_are_batched(sizes: list[int]) -> None:
-    everything, hold_out = make_scans(20), HoldOut()
+    everything, mapped = make_scans(20), Taken()
     ends = np.cumsum(sizes)
     parts = [
         np.isin(np.arange(20), range(end - n, end)) for n, end in zip(sizes, ends, strict=True)
     ]
-    seen = [hold_out.split(everything.take(part)) for part in parts]
-    assert list_x(hold_out.sample.parts) == [2, 7, 12, 17]
-    assert hold_out.sample.scans == 4
-    assert sorted(list_x(seen) + list_x(hold_out.sample.parts)) == list(range(20))
+    held_out = hold_out((everything.take(part) for part in parts), [mapped], jobs=1)
+    assert list_x(held_out.parts) == [2, 7, 12, 17]
+    assert held_out.scans == 4
+    assert sorted(list_x(mapped) + list_x(held_out.parts)) == list(range(20))
 
 
 def test_of_many_held_out_scans_some_are_asked_and_none_is_mapped() -> None:
-    hold_out = HoldOut()
-    for _ in range(60):
-        assert len(hold_out.split(make_scans(500)).kind) == 400
-    sample = hold_out.sample
+    mapped = Taken()
+    sample = hold_out((make_scans(500) for _ in range(60)), [mapped], jobs=1)
+    assert [len(rays.kind) for rays in mapped] == [400] * 60
     assert sample.seen == 6000
     assert MOST_SCANS / 2 < sample.scans < MOST_SCANS
     (note,) = sample.list_notes("held-out scans")

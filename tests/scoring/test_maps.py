@@ -19,7 +19,8 @@ from occmap.scans.tracing import ignore_progress
 from occmap.scoring import ReliabilityBin, matching, score_map
 from occmap.scoring.compare import combine, compare
 from occmap.scoring.maps import Against, LogScore, score_by_logs, score_by_truth
-from occmap.scoring.matching import STAY, Transform, Walls, find_match
+from occmap.scoring.matching import Walls, find_match
+from occmap.store.merging import STAY, Transform
 from occmap.types import Kind, Pose
 from occmap.writers import WriteOptions
 from tests.difference.drawings import draw_map

@@ -18,8 +18,8 @@ from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.scans import Keep
 from occmap.scans.tracing import ignore_progress, observe
-from occmap.scoring.matching import Transform, Walls, find_match, fit_logs, lay_on, move_evidence
-from occmap.store.merging import merge
+from occmap.scoring.matching import Walls, find_match, fit_logs, lay_on
+from occmap.store.merging import Transform, merge, move_evidence
 from occmap.types import Pose, Update
 from tests.clouds.simulation import HALL, hall, turn, write_leaning
 from tests.evidence.saving import DRIVE, halve, save

@@ -15,10 +15,9 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, count_visits, split_tiles, un
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
-from occmap.scoring.matching import Transform, move_evidence
 from occmap.sensor.models import QuadraticModel
 from occmap.store import Blocks
-from occmap.store.merging import merge, subtract
+from occmap.store.merging import Transform, merge, move_evidence, subtract
 from occmap.store.painting import RenderOptions, publish
 from occmap.types import Update
 from occmap.writers.npz import read_evidence

@@ -10,8 +10,7 @@ from occmap.options import BuildOptions
 from occmap.posing import PosingOptions
 from occmap.sensor import ReturnOptions
 from occmap.tuning import tune
-from occmap.tuning.search import Verdict
-from occmap.tuning.slicing import slice_clouds, thin_clouds
+from occmap.tuning.search import Verdict, slice_clouds, thin_clouds
 from occmap.types import Cloud, Kind
 from tests.clouds.simulation import HALL, place, turn
 

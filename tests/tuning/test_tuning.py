@@ -385,7 +385,7 @@ def test_scans_are_sampled_evenly_however_they_are_batched_or_take_turns(
     sample = Sample[ScanBatch](150)
     for part in np.split(np.arange(800), np.cumsum(sizes)[:-1]):
         ranges, still = np.ones((len(part), 2), np.float32), np.zeros(len(part))
-        sample.add(ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, ranges, still))
+        sample.add(ScanBatch("laser", 0.0, 0.1, 0.0, 9.0, part, part, ranges, still))
     taken = np.concatenate([part.stamp_ns for part in sample.parts])
     assert (sample.seen, sample.scans) == (800, len(taken))
     assert 75 < len(taken) <= 150

@@ -5,11 +5,11 @@ of range r gets what the inverse sensor model says of d and r, and log-odds are 
 Burgard, Fox 2005, ch. 9). A model says the same about all cells up to some share of the range, and
 a model that counts does so up to the end: these cells are plain.
 
-Cells that are not plain are visited one by one, and so are all of them in tiles, which only models
-that count have. What each cell that is not plain gets is first listed, and then added in a loop of
-its own. Neither loop has a branch, so that a processor works on several cells at a time: along a
-beam, log-odds depend on nothing but the number of the cell. The lists hold floats, as not every
-processor turns several of these into integers at a time.
+Cells that are not plain are visited one by one, and so are all of them in tiles. Where log-odds are
+summed, what each of these gets is first listed, and then added in a loop of its own. Neither loop
+has a branch, so that a processor works on several cells at a time: along a beam, log-odds depend on
+nothing but the number of the cell. The lists hold floats, as not every processor turns several of
+these into integers at a time.
 """
 
 from typing import NamedTuple
@@ -110,14 +110,15 @@ INSIDE = units.TILE - 1
 
 
 class Tiles(NamedTuple):
-    """Where square blocks of a window's cells are counted, made when a beam first comes there."""
+    """Where square blocks of a window's cells lie, made when a beam first comes there."""
 
     table: Int32
     """(h, w) number of each tile; -1 where there is none yet"""
     used: Int64
     """(1,) how many tiles there are"""
     counts: Int32
-    """Flat, tile by tile: the hits of its cells, and then their misses"""
+    """Flat, tile by tile: the hits of its cells, and then their misses. In the same memory, a
+    window of log-odds has its cells, likewise tile by tile"""
 
 
 class Ray(NamedTuple):
@@ -152,7 +153,7 @@ def trace_beams(
     notes
         (`MANY` + the larger of H and W + `AT_A_TIME`,) to work with, where a model has a radius.
     tiles
-        Where hits and misses are counted; None: every cell of the window has a place.
+        Where cells lie; None: every cell of the window has a place.
     """
     kinds, links, depth, fill = beams.rays.kind, beams.links, 0.0, 0
     stride = field.changes.cols + units.PAD
@@ -169,16 +170,19 @@ def trace_beams(
                 path = find_path(ray, radial, depth)
                 if field.clipped is not None:
                     path = lines.clip_path(path, field.changes)
-                if tiles is not None:
-                    visit_path(path, tiles)
-                elif path.first < path.plain:
+                if tiles is None and path.first < path.plain:
                     lines.note_plain(path, field.changes)
                 if radial is not None:
-                    fill = list_slope(path, ray, depth, stride, notes, fill)
+                    if tiles is not None:
+                        fill = list_in_tiles(path, ray, depth, tiles, notes, fill)
+                    else:
+                        fill = list_slope(path, ray, depth, (stride, 0), notes, fill)
                     if fill >= units.MANY:
                         add_notes(field.cells, notes, fill, radial)
                         fill = 0
-                elif tiles is None and path.plain < path.end:
+                elif tiles is not None:
+                    visit_path(path, tiles)
+                elif path.plain < path.end:
                     row, col = ray.to_y >> units.CELL_SHIFT, ray.to_x >> units.CELL_SHIFT
                     field.cells[np.uint64(row * stride + col)] += ray.weight << units.COUNT_BITS
     if radial is not None:
@@ -221,13 +225,16 @@ def find_path(ray: Ray, radial: units.Tables | None, depth: float) -> Path:
 
 
 @step
-def list_slope(path: Path, ray: Ray, depth: float, stride: int, notes: Float64, fill: int) -> int:
+def list_slope(
+    path: Path, ray: Ray, depth: float, rows: tuple[int, int], notes: Float64, fill: int
+) -> int:
     """List what a radial model says of the cells of a path that are not plain.
 
-    A hit reaches `depth` about its range. The notes stand from `fill` on; there is room. Returns
-    how many there are now.
+    A hit reaches `depth` about its range. How far one of the `rows` of cells lies behind the other
+    comes first, and then the place at which the window's first row begins, or would begin. The
+    notes stand from `fill` on; there is room. Returns how many there are now.
     """
-    line, r, reach = path.line, ray.range, depth if ray.is_hit else -1.0
+    line, r, reach, (stride, begin) = path.line, ray.range, depth if ray.is_hit else -1.0, rows
     free_range = max(r - depth, 0.0)
     free_scale = units.TABLE_STEPS / max(free_range * free_range, 1.0)
     hit_scale = units.TABLE_STEPS / max(depth, units.NO_LENGTH)
@@ -239,7 +246,7 @@ def list_slope(path: Path, ray: Ray, depth: float, stride: int, notes: Float64, 
     step_v = float(line.v_sign * units.UNITS_PER_CELL)
     # A cell's note is the first cell's, and for each step along u or v as much more.
     per_u, per_v = turn_axes(line, 1, stride)
-    place = line.u * per_u + line.v * per_v
+    place = line.u * per_u + line.v * per_v + begin
     note = float(((place << WEIGHT_BITS) + path.weight) << ENTRY_BITS)
     note_u = float(line.u_sign * per_u << NOTE_BITS)
     note_v = float(line.v_sign * per_v << NOTE_BITS)
@@ -273,15 +280,42 @@ def add_notes(cells: Int64, notes: Float64, size: int, radial: units.Tables) -> 
 
 
 @step
-def find_place(tiles: Tiles, row: int, col: int) -> int:
-    """Find the place of a cell's hits; its tile is made if need be."""
+def find_tile(tiles: Tiles, row: int, col: int) -> int:
+    """Find the number of the tile of a cell; it is made if need be."""
     up, right = np.uint64(row >> units.TILE_BITS), np.uint64(col >> units.TILE_BITS)
     tile = int(tiles.table[up, right])
     if tile < 0:
         tile = int(tiles.used[0])
         tiles.table[up, right] = tile
         tiles.used[0] += 1
-    return (tile << 2 * units.TILE_BITS + 1) + ((row & INSIDE) << units.TILE_BITS) + (col & INSIDE)
+    return tile
+
+
+@step
+def leave_tile(line: Line, i: int, made: int) -> int:
+    """Find the first cell of a line, behind the i-th and so many steps, that is in another tile."""
+    u, v = line.u + line.u_sign * i, line.v + line.v_sign * made
+    left_u = units.TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
+    left_v = units.TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
+    return min(i + left_u, find_step(line, made + left_v))
+
+
+@step
+def list_in_tiles(
+    path: Path, ray: Ray, depth: float, tiles: Tiles, notes: Float64, fill: int
+) -> int:
+    """List what a radial model says of all cells of a path, which lie in tiles, as `list_slope`."""
+    line, i = path.line, path.first
+    while i < path.end:
+        made = int(steps_after(line, float(i)))
+        stop = min(leave_tile(line, i, made), path.end)
+        col, row = turn_axes(line, line.u + line.u_sign * i, line.v + line.v_sign * made)
+        tile = find_tile(tiles, row, col)
+        begin = (tile - (row >> units.TILE_BITS)) * units.TILE**2 - (col & ~INSIDE)
+        piece = Path(line, i, i, stop, path.weight)
+        fill = list_slope(piece, ray, depth, (units.TILE, begin), notes, fill)
+        i = stop
+    return fill
 
 
 @step
@@ -301,13 +335,10 @@ def visit_path(path: Path, tiles: Tiles) -> None:
     while i < path.end:
         steps = i * slope + half  # rounded down, it is what `steps_after` gives
         made = int(steps)
-        u, v = line.u + line.u_sign * i, line.v + line.v_sign * made
-        row, col = (u, v) if line.steep else (v, u)
-        place = find_place(tiles, row, col) + units.TILE**2
-        # How many cells, and how many steps, until the line leaves the tile.
-        left_u = units.TILE - (u & INSIDE) if line.u_sign > 0 else (u & INSIDE) + 1
-        left_v = units.TILE - (v & INSIDE) if line.v_sign > 0 else (v & INSIDE) + 1
-        stop = min(i + left_u, find_step(line, made + left_v), path.end)
+        col, row = turn_axes(line, line.u + line.u_sign * i, line.v + line.v_sign * made)
+        tile = find_tile(tiles, row, col)
+        place = (2 * tile + 1) * units.TILE**2 + (row & INSIDE) * units.TILE + (col & INSIDE)
+        stop = min(leave_tile(line, i, made), path.end)
         part, more = int((steps - made) * 2.0**32), int(slope * 2.0**32)
         for _ in range(min(stop, path.plain) - i):
             counts[np.uint64(place + (part >> 32) * across)] += path.weight
