@@ -114,6 +114,13 @@ class SlowEngine:
         ground = self.find_ground((y, x))
         return 0.0 if ground is None else float(place[2] * 1000 - ground)
 
+    def is_face(self, x: float, y: float, level: int, low: float) -> bool:
+        """Whether a point (m, mm) stands on ground up to three columns away."""
+        row, col = math.floor(y / 0.15), math.floor(x / 0.15)
+        near = {(row + i, col + j) for i in range(-3, 4) for j in range(-3, 4)} & self.measured
+        high = 1000 * self.options.max_height
+        return any(1000 * low <= level - self.ground[each] < high for each in near)
+
     def find_drop(
         self, start: tuple[int, int], away: tuple[int, int], floor: int, share: float, rise: float
     ) -> list[Seen]:
@@ -166,11 +173,10 @@ class SlowEngine:
                 rise = ground - origin[2] * 1000
                 share = rise / (rise + above * 1000)
                 hits += self.find_drop(start, (right, up), ground, share, rise)
-            if not has_ground:
-                continue
-            if abs(above) < low:
+            is_face = above <= -low and self.is_face(x, y, round(z * 1000), low + margin)
+            if has_ground and abs(above) < low:
                 floor.append(seen)
-            elif low + margin <= above < self.options.max_height:
+            elif has_ground and (is_face or low + margin <= above < self.options.max_height):
                 hits.append(seen)
         return hits, floor
 

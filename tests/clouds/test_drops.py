@@ -71,3 +71,21 @@ def test_the_rim_before_a_point_below_the_floor(
     found = [(row - 200, col - 200) for row, col in np.argwhere(hits).tolist()]
     expected = [] if rim is None else [tuple(np.floor((turned @ [rim, 1.03, 0])[1::-1] / 0.05))]
     assert found == expected
+
+
+@pytest.mark.parametrize(
+    ("end", "height", "is_hit"),
+    [
+        pytest.param(3.0, 0.3, True, id="the middle of its face"),
+        pytest.param(3.0, 0.11, True, id="above the clearance"),
+        pytest.param(3.0, 0.09, False, id="below it"),
+        pytest.param(2.7, 0.3, True, id="lower ground three columns away"),
+        pytest.param(2.55, 0.3, False, id="lower ground four columns away"),
+    ],
+)
+def test_the_face_of_a_step_is_seen_from_below(end: float, height: float, is_hit: bool) -> None:
+    ground = lay_floor([(0, end, 0), (end, 3, None), (3, 6, 500)], 0)
+    seen = Cloud(0, "lidar", np.array([[2.07, 0.0, height - 1.0]], np.float32))
+    engine = observe([place(seen, np.array([1.0, 1.03, 1.0]), np.eye(3)[None])], ground)
+    hits = engine.finish().gather(BOX)[0]
+    assert [tuple(each) for each in np.argwhere(hits)] == [(220, 261)] * is_hit

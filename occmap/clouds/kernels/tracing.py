@@ -7,6 +7,7 @@ import numpy as np
 from occmap.clouds.kernels.growth import (
     BLOCK,
     STEP_MM,
+    STEPPED,
     Blocks,
     Columns,
     find_column,
@@ -349,6 +350,23 @@ def mark_drops(
 
 
 @step
+def is_face(columns: Columns, some: Aside, i: int, high: int) -> bool:
+    """Whether a point below the ground stands on ground beside it, as the face of a step does.
+
+    The column that it lies in may have the ground above the step, which is seen more often.
+    """
+    across, along = some.place[0, i] * 1000 / COLUMN_MM, some.place[1, i] * 1000 / COLUMN_MM
+    row, col = int(np.floor(along)), int(np.floor(across))
+    for up in range(-STEPPED, STEPPED + 1):
+        for right in range(-STEPPED, STEPPED + 1):
+            at = find_column(columns.blocks, row + up, col + right)
+            is_ground = at >= 0 and columns.measured[at]
+            if is_ground and some.clear[i] <= some.level[i] - columns.height[at] < high:
+                return True
+    return False
+
+
+@step
 def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: int) -> None:
     """Keep what a bearing ends at: the nearest hit, or the farthest floor."""
     key, known = far if kind else -far, room.apart[kind, bearing]
@@ -374,17 +392,21 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) 
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
         measure_points(some, size, origin, band, scale)
-        lost = counts[BELOW] + counts[TOO_FAR]
+        deep = 0
         for i in range(size):
             row, col = (at_y + up[i]) >> CELL_SHIFT, (at_x + right[i]) >> CELL_SHIFT
             at = find_column(canvas.tiles, row, col)
             if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
                 counts[NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR] += 1
+                deep += level[i] != FAR
                 continue
             above = level[i] - canvas.base[at >> 2 * BLOCK_BITS] - ground[at]
             kind = GROUND if above < band.low else OBSTACLE
             kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
-            is_doubtful = kind == OBSTACLE and above < some.clear[i]
+            if kind == BELOW:
+                deep += 1
+                kind = OBSTACLE if is_face(canvas.columns, some, i, band.high) else BELOW
+            is_doubtful = kind == OBSTACLE and abs(above) < some.clear[i]
             counts[GROUND if is_doubtful else kind] += 1
             if kind > OBSTACLE or is_doubtful:
                 continue
@@ -401,7 +423,7 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) 
                 floors += 1
             end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
             note_end(room, kind, some.sector[i], far, slope, end)
-        if counts[BELOW] + counts[TOO_FAR] > lost:
+        if deep:
             many = mark_drops(size, under, origin, canvas, room, many)
     return many, floors
 
