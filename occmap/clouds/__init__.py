@@ -32,7 +32,7 @@ class CloudOptions:
         1.5, "Clouds: what lies this high above the ground is none: the robot's height.", unit="m"
     )
     range_margin: float = option(
-        0.006,
+        0.012,
         "Clouds: the clearance grows by this for each metre from where it makes 0.1 m on, since "
         "poses and mounts are off by tenths of a degree.",
         unit="m/m",

@@ -24,7 +24,7 @@ from occmap.sensor import ReturnOptions
 from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
 
 SLACK_M = 0.096
-"""The clearance grows from where poses that are off put the floor this high: 16 m by default."""
+"""The clearance grows from where poses that are off put the floor this high: 8 m by default."""
 FIRST_TILES = 64
 TILE_BYTES = TILE * TILE * 11
 """What a tile takes: two counts, the ground, and what a cloud says of each cell"""

@@ -27,7 +27,7 @@ from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32,
 POINTS_A_CLOUD = 12_500
 """About so many points of each cloud are counted, or an eighth: whichever is more."""
 LEAST_SHARE = 0.125
-FEWEST_CLOUDS = 200
+FEWEST_CLOUDS = 100
 """About so many clouds of a build are counted at least, if it has them."""
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
