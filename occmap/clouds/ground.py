@@ -17,8 +17,9 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.drift import list_drifts
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, Blocks, Columns, Found, Peaks
+from occmap.clouds.kernels.growth import BLOCK, Blocks, Found, Peaks
 from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
+from occmap.clouds.kernels.laying import Columns, lay_cloud
 from occmap.errors import MapError
 from occmap.posing import Drift
 from occmap.report import join_names
@@ -71,8 +72,6 @@ LEVEL_FILLED = 128
 """It goes on over so many columns"""
 UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
 """About so many clouds, and points of each, show if walls stand upright"""
-MOST_LIFT_MM, STEEPEST = 50, 0.175
-"""A cloud is laid on the ground by so much at most (mm, and mm a cm: a degree)"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
 
@@ -226,20 +225,6 @@ def lay_columns(ground: Ground) -> Columns:
     """Lay out the ground as kernels take it."""
     blocks = index_blocks(ground.blocks)
     return Columns(blocks, ground.height_mm.ravel(), ground.measured.ravel())
-
-
-def lay_cloud(cloud: Cloud, floor: Columns) -> Cloud:
-    """Lay a cloud on the ground: its heights lose what the plane of its floor lies above that."""
-    listed = np.empty((3, len(cloud.points) // 3), np.int32)
-    many = growth.list_floor(cloud, cloud.points.view(np.int32), floor, listed)
-    lift, right, up = growth.measure_lean(listed, many)
-    steep = max(math.hypot(right, up) / STEEPEST, 1.0)
-    lean = np.array([right, up, 0.0]) / 10 / steep
-    lift_m = float(np.clip(lift, -MOST_LIFT_MM, MOST_LIFT_MM)) / 1000
-    poses = cloud.poses.copy()
-    poses[:, 2] -= lean @ cloud.poses
-    poses[:, 2, 3] += lean @ cloud.origin - lift_m
-    return cloud._replace(poses=poses, origin=cloud.origin - [0, 0, lift_m])
 
 
 def sample_points(cloud: Cloud) -> Float64:

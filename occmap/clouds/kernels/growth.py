@@ -4,15 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.heights import BIN_MM, Cloud, place_point
+from occmap.clouds.kernels.heights import BIN_MM
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Int32, Int64, UInt8
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Int32, Int64, UInt8
 
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
 STEP_MM = 80
-"""The ground of a column is at most this far from the mean of what is beside it; it is bilinear
-between columns that differ by no more."""
+"""The ground of a column is at most this far from the mean of what is beside it."""
 SMOOTH, ALIKE_MM = 4, 90
 """So far around it (columns) the ground of a column is the mean of what lies so near to its own: a
 step as high as the clearance is none"""
@@ -28,12 +27,6 @@ SLOPE_MM, HIGH_MM = 0.12 * COLUMN_MM, 300
 """By so much one surface rises from column to column; what is so high is no low thing"""
 BROAD = 10
 """A surface that goes on so far behind its brink is a level to drive on, and no pallet (columns)"""
-LAID_POINTS, LAID_M, SHORTEST_M = 10_000, 40.0, 0.05
-"""About so many points of a cloud, so far from the sensor, lay it on the ground"""
-GATES_MM = (150, 80, 40)
-"""So far from its plane points are its floor, round by round: kerbs and feet of walls are none"""
-PRIOR, PRIOR_CM = 100, 500
-"""As many points lie on the ground, so far around the sensor: a cloud without floor stays"""
 BRINK_MM, DROP_MM = 60, 80
 """A level ends where the next column is so much lower; what falls by the second does not go on"""
 
@@ -68,40 +61,6 @@ def locate(blocks: Blocks, at: int) -> tuple[int, int]:
     row: int = (block[0] << BLOCK_BITS) | ((at >> BLOCK_BITS) & (BLOCK - 1))
     col: int = (block[1] << BLOCK_BITS) | (at & (BLOCK - 1))
     return row, col
-
-
-class Columns(NamedTuple):
-    """The ground that clouds are laid on, and traced over."""
-
-    blocks: Blocks
-    height: Int32
-    """(C,) of each column (mm), or `NO_GROUND`"""
-    measured: Bool
-    """(C,) whether points showed it"""
-
-
-@step
-def ground_at(columns: Columns, x: float, y: float) -> int:
-    """The height of the ground at a point (mm): bilinear where it is flat, else of its column."""
-    blocks, height, _ = columns
-    across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
-    own = find_column(blocks, int(np.floor(along)), int(np.floor(across)))
-    if own < 0 or height[own] == NO_GROUND:
-        return NO_GROUND
-    col, row = int(np.floor(across - 0.5)), int(np.floor(along - 0.5))
-    right, up = across - 0.5 - col, along - 0.5 - row
-    level: int = height[own]
-    low, high, total = level, level, 0.0
-    for i in range(2):
-        for j in range(2):
-            at = find_column(blocks, row + i, col + j)
-            if at < 0 or height[at] == NO_GROUND:
-                return level
-            low, high = min(low, height[at]), max(high, height[at])
-            total += height[at] * (up if i else 1 - up) * (right if j else 1 - right)
-    if high - low > STEP_MM:
-        return level
-    return int(np.rint(total))
 
 
 class Peaks(NamedTuple):
@@ -395,69 +354,3 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, base: Int32) -> N
                         points += peaks.weight[k]
         if points:
             base[at] = total // points
-
-
-@kernel
-def list_floor(cloud: Cloud, bits: Int32, columns: Columns, listed: Int32) -> int:
-    """List where some points near measured ground are; return how many.
-
-    Which ones is drawn by the bits of their x and y, so that their order does not count.
-
-    Parameters
-    ----------
-    listed
-        (3, N) filled: how far right and up of the sensor (cm), and how far above the ground (mm).
-    """
-    origin, many, part = cloud.origin, 0, 0
-    while bits.size // 3 >> part > LAID_POINTS:
-        part += 1
-    for i in range(bits.size // 3):
-        mixed = (bits[3 * i] * 31 + bits[3 * i + 1]) * -7046029254386353131
-        if (mixed >> 40) & ((1 << part) - 1):
-            continue
-        x, y, z = place_point(cloud, i)
-        right, up = x - origin[0], y - origin[1]
-        if not SHORTEST_M**2 < right * right + up * up < LAID_M**2:
-            continue
-        at = find_column(
-            columns.blocks, int(np.floor(y * 1000 / COLUMN_MM)), int(np.floor(x * 1000 / COLUMN_MM))
-        )
-        if at < 0 or not columns.measured[at]:
-            continue
-        above = np.rint(z * 1000 - ground_at(columns, x, y))
-        if abs(above) < 2 * GATES_MM[0]:
-            listed[0, many], listed[1, many] = np.rint(right * 100), np.rint(up * 100)
-            listed[2, many] = above
-            many += 1
-    return many
-
-
-@kernel
-def measure_lean(listed: Int32, many: int) -> tuple[float, float, float]:
-    """Measure the plane of a cloud's floor, by least squares; `listed` is as of `list_floor`.
-
-    Only what is near the plane of the round before counts, and some points that lie on the ground
-    around the sensor.
-
-    Returns
-    -------
-    How high it is above the ground at the sensor (mm), and how it rises right and up (mm a cm).
-    """
-    lift, right, up = 0.0, 0.0, 0.0
-    for gate in GATES_MM:
-        n, u, r, h, uh, rh = PRIOR, 0, 0, 0, 0, 0
-        uu, ur, rr = PRIOR * PRIOR_CM**2, 0, PRIOR * PRIOR_CM**2
-        for i in range(many):
-            x, y, above = int(listed[0, i]), int(listed[1, i]), int(listed[2, i])
-            if abs(above - lift - right * x - up * y) <= gate:
-                n, u, r, h = n + 1, u + y, r + x, h + above
-                uu, ur, rr = uu + y * y, ur + y * x, rr + x * x
-                uh, rh = uh + y * above, rh + x * above
-        # Seen from the middle of the points it is a problem of two unknowns.
-        uu, ur, rr = n * uu - u * u, n * ur - u * r, n * rr - r * r
-        uh, rh = n * uh - u * h, n * rh - r * h
-        size = float(uu) * rr - float(ur) * ur
-        up = (float(uh) * rr - float(rh) * ur) / size
-        right = (float(rh) * uu - float(uh) * ur) / size
-        lift = (h - right * r - up * u) / n
-    return lift, right, up

@@ -4,17 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.growth import (
-    BLOCK,
-    STEP_MM,
-    STEPPED,
-    Blocks,
-    Columns,
-    find_column,
-    ground_at,
-    locate,
-)
+from occmap.clouds.kernels.growth import BLOCK, STEPPED, Blocks, find_column, locate
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
+from occmap.clouds.kernels.laying import STEP_MM, Columns, ground_at
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
 from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int16, Int32, Int64, UInt8
