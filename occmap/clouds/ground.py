@@ -203,7 +203,8 @@ class GroundFinder:
         if options.ground == FLAT:
             return make_flat(stood), []
         laid = known and known.lay_out(blocks.places)
-        height = grow(columns, seats, laid)
+        before = self._ground and self._ground.lay_out(blocks.places)
+        height = grow(columns, seats, laid, before)
         measured = height != NO_GROUND
         if not measured.any():
             raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
@@ -291,22 +292,33 @@ class Seat(NamedTuple):
     """So far beside the path this was seen (columns)"""
 
 
-def grow(columns: Shown, seats: Sequence[Seat], known: Ground | None) -> Int32:
-    """Let the ground grow from under the path, without what is low and stands on it (C,)."""
-    blocks, peaks = columns.blocks, columns.peaks
-    height, queue = np.empty_like(peaks.first), np.empty((2, len(peaks.first)), np.int64)
-    grown = []
+def grow(
+    columns: Shown, seats: Sequence[Seat], known: Ground | None, before: Ground | None
+) -> Int32:
+    """Let the ground grow from under the path, without what is low and stands on it (C,).
+
+    Parameters
+    ----------
+    known
+        Ground that stays as it is.
+    before
+        What was found first. Levels that are not reached go on from there: a kerb that poses blur
+        is a way up, and a sharp one is none.
+    """
+    blocks, height, grown = columns.blocks, np.empty_like(columns.peaks.first), []
     for _ in range(PASSES):
         found = find_nothing(columns)
         for _, path, above, spread, beside in seats:
             look_beside(columns, path, (beside, BY, UNDER), (above - spread, above + spread), found)
         keep_known(known, found)
-        for apart in REACHES:
-            if growth.grow_ground(blocks, peaks, found, apart, height.size, queue) and apart > 1:
-                growth.grow_ground(blocks, peaks, found, 1, height.size, queue)
+        go_on(columns, found)
+        if before is not None:
+            was = np.where(before.measured, before.height_mm, NO_GROUND).ravel()
+            growth.keep_levels(columns.peaks, was, found)
+            go_on(columns, found)
         growth.drop_raised(blocks, found, height)
         raised = np.flatnonzero(height != found.height)
-        peaks = lower(peaks, raised, height[raised], found.weight[raised])
+        peaks = lower(columns.peaks, raised, height[raised], found.weight[raised])
         columns = columns._replace(peaks=peaks)
         grown.append(found)
     growth.restore_levels(blocks, grown[0], height)
@@ -314,6 +326,15 @@ def grow(columns: Shown, seats: Sequence[Seat], known: Ground | None) -> Int32:
     growth.smooth_ground(blocks, peaks, height, smooth)
     keep_known(known, found._replace(height=smooth))
     return smooth
+
+
+def go_on(columns: Shown, found: Found) -> None:
+    """Let the ground grow to the columns beside it, and over gaps."""
+    blocks, peaks, every = columns.blocks, columns.peaks, len(found.height)
+    queue = np.empty((2, every), np.int64)
+    for apart in REACHES:
+        if growth.grow_ground(blocks, peaks, found, apart, every, queue) and apart > 1:
+            growth.grow_ground(blocks, peaks, found, 1, every, queue)
 
 
 def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) -> None:

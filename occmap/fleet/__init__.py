@@ -86,7 +86,7 @@ class Crew:
             setting = replace(self.setting, options=options, keep=keep)
             level = "".join(f" {angle}" for angle in options.posing.level or ())
             some = [replace(job, name=f"{job.name}{level} {bool(ground)}") for job in self.logs]
-            finder = GroundFinder(setting.scans)
+            finder = GroundFinder(setting.scans, ground=ground)
             for counted in self.cluster.run(tasks.survey_ground, setting, some):
                 finder.join(counted)
             return finder

@@ -163,6 +163,24 @@ def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
     return NO_GROUND
 
 
+@step
+def find_peak(peaks: Peaks, at: int, level: int) -> tuple[int, int]:
+    """The peak of a column with the most points within `STEP_MM` of a height, and how many."""
+    height, weight = NO_GROUND, 0
+    for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
+        if abs(peaks.height[k] - level) <= STEP_MM and peaks.weight[k] > weight:
+            height, weight = peaks.height[k], peaks.weight[k]
+    return height, weight
+
+
+@kernel
+def keep_levels(peaks: Peaks, before: Int32, found: Found) -> None:
+    """Take the peaks that lie where ground was (C,), in columns that have none."""
+    for at in range(before.size):
+        if found.height[at] == NO_GROUND and before[at] != NO_GROUND:
+            found.height[at], found.weight[at] = find_peak(peaks, at, before[at])
+
+
 @kernel
 def grow_ground(
     blocks: Blocks, peaks: Peaks, found: Found, reach: int, rounds: int, queue: Int64
@@ -189,12 +207,7 @@ def grow_ground(
         for i in range(begin, many):
             at = queue[0, i]
             mean = mean_beside(blocks, height, at, reach)
-            queue[1, i], weight[at] = NO_GROUND if has_peaks else mean, 0
-            if not has_peaks:
-                continue
-            for k in range(peaks.first[at], peaks.first[at] + peaks.many[at]):
-                if abs(peaks.height[k] - mean) <= STEP_MM and peaks.weight[k] > weight[at]:
-                    queue[1, i], weight[at] = peaks.height[k], peaks.weight[k]
+            queue[1, i], weight[at] = find_peak(peaks, at, mean) if has_peaks else (mean, 0)
         front = 0
         for i in range(begin, many):
             if queue[1, i] != NO_GROUND:
