@@ -80,6 +80,8 @@ TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.p
 EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 """Others may follow."""
 EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
+NANOSECONDS = re.compile(r"-?\d{16,}(?!\d*\.)")
+"""A time with too many digits for seconds, as EuRoC's are though their header names no unit"""
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)\.|p_(?:\w+_)?|t)([xyz])$")
@@ -122,13 +124,13 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
 
 def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Float64]:
     """Read the times (ns), where there are any, and poses (N, 7); a first line tells the format."""
-    lines, heading = _read_rows(path)
+    lines, headings = _read_rows(path)
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
     if not has_header and len(begin.split()) == MATRIX:
         return None, _read_matrices(path, lines, notes)
     rows: list[Row] = []
-    for parse in _parse_lines(path, lines[:1], partial(_find_format, heading)):
+    for parse in _parse_lines(path, lines[:1], partial(_find_format, headings)):
         rows += _parse_lines(path, lines[has_header:], parse)
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
@@ -179,15 +181,15 @@ def _read_times(path: Path) -> list[int]:
     return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_seconds, fix))
 
 
-def _read_rows(path: Path) -> tuple[list[NumberedLine], str]:
-    """Read the lines that are no comments, and the comment right above them."""
-    rows, heading = list[NumberedLine](), ""
+def _read_rows(path: Path) -> tuple[list[NumberedLine], list[str]]:
+    """Read the lines that are no comments, and the comments above them."""
+    rows, headings = list[NumberedLine](), list[str]()
     for number, text in _read_lines(path):
         if not text.startswith("#"):
             rows.append((number, text))
         elif not rows:
-            heading = text.lstrip("# ")
-    return rows, heading
+            headings.append(text.lstrip("# "))
+    return rows, headings
 
 
 def _read_lines(path: Path) -> Iterator[NumberedLine]:
@@ -217,34 +219,35 @@ def _parse_lines(
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _find_format(heading: str, text: str) -> Callable[[str], Row]:
+def _find_format(headings: Sequence[str], text: str) -> Callable[[str], Row]:
     """Tell by its first line how the lines of a file are parsed; raises ValueError.
 
     Parameters
     ----------
-    heading
-        The comment above it, which may name the columns.
+    headings
+        The comments above it, one of which may name the columns.
     """
     if not NUMBER.match(text):
         return _read_header(text)
+    for heading in headings:
+        with suppress(ValueError):
+            parse = _read_header(heading, is_ns=bool(NANOSECONDS.match(text)))
+            parse(text)  # raises: it names other columns
+            return parse
     if re.match(r"-?\d+\s*,", text):
         return EUROC
-    with suppress(ValueError):
-        parse = _read_header(heading)
-        parse(text)  # raises: it names other columns
-        return parse
     if set(text).intersection(",;"):
         raise ValueError("no header says what the columns are")
     return TUM
 
 
-def _read_header(text: str) -> Callable[[str], Row]:
+def _read_header(text: str, *, is_ns: bool = False) -> Callable[[str], Row]:
     """Tell by a header how the lines below are parsed; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
     separator = values.find_separator(text)
-    columns, is_ns = values.split_header(text, separator)
+    columns, states_ns = values.split_header(text, separator)
     names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
     missing = {"stamp", "x", "y", *angles}.difference(names)
@@ -252,7 +255,7 @@ def _read_header(text: str) -> Callable[[str], Row]:
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    parse = values.parse_nanoseconds if is_ns else values.parse_seconds
+    parse = values.parse_nanoseconds if is_ns or states_ns else values.parse_seconds
     return partial(_parse_pose, names, separator, parse)
 
 

@@ -8,7 +8,7 @@ import pytest
 from occmap.cells import Ground
 from occmap.clouds import CloudOptions, ground
 from occmap.clouds.kernels import growth
-from occmap.clouds.kernels.growth import PASSED, STOOD
+from occmap.clouds.kernels.growth import PASSED, STOOD, Found
 from occmap.clouds.kernels.heights import BIN_MM, BINS, ROOM, Pieces, list_peaks, pack
 from occmap.types import NO_GROUND, Float64, Int32, UInt8
 
@@ -213,3 +213,15 @@ def test_what_is_no_plane_does_not_go_on() -> None:
     blocks, level = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
         assert ground.fit_plane(blocks, np.where(part, level, NO_GROUND)) is None
+
+
+def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> None:
+    first, many = np.array([[0, 1, 3], [1, 2, 1]], np.int32)
+    height, weight = np.array([[100, 148, 300, 500], [5, 7, 9, 4]], np.int32)
+    none = NO_GROUND
+    found = Found(np.array([20, none, none], np.int32), *np.zeros((2, 3), np.int32))
+
+    growth.keep_levels(growth.Peaks(first, many, height, weight), np.array([100, 150, 150]), found)
+
+    assert found.height.tolist() == [20, 148, none]
+    assert found.weight.tolist() == [0, 7, 0]
