@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from occmap.cells import CellBox, Ground, view_tiles
 from occmap.clouds import CloudOptions
-from occmap.clouds.ground import lay_columns
 from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import SOME, Cloud, find_reach, list_clouds
-from occmap.clouds.kernels.laying import SHORTEST_M, Columns, lay_cloud
+from occmap.clouds.kernels.laying import SHORTEST_M, Columns, lay_cloud, lay_columns
 from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.engine import Engine

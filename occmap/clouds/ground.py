@@ -5,31 +5,22 @@ otherwise than they are said to.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from threading import Lock
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
-from occmap.clouds.drift import list_drifts
+from occmap.clouds.counting import Counted, Sensor, thin_path
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, Blocks, Found, Peaks
-from occmap.clouds.kernels.heights import BIN_MM, Cloud, Histogram, Pieces, list_clouds
-from occmap.clouds.kernels.laying import Columns, lay_cloud
+from occmap.clouds.kernels.growth import BLOCK, Blocks, Found, Peaks, index_blocks
+from occmap.clouds.kernels.heights import BIN_MM, Histogram, Pieces
 from occmap.errors import MapError
-from occmap.posing import Drift
 from occmap.report import join_names
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32, Int64, PosedScans
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Int32, Int64
 
-POINTS_A_CLOUD = 12_500
-"""About so many points of each cloud are counted, or an eighth: whichever is more."""
-LEAST_SHARE = 0.125
-FEWEST_CLOUDS = 100
-"""About so many clouds of a build are counted at least, if it has them."""
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
 in the map already: often where the robot stands."""
@@ -70,201 +61,60 @@ LEVEL_MM, LEVEL_SHARE, LEAST_LEVEL = 50, 0.95, 500
 level, which goes on where nobody saw it. A street has 0.4 there, a hall with a platform 0.8"""
 LEVEL_FILLED = 128
 """It goes on over so many columns"""
-UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
-"""About so many clouds, and points of each, show if walls stand upright"""
-SHORT_MM = 150
-"""The path is taken at steps of about this length."""
 
 
-def draw(stamp_ns: int) -> float:
-    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
-    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
+def derive_ground(
+    counted: Counted,
+    options: CloudOptions,
+    known: Ground | None = None,
+    before: Ground | None = None,
+) -> tuple[Ground, list[str]]:
+    """Find the ground below the drive, and say what there is to say of it.
+
+    Parameters
+    ----------
+    known
+        Ground that stays as it is, from where more grows.
+    before
+        What was found first, on which the clouds were laid that were counted.
+
+    Raises
+    ------
+    MapError
+        No ground is found.
+    """
+    columns = read_columns(counted.table, counted.path, known)
+    blocks = columns.blocks
+    apart = np.abs(counted.sample[:, 2] - counted.path[:1, 2] / 1000)
+    if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
+        raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
+    seats = list_seats(columns, counted.paths, options.sensor_height)
+    stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
+    if options.ground == FLAT:
+        return make_flat(stood), []
+    laid = known and known.lay_out(blocks.places)
+    was = None if before is None else list_levels(before.lay_out(blocks.places))
+    height = grow(columns, seats, laid, was)
+    measured = height != NO_GROUND
+    if not measured.any():
+        raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
+    fill_around(blocks, height)
+    holes = find_holes(columns, height, measured, options)
+    if laid is not None:
+        holes |= list_known_holes(blocks, laid, measured)
+    height[holes] = NO_GROUND
+    shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
+    note = (
+        f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
+        f"{columns.filled:,} columns of 0.15 m"
+    )
+    notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
+    return pack_ground(blocks, height, measured), [*notes, *list_storeys(stood)]
 
 
-Sensor: TypeAlias = tuple[str, str, str]
-"""A log, a topic and a frame, which is "" where clouds are in the map already"""
-
-
-class Counted(NamedTuple):
-    """What clouds show of the ground, as one process counted it for another."""
-
-    table: Histogram
-    paths: dict[Sensor, Int64]
-    """(P, 3) where each sensor went (mm)"""
-    sample: Float64
-    """(N, 3) where some of the points lie (m)"""
-    drifts: dict[str, Drift]
-    """By what heights are corrected, by log"""
-
-    @property
-    def path(self) -> Int64:
-        """(P, 3) where any sensor went (mm)."""
-        return np.concatenate([np.zeros((0, 3), np.int64), *self.paths.values()])
-
-
-class GroundFinder:
-    """Counts heights of points in columns; any number of threads may call `add`."""
-
-    def __init__(self, clouds: int, log: str = "", ground: Ground | None = None) -> None:
-        """Make one for a build of so many clouds, those of a log, that are laid on some ground."""
-        self._clouds, self._log, self._ground = clouds, log, ground
-        self._floor = ground and lay_columns(ground)
-        self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
-        self._idle: list[Histogram] = []
-        self._paths: defaultdict[Sensor, list[Int64]] = defaultdict(list)
-        """(N, 4) where each sensor was (mm) and when (ns); (N, 3) where others counted it"""
-        self._sample: list[Float64] = []
-        self.drifts: dict[str, Drift] = {}
-        """By what heights are corrected, by log"""
-        self._lock = Lock()
-
-    def start_over(self, log: str) -> "GroundFinder":
-        """Make one for a log of the same build that has seen nothing."""
-        return GroundFinder(self._clouds, log, self._ground)
-
-    def wants(self, stamp_ns: int, points: int) -> bool:
-        """Whether a cloud is among those that are counted, however logs are cut into parts."""
-        return draw(stamp_ns) < max(POINTS_A_CLOUD / max(points, 1), self._least_share)
-
-    def add(self, posed: PosedScans) -> None:
-        """Count the points of some clouds."""
-        with self._lock:
-            table = self._idle.pop() if self._idle else make_table(1 << 14)
-        path, sample = [], []
-        place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
-        for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
-            start, points = 0, len(cloud.points) // 3
-            laid = lay_cloud(cloud, self._floor) if self._floor else cloud
-            while (start := heights.count_heights(laid, table, start, place, listed)) < points:
-                table = grow_table(table, 4 * len(table.keys))
-            path.append(cloud.origin)
-            if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
-                sample.append(sample_points(cloud))
-        with self._lock:
-            self._idle.append(table)
-            frame = posed.batch.frame if posed.origin is None else ""
-            sensor = self._log, posed.batch.topic, frame
-            places = np.rint(np.array(path) * 1000).astype(np.int64)
-            self._paths[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
-            self._sample += sample
-
-    def count(self) -> Counted:
-        """Give what was counted so far."""
-        table = self._idle[0] if self._idle else make_table(1)
-        for other in self._idle[1:]:
-            size = 1 << (2 * int(table.used[0] + other.used[0])).bit_length()
-            table = grow_table(table, max(size, len(table.keys)))
-            heights.add_histogram(other, table)
-        self._idle = [table]
-        paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._paths.items())}
-        sample = np.concatenate([np.zeros((0, 3)), *self._sample])
-        return Counted(table, paths, sample, self.drifts)
-
-    def join(self, counted: Counted) -> None:
-        """Add what another finder counted, maybe in another process."""
-        self._idle.append(counted.table)
-        for sensor, path in counted.paths.items():
-            self._paths[sensor].append(path)
-        self._sample.append(counted.sample)
-        self.drifts |= counted.drifts
-
-    def list_drifts(self) -> Iterator[Drift]:
-        """List by what the heights of a log may drift, as its sensor with most clouds shows."""
-        ways = [np.concatenate(parts) for _, parts in sorted(self._paths.items())]
-        yield from list_drifts(max(ways, key=len)) if ways else ()
-
-    def measure_sharpness(self) -> float:
-        """Measure how few bins of heights the points fill: a floor that lies well fills few."""
-        table = self.count().table
-        many = table.counts[table.keys != heights.EMPTY].astype(np.float64)
-        return float((many**2).sum() / max(many.sum(), 1.0))
-
-    def find(self, options: CloudOptions, known: Ground | None = None) -> tuple[Ground, list[str]]:
-        """Find the ground below the drive, and say what there is to say of it.
-
-        Parameters
-        ----------
-        known
-            Ground that stays as it is, from where more grows.
-
-        Raises
-        ------
-        MapError
-            No ground is found.
-        """
-        counted = self.count()
-        columns = read_columns(counted.table, counted.path, known)
-        blocks = columns.blocks
-        apart = np.abs(counted.sample[:, 2] - counted.path[:1, 2] / 1000)
-        if not columns.filled and (apart > heights.FAR_M).sum() > len(apart) / 2:
-            raise MapError(ALL_FAR, fix="points and places are metres: are these millimetres?")
-        seats = list_seats(columns, counted.paths, options.sensor_height)
-        stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
-        if options.ground == FLAT:
-            return make_flat(stood), []
-        laid = known and known.lay_out(blocks.places)
-        before = self._ground and self._ground.lay_out(blocks.places)
-        height = grow(columns, seats, laid, before)
-        measured = height != NO_GROUND
-        if not measured.any():
-            raise MapError(NO_FLOOR, fix=GIVE_HEIGHT)
-        fill_around(blocks, height)
-        holes = find_holes(columns, height, measured, options)
-        if laid is not None:
-            holes |= list_known_holes(blocks, laid, measured)
-        height[holes] = NO_GROUND
-        shown = np.count_nonzero(measured & (columns.peaks.many > 0))  # others may be known
-        note = (
-            f"{tell_heights(seats)} above the ground, which was found for {shown:,} of "
-            f"{columns.filled:,} columns of 0.15 m"
-        )
-        notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
-        return pack_ground(blocks, height, measured), [*notes, *list_storeys(stood)]
-
-
-def lay_columns(ground: Ground) -> Columns:
-    """Lay out the ground as kernels take it."""
-    blocks = index_blocks(ground.blocks)
-    return Columns(blocks, ground.height_mm.ravel(), ground.measured.ravel())
-
-
-def sample_points(cloud: Cloud) -> Float64:
-    """Place some points (N, 3) of a cloud, those that are finite (m)."""
-    points, pose = pose_points(cloud, UPRIGHT_POINTS)
-    with np.errstate(invalid="ignore"):
-        place = np.einsum("nij,nj->ni", pose[:, :, :3], points) + pose[:, :, 3]
-    return np.asarray(place[np.isfinite(place).all(axis=1)])
-
-
-def pose_points(cloud: Cloud, about: int) -> tuple[Float64, Float64]:
-    """Take about so many points (N, 3) of a cloud, and the pose (N, 3, 4) of each."""
-    points = cloud.points.reshape(-1, 3)
-    every = max(len(points) // about, 1)
-    with np.errstate(invalid="ignore"):  # where a log is damaged they are of any bits
-        some = points[::every].astype(np.float64)
-    which = cloud.which[::every] if cloud.which.size else np.zeros(len(some), np.int64)
-    return some, cloud.poses[which]
-
-
-def make_table(size: int) -> Histogram:
-    """Make an empty table; its size is a power of two."""
-    keys = np.full(size, heights.EMPTY, np.int64)
-    return Histogram(keys, np.zeros((size, heights.BINS), np.int32), np.zeros(1, np.int64))
-
-
-def grow_table(table: Histogram, size: int) -> Histogram:
-    """Copy a table to one with room for more."""
-    grown = make_table(size)
-    heights.add_histogram(table, grown)
-    return grown
-
-
-def thin_path(*parts: Int64) -> Int64:
-    """Take one place of a sensor (N, 3) of each column and height, in ascending order (mm)."""
-    # Of several the least counts, not the first: threads hand them over in any order.
-    every = np.unique(np.concatenate(parts)[:, :3], axis=0)
-    _, first = np.unique(every // SHORT_MM, axis=0, return_index=True)
-    return every[first]
+def list_levels(ground: Ground) -> Int32:
+    """The heights of the columns of ground (C,; mm), where points showed it."""
+    return np.where(ground.measured, ground.height_mm, np.int32(NO_GROUND)).ravel()
 
 
 class Shown(NamedTuple):
@@ -293,7 +143,7 @@ class Seat(NamedTuple):
 
 
 def grow(
-    columns: Shown, seats: Sequence[Seat], known: Ground | None, before: Ground | None
+    columns: Shown, seats: Sequence[Seat], known: Ground | None, before: Int32 | None
 ) -> Int32:
     """Let the ground grow from under the path, without what is low and stands on it (C,).
 
@@ -302,8 +152,8 @@ def grow(
     known
         Ground that stays as it is.
     before
-        What was found first. Levels that are not reached go on from there: a kerb that poses blur
-        is a way up, and a sharp one is none.
+        (C,) what was found first (mm). Levels that are not reached go on from there: a kerb that
+        poses blur is a way up, and a sharp one is none.
     """
     blocks, height, grown = columns.blocks, np.empty_like(columns.peaks.first), []
     for _ in range(PASSES):
@@ -313,8 +163,7 @@ def grow(
         keep_known(known, found)
         go_on(columns, found)
         if before is not None:
-            was = np.where(before.measured, before.height_mm, NO_GROUND).ravel()
-            growth.keep_levels(columns.peaks, was, found)
+            growth.keep_levels(columns.peaks, before, found)
             go_on(columns, found)
         growth.drop_raised(blocks, found, height)
         raised = np.flatnonzero(height != found.height)
@@ -375,7 +224,7 @@ def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOpti
 
 def list_known_holes(blocks: Blocks, known: Ground, measured: Bool) -> Bool:
     """List columns (C,) beside known ground that have none in it, and none was measured now."""
-    around = np.where(known.measured, known.height_mm, NO_GROUND).astype(np.int32).ravel()
+    around = list_levels(known)
     fill(blocks, around, FILLED)
     return np.asarray(~measured & (around != NO_GROUND) & (known.height_mm == NO_GROUND).ravel())
 
@@ -512,15 +361,6 @@ def make_blocks(columns: Int64, known: Ground | None) -> Blocks:
     if known is not None:
         around.append(known.blocks)
     return index_blocks(np.unique(np.concatenate(around), axis=0))
-
-
-def index_blocks(places: Int64) -> Blocks:
-    """Make the table of blocks (B, 2), at least one."""
-    places = places if len(places) else np.zeros((1, 2), np.int64)
-    corner = places.min(axis=0)
-    table = np.full(places.max(axis=0) - corner + 1, -1, np.int32)
-    table[tuple((places - corner).T)] = np.arange(len(places))
-    return Blocks(table, corner, places)
 
 
 def list_seats(columns: Shown, paths: Mapping[Sensor, Int64], given_m: float | None) -> list[Seat]:

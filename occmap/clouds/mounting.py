@@ -208,13 +208,12 @@ def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
     What the ground is made of is turned likewise, and hides the error: so it is shifted to where
     the robot stood when it came by, which is as far below the sensor anywhere.
     """
-    from occmap.clouds.ground import pose_points  # noqa: PLC0415  late: it brings LLVM
-    from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
+    from occmap.clouds.kernels import heights  # noqa: PLC0415  late: it brings LLVM
 
     seen = [
-        (*pose_points(cloud, LOOKED_AT), cloud.origin)
+        (*heights.pose_points(cloud, LOOKED_AT), cloud.origin)
         for posed in clouds
-        for cloud in list_clouds(posed)
+        for cloud in heights.list_clouds(posed)
     ]
     stood = np.array([origin for _, _, origin in seen]).reshape(-1, 3)
     stood[:, 2] -= ground.find_heights(stood)

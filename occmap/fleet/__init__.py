@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.report import join_names
 from occmap.report.results import MapFacts, Report, list_notes
-from occmap.scans import Keep, levelling
+from occmap.scans import Keep
 from occmap.scans.align import settle_align
 from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
@@ -40,6 +41,9 @@ from occmap.store.layout import BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
 from occmap.types import Update
 from occmap.writers.atomic import lock, make_folder, refuse_unwritable
+
+if TYPE_CHECKING:  # it brings numba
+    from occmap.clouds.counting import Counted
 
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
@@ -79,20 +83,18 @@ class Crew:
 
     def find_ground(self) -> None:
         """Find the ground below the clouds of all logs."""
-        from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+        from occmap.clouds.counting import join_counted  # noqa: PLC0415  late: it brings numba
+        from occmap.scans.levelling import settle_ground  # noqa: PLC0415  likewise
 
-        def count(options: BuildOptions, ground: Ground | None) -> GroundFinder:
+        def count(options: BuildOptions, ground: Ground | None) -> "Counted":
             keep = self.setting.keep._replace(ground=ground)
             setting = replace(self.setting, options=options, keep=keep)
             level = "".join(f" {angle}" for angle in options.posing.level or ())
             some = [replace(job, name=f"{job.name}{level} {bool(ground)}") for job in self.logs]
-            finder = GroundFinder(setting.scans, ground=ground)
-            for counted in self.cluster.run(tasks.survey_ground, setting, some):
-                finder.join(counted)
-            return finder
+            return join_counted(self.cluster.run(tasks.survey_ground, setting, some))
 
         known = self.setting.keep
-        found = levelling.settle_ground(count, self.setting.options, known.ground)
+        found = settle_ground(count, self.setting.options, known.ground)
         self.tally.notes += found.notes
         keep = known._replace(ground=found.ground)
         self.setting = replace(self.setting, keep=keep, options=found.options)

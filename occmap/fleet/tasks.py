@@ -27,7 +27,6 @@ from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
 from occmap.report.results import count_cells
 from occmap.scans import Keep, make_engine
-from occmap.scans.levelling import count_ground
 from occmap.scans.logs import count_scans, list_kinds
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
@@ -38,7 +37,7 @@ from occmap.types import Int64
 from occmap.writers.atomic import open_atomic
 
 if TYPE_CHECKING:  # these bring numba
-    from occmap.clouds.ground import Counted
+    from occmap.clouds.counting import Counted
 
 AnyJob = TypeVar("AnyJob", bound="Job")
 Result = TypeVar("Result")
@@ -137,12 +136,11 @@ def survey_log(setting: Setting, job: Job) -> tuple[int, dict[Role, str]]:
 @once
 def survey_ground(setting: Setting, job: Job) -> "Counted":
     """Count what the clouds of a log show of the ground; raises OccmapError as `count_ground`."""
-    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+    from occmap.scans.levelling import count_ground  # noqa: PLC0415  late: it brings numba
 
     options = replace(setting.options, jobs=1)
-    finder = GroundFinder(setting.scans, ground=setting.keep.ground)
-    count_ground(open_drive(open_log(Path(job.where), options.reading), options), finder)
-    return finder.count()
+    drive = open_drive(open_log(Path(job.where), options.reading), options)
+    return count_ground(drive, setting.scans, setting.keep.ground)
 
 
 @once

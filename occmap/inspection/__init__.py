@@ -30,7 +30,6 @@ from occmap.readers import Log, Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
-from occmap.scans.levelling import find_ground
 from occmap.scans.logs import look_ahead, suit_kinds
 from occmap.scans.mounts import Posing, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
@@ -386,6 +385,8 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
         What the clouds observe over the ground; notes on it; what it says against mounts and poses,
         with their topics; and why there is none, "" where there is.
     """
+    from occmap.scans.levelling import find_ground  # noqa: PLC0415  late: it brings numba
+
     box, ground, notes, problem = None, None, list[str](), ""
     log, poser = survey.drive.log, survey.drive.poser
     options = replace(survey.drive.options, posing=poser.options)

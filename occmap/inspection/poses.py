@@ -278,8 +278,8 @@ MOST_TILT_DEG = 10.0
 def enclose_clouds(drive: Drive, ground: Ground) -> CellBox | None:
     """Read clouds once more, and find the cells that their points observe; None: they do none."""
     from occmap.clouds import engine  # noqa: PLC0415  late: it brings numba
-    from occmap.clouds.ground import lay_columns  # noqa: PLC0415  likewise
     from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
+    from occmap.clouds.kernels.laying import lay_columns  # noqa: PLC0415  likewise
 
     options = drive.options
     band = engine.make_band(options.clouds, options.returns)
@@ -328,7 +328,8 @@ def find_tilted(
     clouds that are turned by what it showed, until it shows no tilt. A turn by which clouds
     contradict each other is none.
     """
-    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.counting import count_clouds  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.ground import derive_ground  # noqa: PLC0415  likewise
 
     turn = IDENTITY
     for _ in range(TURN_ROUNDS):
@@ -338,11 +339,8 @@ def find_tilted(
         small = Pose.from_xyzrpy((0.0, 0.0, 0.0), tilts.sensor.tolist())
         turn = mounts.turn_mount(turn, small)
         clouds = [mounts.mount_scans(each, small) for each in clouds]
-        finder = GroundFinder(len(clouds))
-        for each in clouds:
-            finder.add(each)
         with suppress(MapError):
-            ground, _ = finder.find(options.clouds)
+            ground, _ = derive_ground(count_clouds(clouds), options.clouds)
     angle = 2 * math.degrees(math.atan2(np.linalg.norm(turn[3:6]), turn.qw))
     left = np.linalg.norm([*tilts.sensor, *tilts.upright]) if tilts else math.inf
     is_better = angle > LEAST_TILT_DEG > math.degrees(left)

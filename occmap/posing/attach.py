@@ -297,9 +297,13 @@ class Poser:
                 yield laser[0], f"{found}, and no floor is near below it: {why}"
 
     def suspect_places(self, middle_m: Mapping[str, float]) -> Iterator[tuple[str, str]]:
-        """Say where places of sensors can hardly be metres, by topic, as are the median ranges."""
-        for (topic, _), track in self._list_tracks():
-            if doubt := courses.suspect_places(track, middle_m[topic]):
+        """Say where places of sensors can hardly be metres, by topic, as are the median ranges.
+
+        Those of which poses are mixed are as far apart for that reason.
+        """
+        for (topic, frame), track in self._list_tracks():
+            way, doubt = self.chains.get(frame), courses.suspect_places(track, middle_m[topic])
+            if doubt and not (way and courses.warn_of_mixed(way, track.stamp_ns, 0)):
                 yield topic, doubt
 
     def _list_twins(self) -> Iterator[tuple[str, Concern]]:

@@ -297,7 +297,8 @@ class Search:
     @property
     def known(self) -> str:
         """Their names, for errors, and what is doubtful about the transforms between them."""
-        return "; ".join([f"known: {join_names(self.tree.frames)}", *self.sources.doubts])
+        named = join_names(filter(None, self.tree.frames))
+        return "; ".join([f"known: {named}", *self.sources.doubts])
 
     def go_by_tree(self, fixed: str | None) -> Way:
         """Go by the tree; where nothing in it moves, by a topic of poses."""

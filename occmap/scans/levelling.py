@@ -1,21 +1,25 @@
 """The ground below the drives of a build: found in a pass of its own, with the map laid flat.
 
 Heights of poses that drift are corrected on the way, and known ground goes on below new clouds.
+This module is loaded for clouds alone: it brings numba, which takes longer than all else together.
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from itertools import product
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds import FLAT
+from occmap.clouds.counting import Counted, Counter, join_counted
+from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, name_log
 from occmap.evidence import refuse_other
 from occmap.options import BuildOptions
-from occmap.posing import measure_drift
+from occmap.posing import Drift, measure_drift
 from occmap.posing.attach import place_logs, tilt
 from occmap.report import Note, join_names
 from occmap.scans import encode_cells
@@ -23,10 +27,7 @@ from occmap.scans.logs import count_scans
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.threads import Threads
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64
-
-if TYPE_CHECKING:  # it brings numba, which takes longer to load than all else together
-    from occmap.clouds.ground import GroundFinder
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int64
 
 LEAST_LEAN_DEG = 1.0
 """Walls of a map that leans by less are sharp enough."""
@@ -68,53 +69,50 @@ def find_ground(
     known
         Ground of evidence that the build is added to; it stays as it is.
     """
-    from occmap.clouds.ground import GroundFinder  # noqa: PLC0415  late: it brings numba
+    clouds = sum(count_scans(drive.log, options.selection.topics) for drive in drives)
 
-    def count(options: BuildOptions, ground: Ground | None) -> GroundFinder:
-        scans = (count_scans(drive.log, options.selection.topics) for drive in drives)
-        finder = GroundFinder(sum(scans), ground=ground)
-        for drive in drives:
-            count_ground(drive.renew(options), finder)
-        return finder
+    def count(options: BuildOptions, ground: Ground | None) -> Counted:
+        renewed = (drive.renew(options) for drive in drives)
+        return join_counted(count_ground(each, clouds, ground) for each in renewed)
 
     return settle_ground(count, options, known)
 
 
-Count: TypeAlias = Callable[[BuildOptions, Ground | None], "GroundFinder"]
+Count: TypeAlias = Callable[[BuildOptions, Ground | None], Counted]
 """Reads all clouds, and counts what they show of the ground; they may be laid on some first"""
 
 
 def settle_ground(count: Count, options: BuildOptions, known: Ground | None) -> BuildGround:
     """Find the ground, and once more by clouds that are laid on it, which poses blur less."""
-    finder = count(options, None)
+    counted = count(options, None)
     if known is None:
-        first = level_ground(count, finder, options)
+        first = level_ground(count, counted, options)
     else:
-        first = extend_ground(finder, options, known)
+        first = extend_ground(counted, options, known)
     if options.clouds.ground == FLAT or first.ground is known:
         return first
     posing = first.options.posing
     settled = replace(posing, height_drift=posing.height_drift or {})  # none is looked for again
-    finder = count(replace(first.options, posing=settled), first.ground)
-    ground, notes = finder.find(options.clouds, known)
+    counted = count(replace(first.options, posing=settled), first.ground)
+    ground, notes = derive_ground(counted, options.clouds, known, before=first.ground)
     return BuildGround(ground, [*notes, *first.notes], first.options)
 
 
-def level_ground(count: Count, finder: "GroundFinder", options: BuildOptions) -> BuildGround:
+def level_ground(count: Count, counted: Counted, options: BuildOptions) -> BuildGround:
     """Find the ground, and lay a map flat of which the floor leans, and the walls with it.
 
     SLAM that knows no gravity has its map in the frame of the first cloud, however the sensor was
     held. Of a street that climbs the walls stand upright, and it stays as it is.
     """
-    level, found = (0.0, 0.0), keep_drifts(finder, options, finder.find(options.clouds)[0])
+    level = 0.0, 0.0
+    found = keep_drifts(counted, options, derive_ground(counted, options.clouds)[0])
     if options.posing.level is not None:
         return found
     place = place_logs(options.posing)
     start, turned = place.position[0], place.rotation[0]
-    seen = finder.count()
-    if np.linalg.norm(seen.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
+    if np.linalg.norm(counted.path / 1000 - start, axis=1).min(initial=np.inf) >= BEGIN_M:
         return found
-    sample = (seen.sample - start) @ turned  # in the logs' own map
+    sample = (counted.sample - start) @ turned  # in the logs' own map
     for _ in range(LEVEL_ROUNDS):
         wanted = find_level(found.ground, turned @ tilt(level).rotation[0])
         if math.dist(wanted, level) < LEAST_LEAN_DEG:
@@ -124,8 +122,8 @@ def level_ground(count: Count, finder: "GroundFinder", options: BuildOptions) ->
             break
         level = wanted
         laid = replace(options, posing=replace(options.posing, level=level))
-        finder = count(laid, None)
-        found = keep_drifts(finder, laid, finder.find(options.clouds)[0])
+        counted = count(laid, None)
+        found = keep_drifts(counted, laid, derive_ground(counted, options.clouds)[0])
     if any(level):
         found.notes.append(
             f"the floor leans by {math.hypot(*level):.1f} degrees in the map of the poses, and the "
@@ -166,7 +164,7 @@ def find_level(ground: Ground, turned: Float64) -> tuple[float, float]:
     return round(roll, 2) + 0.0, round(pitch, 2) + 0.0  # no negative zero
 
 
-def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) -> BuildGround:
+def extend_ground(counted: Counted, options: BuildOptions, known: Ground) -> BuildGround:
     """Let known ground go on below clouds, unless it is given as it is.
 
     Raises
@@ -176,32 +174,32 @@ def extend_ground(finder: "GroundFinder", options: BuildOptions, known: Ground) 
     """
     is_whole = options.clouds.file is not None
     try:
-        own, _ = finder.find(options.clouds)
+        own, _ = derive_ground(counted, options.clouds)
     except MapError:
         if not is_whole:
             raise
     else:
         rise = known.measure_rise(own)
-        logs = dict.fromkeys(log for log, _, _ in finder.count().paths)
+        logs = dict.fromkeys(log for log, _, _ in counted.paths)
         fix = "see in `occmap check` if poses, mount or `level` are wrong"
         if len(rise) >= LEAST_OVERLAP * min(own.measured.sum(), known.measured.sum()):
             with name_log(join_names(logs)):
                 refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
-    ground = known if is_whole else finder.find(options.clouds, known)[0]
-    return keep_drifts(finder, options, ground)
+    ground = known if is_whole else derive_ground(counted, options.clouds, known)[0]
+    return keep_drifts(counted, options, ground)
 
 
-def keep_drifts(finder: "GroundFinder", options: BuildOptions, ground: Ground) -> BuildGround:
+def keep_drifts(counted: Counted, options: BuildOptions, ground: Ground) -> BuildGround:
     """Keep by what heights were corrected while clouds were counted, and say so."""
     notes: list[str] = [
         Note(
             f"heights of poses drift by {measure_drift(drift):.2f} m, as the floor shows where the "
             "drive comes by again: they are corrected; `height_drift=off` leaves them"
         ).placed(log)
-        for log, drift in finder.drifts.items()
+        for log, drift in counted.drifts.items()
     ]
-    if finder.drifts:
-        options = replace(options, posing=replace(options.posing, height_drift=finder.drifts))
+    if counted.drifts:
+        options = replace(options, posing=replace(options.posing, height_drift=counted.drifts))
     return BuildGround(ground, notes, options)
 
 
@@ -212,22 +210,114 @@ def measure_spread(points: Float64) -> float:
     return float(-(share * np.log(share)).sum())
 
 
-def count_ground(drive: Drive, finder: "GroundFinder") -> None:
-    """Let a finder of the ground see the clouds of a drive, and correct heights that drift."""
+def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
+    """Count what the clouds of a drive show of the ground, and correct heights that drift.
+
+    Parameters
+    ----------
+    clouds
+        How many the build has.
+    ground
+        On which they are laid first; None: they stay as they are.
+    """
     log, posing = str(drive.log.path), drive.options.posing
 
-    def count() -> "GroundFinder":
+    def count() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
-            seen = finder.start_over(log)
-            with name_log(log), Threads(seen.add, drive.options.jobs) as threads:
-                for posed in drive.read(Tally(), seen.wants):
+            counter = Counter(clouds, log, ground)
+            with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
+                for posed in drive.read(Tally(), counter.wants):
                     threads.give(posed)
-        return seen
+        return counter
 
-    best = seen = count()
-    for drift in seen.list_drifts() if posing.height_drift is None else ():
+    counter = count()
+    best = counter.count()
+    for drift in list_drifts(counter.way) if posing.height_drift is None else ():
         drive.poser.drift = drift
-        corrected = count()
-        if corrected.measure_sharpness() > CLEARER * best.measure_sharpness():
-            best, corrected.drifts = corrected, {log: drift}
-    finder.join(best.count())
+        corrected = count().count()
+        if corrected.sharpness > CLEARER * best.sharpness:
+            best = corrected._replace(drifts={log: drift})
+    return best
+
+
+SQUARES_M = 0.25, 3.5
+"""Sides of the squares in which a drive comes by again: where it was, and in a lane beside it"""
+AGAIN_S = 10.0
+"""It left, and came by again, if that took longer."""
+STOREY_M = 1.5
+"""What lies higher is another floor."""
+FEWEST_PASSES, LEAST_DRIFT_M = 10, 0.03
+"""Where a drive comes by less often, or heights differ by less, nothing drifts."""
+MOST_PARTS, MOST_STEPS = 500, 100_000
+"""Drift is linear in so many parts of a drive, which is followed in so many steps, at most."""
+JUMP_M, STEEP, FREE = 0.1, 0.25, 1e-4
+"""A part that is higher at its end, and as steep, is where poses jump, and may change as freely"""
+
+
+def list_drifts(way: Int64) -> Iterator[Drift]:
+    """List by what the heights of a sensor may drift, as it is as high where it comes by again.
+
+    SLAM of 3D lidars is off in z by 0.1 to 1 m over a drive, and would lay the floor twice.
+
+    Parameters
+    ----------
+    way
+        (N, 4) x, y and z (mm), and their stamps (ns), in any order.
+    """
+    if not len(way):
+        return
+    way = way[np.lexsort(way.T)]
+    way = way[np.unique(way[:, 3], return_index=True)[1]]
+    timed = (way - way[0]) / [1e3, 1e3, 1e3, 1e9]
+    knots, passes = slice(None, None, -(-len(way) // MOST_PARTS)), np.zeros((0, 3))
+    for side in SQUARES_M:
+        passes = np.concatenate([passes, list_passes(timed, side)])
+        if len(passes) < FEWEST_PASSES:
+            continue
+        if np.median(np.abs(passes[:, 2])) < LEAST_DRIFT_M:
+            return
+        added = np.rint(1000 * fit_drift(timed[knots], passes)).astype(np.int64)
+        yield tuple(way[knots, 3].tolist()), tuple(added.tolist())
+
+
+def list_passes(way: Float64, side: float) -> Float64:
+    """List where a way (N, 4; m and s) comes by again: both times, and how much higher it is then.
+
+    It goes straight from place to place, and comes by in the squares of its steps and those around.
+    """
+    length = np.cumsum(np.hypot(*np.diff(way[:, :2], axis=0, prepend=way[:1, :2]).T))
+    steps = np.linspace(0, length[-1], min(int(length[-1] / side * 2) + 2, MOST_STEPS))
+    x, y, z, time = (np.interp(steps, length, each) for each in way.T)
+    row, col = (np.floor(each / side).astype(np.int64) for each in (y, x))
+    squares = [((row + up) << 32) + col + right for up, right in product((-1, 0, 1), repeat=2)]
+    square, time, z = np.concatenate(squares), np.tile(time, 9), np.tile(z, 9)
+    order = np.lexsort((time, square))
+    square, time, z = square[order], time[order], z[order]
+    begins = (np.diff(square, prepend=square[0] - 1) != 0) | (np.diff(time, prepend=0) > AGAIN_S)
+    which = np.cumsum(begins) - 1
+    time, z = (np.bincount(which, each) / np.bincount(which) for each in (time, z))
+    is_again = (np.diff(square[begins]) == 0) & (np.abs(np.diff(z)) < STOREY_M)
+    return np.asarray(np.stack([time[:-1], time[1:], np.diff(z)], axis=1)[is_again])
+
+
+def fit_drift(way: Float64, passes: Float64) -> Float64:
+    """Fit what is added to the heights of a way (N, 4; m and s), so that they are equal at passes.
+
+    It is linear from place to place, changes as little as may be, and is 0 where the way begins.
+    That is a problem of least squares, of which this makes the normal equations: each pass adds the
+    products of its four weights, of the places beside its two times, and each step adds the square
+    of its change.
+    """
+    seconds, steps, n = way[:, 3], np.abs(np.diff(way, axis=0)), len(way)
+    before = np.clip(np.searchsorted(seconds, passes[:, :2], side="right") - 1, 0, n - 2)
+    share = np.clip((passes[:, :2] - seconds[before]) / steps[before, 3], 0, 1)
+    place = np.concatenate([before, before + 1], axis=1).T
+    # Of the drift at the second time less that at the first.
+    weight = np.concatenate([1 - share, share], axis=1).T * [[-1], [1], [-1], [1]]
+    pairs, products = place[:, None] * n + place, weight[:, None] * weight
+    of_passes = np.bincount(pairs.ravel(), products.ravel(), n * n).reshape(n, n)
+    is_jump = steps[:, 2] > np.maximum(JUMP_M, STEEP * np.hypot(steps[:, 0], steps[:, 1]))
+    change = np.diff(np.eye(n), axis=0)
+    of_changes = change.T * (np.where(is_jump, FREE, 1) / steps[:, 3]) @ change
+    wanted = np.bincount(place.ravel(), (weight * -passes[:, 2]).ravel(), n)
+    return np.append(0.0, np.linalg.solve((of_passes + of_changes)[1:, 1:], wanted[1:]))

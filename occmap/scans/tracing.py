@@ -16,7 +16,6 @@ from occmap.options import BuildOptions
 from occmap.readers import open_log
 from occmap.report import join_names
 from occmap.scans import Keep, make_engine
-from occmap.scans.levelling import find_ground
 from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
@@ -197,7 +196,9 @@ def observe(
     counts = [count_scans(log, options.selection.topics) for log in logs]
     tally.tell = lambda scans: progress(scans, sum(counts))
     drives = (open_drive(log, options) for log in logs)
-    if options.update is Update.CLOUD:  # which are read twice, by the same poses
+    if options.update is Update.CLOUD:  # which are read three times, by the same poses
+        from occmap.scans.levelling import find_ground  # noqa: PLC0415  late: it brings numba
+
         with tally.time("poses"):
             known = list(drives)
         with tally.time("ground"):

@@ -202,11 +202,10 @@ def list_away(posed: PosedScans) -> Iterator[tuple[Float64, Float64]]:
 
     Both are turned as the map is.
     """
-    from occmap.clouds.ground import pose_points  # noqa: PLC0415  late: it brings LLVM
-    from occmap.clouds.kernels.heights import list_clouds  # noqa: PLC0415  likewise
+    from occmap.clouds.kernels import heights  # noqa: PLC0415  late: it brings LLVM
 
-    for cloud in list_clouds(posed):
-        points, pose = pose_points(cloud, len(cloud.points))
+    for cloud in heights.list_clouds(posed):
+        points, pose = heights.pose_points(cloud, len(cloud.points))
         turned = np.einsum("nij,nj->ni", pose[:, :, :3], points)
         yield turned + pose[:, :, 3] - cloud.origin, cloud.origin
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from occmap.cells import CellBox, Ground
 from occmap.clouds import CloudOptions
+from occmap.clouds.counting import count_clouds
 from occmap.clouds.engine import CloudEngine, make_band
-from occmap.clouds.ground import GroundFinder
+from occmap.clouds.ground import derive_ground
 from occmap.grid import Lattice
 from occmap.options import BuildOptions, choose_model
 from occmap.pipeline import build
@@ -172,15 +173,9 @@ def drive_turning(
 
 def find_ground(drives: Sequence[PosedScans]) -> Ground:
     """Find the ground below a drive, and once more by clouds that are laid on it."""
-    laid: Ground | None = None
-    while True:
-        finder = GroundFinder(len(drives), ground=laid)
-        for posed in drives:
-            finder.add(posed)
-        ground, _ = finder.find(CloudOptions())
-        if laid:
-            return ground
-        laid = ground
+    first, _ = derive_ground(count_clouds(drives), CloudOptions())
+    ground, _ = derive_ground(count_clouds(drives, first), CloudOptions(), before=first)
+    return ground
 
 
 def observe(

@@ -36,7 +36,7 @@ def test_peaks_of_a_column(counts: dict[int, int], heights: list[int]) -> None:
     assert ((found_mm[:found] >= low) & (found_mm[:found] <= low + 1.5 * BIN_MM)).all()
 
 
-BLOCKS = ground.index_blocks(np.array([[0, 0]]))
+BLOCKS = growth.index_blocks(np.array([[0, 0]]))
 """One block: column (row, col) lies at 64 row + col."""
 
 

@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from occmap.cells import Ground, OccupancyMap
-from occmap.clouds.drift import list_drifts
-from occmap.clouds.ground import GroundFinder
+from occmap.clouds.counting import Counted, count_clouds
 from occmap.errors import MapError
 from occmap.fleet import Fleet
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions
 from occmap.readers.ros_log import RosLog
-from occmap.scans.levelling import Count, settle_ground
+from occmap.scans.levelling import Count, list_drifts, settle_ground
 from occmap.types import Float64, Int64, Pose, PoseBatch, PosedScans, PoseSample
 from occmap.writers.npz import read_evidence
 from tests.cli.runner import ask, occmap
@@ -64,15 +63,13 @@ def climb(clouds: Sequence[PosedScans], slope: float) -> list[PosedScans]:
 def count(clouds: Sequence[PosedScans]) -> Count:
     """Count clouds as a build does, in a map that is levelled as the options say."""
 
-    def count_levelled(options: BuildOptions, ground: Ground | None) -> GroundFinder:
-        finder = GroundFinder(len(clouds), ground=ground)
+    def count_levelled(options: BuildOptions, ground: Ground | None) -> Counted:
         roll, pitch = options.posing.level or (0.0, 0.0)
         level = lean(clouds, turn(roll, pitch, 0))
         moved = [shift(each, *PLACE) for each in lean(level, turn(0, 0, math.degrees(YAW)))]
         placed = moved if options.posing.transform else level
-        for each in lean(placed, turn(0, 0, options.posing.align or 0.0)):
-            finder.add(each)
-        return finder
+        aligned = lean(placed, turn(0, 0, options.posing.align or 0.0))
+        return count_clouds(aligned, ground)
 
     return count_levelled
 

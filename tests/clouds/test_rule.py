@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from occmap.clouds import CloudOptions
-from occmap.clouds.ground import GroundFinder
+from occmap.clouds.counting import Counter, count_clouds
+from occmap.clouds.ground import derive_ground
 from occmap.errors import MapError, UsageError
 from occmap.types import Float64, PosedScans
 from tests.clouds.reference import SlowEngine
@@ -200,13 +201,11 @@ def test_the_rim_of_a_pit_is_an_edge_that_is_seen_from_above_and_its_inside_is_n
 
 def test_a_pit_is_not_free_for_a_session_that_did_not_look_into_it() -> None:
     posed = drive(Room(pit=PIT))
-    finder = GroundFinder(5)
-    for each in posed[-5:]:
-        finder.add(each)
+    counted = count_clouds(posed[-5:])
     inside = find_cells((2.4, 3.9), (4.2, 4.8))
 
     for known, is_free in ((find_ground(posed), False), (None, True)):
-        ground, _ = finder.find(CloudOptions(), known)
+        ground, _ = derive_ground(counted, CloudOptions(), known)
         assert count(observe(posed[-5:], ground))[1][inside].any() == is_free
 
 
@@ -292,10 +291,8 @@ def test_clouds_in_the_map_may_be_seen_from_where_the_robot_stands() -> None:
 @pytest.mark.parametrize(("height_m", "notes"), [(None, 1), (0.6, 1), (0.3, 2)])
 def test_that_hardly_any_floor_is_seen_is_told(height_m: float | None, notes: int) -> None:
     """A box of 0.3 m is all that lies as deep as the sensor is said to be high."""
-    finder = GroundFinder(4)
-    for posed in drive(Room([(4.0, 4.4, 3.4, 3.8, 0.0, 0.3)]), clouds=4):
-        finder.add(posed)
-    told = finder.find(CloudOptions(sensor_height=height_m))[1]
+    counted = count_clouds(drive(Room([(4.0, 4.4, 3.4, 3.8, 0.0, 0.3)]), clouds=4))
+    told = derive_ground(counted, CloudOptions(sensor_height=height_m))[1]
     assert len(told) == notes
     assert all("hardly any floor" in note for note in told[1:])
 
@@ -310,12 +307,12 @@ def test_heights_that_leave_no_band_are_refused() -> None:
 def test_each_sensor_finds_the_ground_by_its_own_height() -> None:
     load = (3.0, 5.0, 3.6, 4.6, 0.0, 1.4)
     low, high = (drive(Room([load]), sensor_m=height) for height in (0.4, 1.8))
-    finder = GroundFinder(len(low), "two.bag")
+    counter = Counter(len(low), "two.bag")
     for topic, drives in (("/low", low), ("/top", high)):
         for each in drives:
-            finder.add(replace(each, batch=replace(each.batch, topic=topic)))
+            counter.add(replace(each, batch=replace(each.batch, topic=topic)))
 
-    ground, (note,) = finder.find(CloudOptions())
+    ground, (note,) = derive_ground(counter.count(), CloudOptions())
 
     beside_and_on_it = np.array([[2.5, 3.4], [4.0, 4.0]])
     np.testing.assert_allclose(ground.find_heights(beside_and_on_it), [0.0, np.nan], atol=0.03)

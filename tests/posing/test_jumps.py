@@ -142,6 +142,15 @@ def test_a_transform_that_two_nodes_send_is_told(apart_m: float, is_told: bool) 
     assert told == ["odom -> base_link jumps to and fro at 99% of its 202 samples"][: int(is_told)]
 
 
+def test_poses_that_are_mixed_are_not_taken_for_places_in_millimetres() -> None:
+    fast, one = ([at(s, "odom", "base_link", turned(0, x * s)) for s in SECONDS] for x in (200, 0))
+    other = [at(s + 0.4, "odom", "base_link", turned(0, 200)) for s in SECONDS]
+    for samples, doubts in ((fast, 1), ([*one, *other], 0)):
+        poser = build(*samples)
+        watch(poser)
+        assert len(list(poser.suspect_places({"": 5.0}))) == doubts
+
+
 def test_what_is_not_mixed_is_kept_where_the_recorders_clock_was_set_back_with_the_others() -> None:
     """By 20.4 s, at 70 s: of 200 scans 99 come before what was recorded twice, and 60 behind."""
     driven = [at(s, "odom", "base_link", turned(0, 0.3 * s)) for s in range(70)]

@@ -11,7 +11,8 @@ from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Int32, Int64, UInt8
 BLOCK = 1 << BLOCK_BITS
 """Columns along the side of a block."""
 STEP_MM = 80
-"""The ground of a column is at most this far from the mean of what is beside it."""
+"""The ground of a column is at most this far from the mean of what is beside it, and is bilinear
+between columns that differ by no more"""
 SMOOTH, ALIKE_MM = 4, 90
 """So far around it (columns) the ground of a column is the mean of what lies so near to its own: a
 step as high as the clearance is none"""
@@ -42,6 +43,15 @@ class Blocks(NamedTuple):
     """(B, 2) row and column of each block"""
 
 
+def index_blocks(places: Int64) -> Blocks:
+    """Make the table of blocks (B, 2), at least one."""
+    places = places if len(places) else np.zeros((1, 2), np.int64)
+    corner = places.min(axis=0)
+    table = np.full(places.max(axis=0) - corner + 1, -1, np.int32)
+    table[tuple((places - corner).T)] = np.arange(len(places))
+    return Blocks(table, corner, places)
+
+
 @step
 def find_column(blocks: Blocks, row: int, col: int) -> int:
     """Where a column lies in flat arrays; -1 where no block has it."""
@@ -52,6 +62,13 @@ def find_column(blocks: Blocks, row: int, col: int) -> int:
     if block < 0:
         return -1
     return (block << 2 * BLOCK_BITS) | ((row & (BLOCK - 1)) << BLOCK_BITS) | (col & (BLOCK - 1))
+
+
+@step
+def find_under(blocks: Blocks, x: float, y: float) -> int:
+    """Where the column below a point (m) lies in flat arrays; -1 where no block has it."""
+    across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
+    return find_column(blocks, int(np.floor(along)), int(np.floor(across)))
 
 
 @step

@@ -321,3 +321,13 @@ def find_moments(cloud: RecordedCloud, moments: int) -> Int32:
     scale = (moments - 1) / max(stop - start, 1)
     nearest: Int32 = np.rint((offset_ns - start) * scale).astype(np.int32)
     return nearest
+
+
+def pose_points(cloud: Cloud, about: int) -> tuple[Float64, Float64]:
+    """Take about so many points (N, 3) of a cloud, and the pose (N, 3, 4) of each."""
+    points = cloud.points.reshape(-1, 3)
+    every = max(len(points) // about, 1)
+    with np.errstate(invalid="ignore"):  # where a log is damaged they are of any bits
+        some = points[::every].astype(np.float64)
+    which = cloud.which[::every] if cloud.which.size else np.zeros(len(some), np.int64)
+    return some, cloud.poses[which]

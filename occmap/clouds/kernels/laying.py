@@ -5,13 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.growth import Blocks, find_column
+from occmap.cells import Ground
+from occmap.clouds.kernels.growth import STEP_MM, Blocks, find_column, find_under, index_blocks
 from occmap.clouds.kernels.heights import Cloud, place_point
 from occmap.jit import kernel, step
 from occmap.types import COLUMN_MM, NO_GROUND, Bool, Int32
 
-STEP_MM = 80
-"""The ground is bilinear between columns that differ by no more."""
 LAID_POINTS, LAID_M, SHORTEST_M = 10_000, 40.0, 0.05
 """About so many points of a cloud, so far from the sensor, lay it on the ground"""
 GATES_MM = (150, 80, 40)
@@ -32,14 +31,22 @@ class Columns(NamedTuple):
     """(C,) whether points showed it"""
 
 
+def lay_columns(ground: Ground) -> Columns:
+    """Lay out the ground as kernels take it."""
+    blocks = index_blocks(ground.blocks)
+    return Columns(blocks, ground.height_mm.ravel(), ground.measured.ravel())
+
+
 @step
-def ground_at(columns: Columns, x: float, y: float) -> int:
-    """The height of the ground at a point (mm): bilinear where it is flat, else of its column."""
+def ground_at(columns: Columns, own: int, x: float, y: float) -> int:
+    """The height of the ground at a point (mm): bilinear where it is flat, else of its own column.
+
+    Where that column lies is as of `find_under`.
+    """
     blocks, height, _ = columns
-    across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
-    own = find_column(blocks, int(np.floor(along)), int(np.floor(across)))
     if own < 0 or height[own] == NO_GROUND:
         return NO_GROUND
+    across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
     col, row = int(np.floor(across - 0.5)), int(np.floor(along - 0.5))
     right, up = across - 0.5 - col, along - 0.5 - row
     level: int = height[own]
@@ -92,12 +99,10 @@ def list_floor(cloud: Cloud, bits: Int32, columns: Columns, listed: Int32) -> in
         right, up = x - origin[0], y - origin[1]
         if not SHORTEST_M**2 < right * right + up * up < LAID_M**2:
             continue
-        at = find_column(
-            columns.blocks, int(np.floor(y * 1000 / COLUMN_MM)), int(np.floor(x * 1000 / COLUMN_MM))
-        )
+        at = find_under(columns.blocks, x, y)
         if at < 0 or not columns.measured[at]:
             continue
-        above = np.rint(z * 1000 - ground_at(columns, x, y))
+        above = np.rint(z * 1000 - ground_at(columns, at, x, y))
         if abs(above) < 2 * GATES_MM[0]:
             listed[0, many], listed[1, many] = np.rint(right * 100), np.rint(up * 100)
             listed[2, many] = above

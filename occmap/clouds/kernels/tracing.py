@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.clouds.kernels.growth import BLOCK, STEPPED, Blocks, find_column, locate
+from occmap.clouds.kernels import growth
+from occmap.clouds.kernels.growth import BLOCK, STEPPED, Blocks, find_column, find_under, locate
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
-from occmap.clouds.kernels.laying import STEP_MM, Columns, ground_at
+from occmap.clouds.kernels.laying import Columns, ground_at
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
 from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int16, Int32, Int64, UInt8
@@ -74,6 +75,7 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
         (4096,) to work with.
     """
     (table, corner, places), resolution = canvas.tiles, canvas.resolution
+    blocks = canvas.columns.blocks
     for up in range(box[0], box[2] + 1):
         for right in range(box[1], box[3] + 1):
             if table[up, right] != -2:
@@ -83,7 +85,7 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
                 row = ((corner[0] + up) << BLOCK_BITS) + (i >> BLOCK_BITS)
                 col = ((corner[1] + right) << BLOCK_BITS) + (i & INSIDE)
                 x, y = (col + 0.5) * resolution, (row + 0.5) * resolution
-                heights[i] = ground_at(canvas.columns, x, y)
+                heights[i] = ground_at(canvas.columns, find_under(blocks, x, y), x, y)
                 if heights[i] != NO_GROUND:
                     lowest = min(lowest, heights[i])
             if lowest == HIGHEST:
@@ -137,7 +139,7 @@ def widen(edges: Float64, cloud: Cloud, band: Band, columns: Columns, place: Flo
             square = (x - cloud.origin[0]) ** 2 + (y - cloud.origin[1]) ** 2
             if not least <= square < most:
                 continue
-            ground = ground_at(columns, x, y)
+            ground = ground_at(columns, find_under(columns.blocks, x, y), x, y)
             above = place[2, i] * 1000 - ground
             clear = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
             if ground != NO_GROUND and (abs(above) < band.low or clear <= above < band.high):
@@ -301,7 +303,7 @@ def find_rim(
         if here < 2 * pace:
             break
         if at >= 0 and columns.measured[at]:
-            if k <= 0 or abs(columns.height[at] - floor) > STEP_MM:
+            if k <= 0 or abs(columns.height[at] - floor) > growth.STEP_MM:
                 break
             here -= RIM * pace
             return int(np.floor(right * here)), int(np.floor(up * here))

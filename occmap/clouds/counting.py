@@ -1,0 +1,171 @@
+"""What clouds show of the ground: heights of their points, counted in columns, and their path."""
+
+from collections import defaultdict
+from collections.abc import Iterable
+from threading import Lock
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from occmap.cells import Ground
+from occmap.clouds.kernels import heights
+from occmap.clouds.kernels.heights import Cloud, Histogram, list_clouds
+from occmap.clouds.kernels.laying import lay_cloud, lay_columns
+from occmap.posing import Drift
+from occmap.types import Float64, Int64, PosedScans
+
+POINTS_A_CLOUD = 12_500
+"""About so many points of each cloud are counted, or an eighth: whichever is more."""
+LEAST_SHARE = 0.125
+FEWEST_CLOUDS = 100
+"""About so many clouds of a build are counted at least, if it has them."""
+FIRST_SIZE = 1 << 14
+"""Of a table, which grows"""
+UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
+"""About so many clouds, and points of each, show if walls stand upright"""
+SHORT_MM = 150
+"""The path is taken at steps of about this length."""
+
+
+def draw(stamp_ns: int) -> float:
+    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
+    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
+
+
+Sensor: TypeAlias = tuple[str, str, str]
+"""A log, a topic and a frame, which is "" where clouds are in the map already"""
+
+
+class Counted(NamedTuple):
+    """What clouds show of the ground."""
+
+    table: Histogram
+    paths: dict[Sensor, Int64]
+    """(P, 3) where each sensor went (mm)"""
+    sample: Float64
+    """(N, 3) where some of the points lie (m)"""
+    drifts: dict[str, Drift]
+    """By what heights are corrected, by log"""
+
+    @property
+    def path(self) -> Int64:
+        """(P, 3) where any sensor went (mm)."""
+        return np.concatenate([np.zeros((0, 3), np.int64), *self.paths.values()])
+
+    @property
+    def sharpness(self) -> float:
+        """How few bins of heights the points fill: a floor that lies well fills few."""
+        many = self.table.counts[self.table.keys != heights.EMPTY].astype(np.float64)
+        return float((many**2).sum() / max(many.sum(), 1.0))
+
+
+class Counter:
+    """Counts heights of points in columns; any number of threads may call `add`."""
+
+    def __init__(self, clouds: int, log: str = "", ground: Ground | None = None) -> None:
+        """Make one for a build of so many clouds, those of a log, that are laid on some ground."""
+        self._clouds, self._log = clouds, log
+        self._floor = ground and lay_columns(ground)
+        self._least_share = max(LEAST_SHARE, FEWEST_CLOUDS / max(clouds, 1))
+        self._idle: list[Histogram] = []
+        self._ways: defaultdict[Sensor, list[Int64]] = defaultdict(list)
+        """(N, 4) where each sensor was (mm) and when (ns)"""
+        self._sample: list[Float64] = []
+        self._lock = Lock()
+
+    def wants(self, stamp_ns: int, points: int) -> bool:
+        """Whether a cloud is among those that are counted, however logs are cut into parts."""
+        return draw(stamp_ns) < max(POINTS_A_CLOUD / max(points, 1), self._least_share)
+
+    def add(self, posed: PosedScans) -> None:
+        """Count the points of some clouds."""
+        with self._lock:
+            table = self._idle.pop() if self._idle else make_table(FIRST_SIZE)
+        path, sample = [], []
+        place, listed = np.empty((3, heights.SOME)), np.empty((2, heights.SOME), np.int64)
+        for stamp_ns, cloud in zip(posed.batch.stamp_ns.tolist(), list_clouds(posed), strict=True):
+            start, points = 0, len(cloud.points) // 3
+            laid = lay_cloud(cloud, self._floor) if self._floor else cloud
+            while (start := heights.count_heights(laid, table, start, place, listed)) < points:
+                table = grow_table(table, 4 * len(table.keys))
+            path.append(cloud.origin)
+            if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
+                sample.append(sample_points(cloud))
+        with self._lock:
+            self._idle.append(table)
+            frame = posed.batch.frame if posed.origin is None else ""
+            sensor = self._log, posed.batch.topic, frame
+            places = np.rint(np.array(path) * 1000).astype(np.int64)
+            self._ways[sensor].append(np.insert(places, 3, posed.batch.stamp_ns, axis=1))
+            self._sample += sample
+
+    def count(self) -> Counted:
+        """Give what was counted."""
+        paths = {sensor: thin_path(*parts) for sensor, parts in sorted(self._ways.items())}
+        sample = np.concatenate([np.zeros((0, 3)), *self._sample])
+        return Counted(add_tables(self._idle), paths, sample, {})
+
+    @property
+    def way(self) -> Int64:
+        """(N, 4) where the sensor with most clouds was (mm), and when (ns)."""
+        ways = [np.concatenate(parts) for _, parts in sorted(self._ways.items())]
+        return max(ways, key=len, default=np.zeros((0, 4), np.int64))
+
+
+def count_clouds(clouds: Iterable[PosedScans], ground: Ground | None = None) -> Counted:
+    """Count all clouds of some batches, laid on some ground."""
+    some = list(clouds)
+    counter = Counter(sum(each.batch.scans for each in some), ground=ground)
+    for each in some:
+        counter.add(each)
+    return counter.count()
+
+
+def join_counted(parts: Iterable[Counted]) -> Counted:
+    """Add up what was counted of different logs, maybe by several processes."""
+    paths, drifts, known = dict[Sensor, Int64](), dict[str, Drift](), list(parts)
+    for each in known:
+        paths |= each.paths
+        drifts |= each.drifts
+    sample = np.concatenate([np.zeros((0, 3)), *(each.sample for each in known)])
+    table = add_tables([each.table for each in known])
+    return Counted(table, dict(sorted(paths.items())), sample, drifts)
+
+
+def make_table(size: int) -> Histogram:
+    """Make an empty table; its size is a power of two."""
+    keys = np.full(size, heights.EMPTY, np.int64)
+    return Histogram(keys, np.zeros((size, heights.BINS), np.int32), np.zeros(1, np.int64))
+
+
+def grow_table(table: Histogram, size: int) -> Histogram:
+    """Copy a table to one with room for more."""
+    grown = make_table(size)
+    heights.add_histogram(table, grown)
+    return grown
+
+
+def add_tables(tables: Iterable[Histogram]) -> Histogram:
+    """Add up tables."""
+    first, *others = [*tables] or [make_table(1)]
+    for other in others:
+        size = 1 << (2 * int(first.used[0] + other.used[0])).bit_length()
+        first = grow_table(first, max(size, len(first.keys)))
+        heights.add_histogram(other, first)
+    return first
+
+
+def sample_points(cloud: Cloud) -> Float64:
+    """Place some points (N, 3) of a cloud, those that are finite (m)."""
+    points, pose = heights.pose_points(cloud, UPRIGHT_POINTS)
+    with np.errstate(invalid="ignore"):
+        place = np.einsum("nij,nj->ni", pose[:, :, :3], points) + pose[:, :, 3]
+    return np.asarray(place[np.isfinite(place).all(axis=1)])
+
+
+def thin_path(*parts: Int64) -> Int64:
+    """Take one place of a sensor (N, 3) of each column and height, in ascending order (mm)."""
+    # Of several the least counts, not the first: threads hand them over in any order.
+    every = np.unique(np.concatenate(parts)[:, :3], axis=0)
+    _, first = np.unique(every // SHORT_MM, axis=0, return_index=True)
+    return every[first]
