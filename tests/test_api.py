@@ -180,12 +180,9 @@ def test_none_is_the_default_but_where_it_is_a_value() -> None:
         ({"model": 0.5}, "give text such as"),
         ({"topics": 5}, "`topics` is 5; give a list, each item text"),
         ({"footprint": (0, 1)}, "give x_min,y_min,x_max,y_max in metres"),
-        ({"sensor_pose": "0,0"}, "2 values where 3 or 5 belong; give x,y,yaw or x,y,yaw,roll,"),
         ({"transform": (0, 0, 0, 3, 0)}, "`transform=(0, 0, 0, 3, 0)`: 5 values where 3 or 4 "),
-        ({"sensor_pose": (0, 0, 90)}, "90 degrees are 1.5708"),
         ({"sensor_pose": (math.nan, 0, 0)}, "`sensor_pose=(nan, 0, 0)`: nan is not a number"),
         ({"ignore_sectors": (2.5, -2.5)}, "give a list, each item from,to in radians"),
-        ({"static_transforms": [("a", "b", 1, 2, 3)]}, "3 values where 6 belong; give a list"),
     ],
 )
 def test_what_is_no_option_is_refused_in_words(options: dict[str, Any], message: str) -> None:

@@ -291,17 +291,3 @@ def refuses(path: Path) -> bool:
     except OccmapError:
         return True
     return False
-
-
-@pytest.mark.parametrize("at", [5, 100])
-def test_a_word_in_a_row_is_damage(tmp_path: Path, at: int) -> None:
-    rows = (SAMPLE_LOGS / "drive.csv").read_text().splitlines()
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([*rows[:at], rows[at] + "x", *rows[at + 1 :], ""]))
-    log = open_log(path)
-    assert len(list(log.scans({"scan"}))) == 413
-    (note,) = log.notes
-    assert note.damage
-    found = f"1 of 414 lines are malformed and left out, the first is line {at + 1}"
-    assert note.text.startswith(found)
-    assert log.streams[0].count == 413

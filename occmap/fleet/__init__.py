@@ -1,4 +1,4 @@
-"""A build by many workers, on this machine or on a cluster: the tasks of a build, and their order.
+"""A build by many workers, here or on a cluster: who they are, and where they leave what they find.
 
 Evidence adds up in any order, so logs are traced anywhere, and blocks of the map are added up
 anywhere. What workers observe goes through files that all of them share; the driver gets only
@@ -7,43 +7,29 @@ counts and notes.
 
 import hashlib
 import json
-import operator
 import shutil
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import reduce
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from occmap import pipeline, writers
-from occmap.cells import CellBox, Ground
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
-from occmap.fleet.cluster import Cluster, open_cluster, refuse_unseen_files
-from occmap.fleet.tasks import BlockJob, Job, Pieces, Setting
-from occmap.grid import Lattice
+from occmap.fleet.cluster import Job, open_cluster, refuse_unseen_files
+from occmap.fleet.tasks import Crew, Setting
 from occmap.grid.rendering import Framing
 from occmap.grid.tiles import WINDOW_CELLS
 from occmap.options import BuildOptions
 from occmap.report import join_names
-from occmap.report.results import MapFacts, Report, list_notes
+from occmap.report.results import Report, list_notes
 from occmap.scans import Keep
 from occmap.scans.align import settle_align
-from occmap.scans.logs import suit_kinds
 from occmap.scans.tally import Tally, refuse_unseen, refuse_unused
 from occmap.scans.tracing import Observed, Progress
-from occmap.store.layout import BlockRecord, list_blocks
 from occmap.store.writing import create_store, finish_store
-from occmap.types import Update
 from occmap.writers.atomic import lock, make_folder, refuse_unwritable
-
-if TYPE_CHECKING:  # it brings numba
-    from occmap.clouds.counting import Counted
 
 BASE_BYTES = 300 << 20
 """What a worker takes before it observes anything"""
@@ -51,81 +37,6 @@ WINDOW_CELL_BYTES = 20
 """What a cell takes in a window"""
 ROOMY_BYTES = 4 << 30
 """What a worker without a limit is taken to have"""
-
-
-@dataclass
-class Crew:
-    """Workers at a build, and what they found so far, or where they left it."""
-
-    cluster: Cluster
-    setting: Setting
-    logs: list[Job]
-    tally: Tally
-    blocks: Sequence[BlockJob] = ()
-    """Those in which anything was observed, each with all of it"""
-
-    def settle(self) -> None:
-        """Settle what only the logs show: how many scans, which update, the ground below clouds.
-
-        Raises
-        ------
-        OccmapError
-            A log cannot be read, or they hold scans and clouds.
-        """
-        with self.tally.time("open"):
-            surveyed = self.cluster.run(tasks.survey_log, self.setting, self.logs)
-        counts, kinds = zip(*surveyed, strict=True)
-        options = suit_kinds(reduce(operator.or_, kinds), self.setting.options)
-        self.setting = replace(self.setting, options=options, scans=sum(counts))
-        if self.setting.options.update is Update.CLOUD:
-            with self.tally.time("ground"):
-                self.find_ground()
-
-    def find_ground(self) -> None:
-        """Find the ground below the clouds of all logs."""
-        from occmap.clouds.counting import join_counted  # noqa: PLC0415  late: it brings numba
-        from occmap.scans.levelling import settle_ground  # noqa: PLC0415  likewise
-
-        def count(options: BuildOptions, ground: Ground | None) -> "Counted":
-            keep = self.setting.keep._replace(ground=ground)
-            setting = replace(self.setting, options=options, keep=keep)
-            level = "".join(f" {angle}" for angle in options.posing.level or ())
-            some = [replace(job, name=f"{job.name}{level} {bool(ground)}") for job in self.logs]
-            return join_counted(self.cluster.run(tasks.survey_ground, setting, some))
-
-        known = self.setting.keep
-        found = settle_ground(count, self.setting.options, known.ground)
-        self.tally.notes += found.notes
-        keep = known._replace(ground=found.ground)
-        self.setting = replace(self.setting, keep=keep, options=found.options)
-
-    def trace(self, progress: Progress) -> None:
-        """Trace all scans, and sort what was observed by the blocks that it lies in."""
-
-        def tell(traced: tuple[Tally, Pieces]) -> None:
-            progress(traced[0].scans_read, self.setting.scans)
-
-        blocks: Pieces = defaultdict(list)
-        for tally, of_log in self.cluster.run(tasks.trace_log, self.setting, self.logs, tell):
-            self.tally.add(tally)
-            for block, pieces in of_log.items():
-                blocks[block] += pieces
-        self.blocks = [BlockJob.of(*each) for each in sorted(blocks.items())]
-
-    def paint(self, records: Sequence[BlockRecord]) -> MapFacts:
-        """Paint the pictures of all blocks of a store, and sum up what the report tells of them.
-
-        Blocks beside those that are written are looked at, too: hits speak for the cells around.
-        """
-        beside = {block for record in records for block in list_blocks(record.reach.grow(1))}
-        around = map(BlockJob.of, beside - {job.block for job in self.blocks})
-        measured = self.cluster.run(tasks.measure_block, self.setting, [*self.blocks, *around])
-        reaches, cells, hits = zip(*measured, strict=True)
-        box = reduce(CellBox.join, filter(None, reaches))
-        agreeing, met = np.sum(hits, axis=0).tolist()
-        lattice = Lattice(self.setting.options.resolution)
-        where = lattice.resolution, lattice.measure(box), box.shape
-        return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)
 
 
 @dataclass(frozen=True)

@@ -6,16 +6,16 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from multiprocessing import resource_tracker
 from pathlib import Path
 from threading import Thread
 from time import sleep
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
 
 from occmap.errors import FleetError
-from occmap.fleet.tasks import AnyJob, Job, Result, Setting, Task
 from occmap.plugins import need_extra
 from occmap.report import count
 
@@ -43,6 +43,22 @@ ALLOCATOR = {
 new pages for the next take a third of a worker's time; and each thread would keep its own"""
 
 
+@dataclass(frozen=True)
+class Job:
+    """What a task is about."""
+
+    name: str
+    """What its files are called"""
+    where: str
+    """As an error names it: the path of a log, or a block"""
+
+
+AnyJob = TypeVar("AnyJob", bound=Job)
+Result = TypeVar("Result")
+Task: TypeAlias = Callable[[Any, AnyJob], Result]
+"""From what all tasks of a build share, and a job"""
+
+
 class Cluster:
     """Workers that are alike, and fit for the work."""
 
@@ -61,7 +77,7 @@ class Cluster:
     def run(
         self,
         task: Task[AnyJob, Result],
-        setting: Setting,
+        setting: Any,
         jobs: Sequence[AnyJob],
         tell: Callable[[Result], None] = lambda _result: None,
     ) -> list[Result]:

@@ -1,46 +1,46 @@
-"""What workers do: plain functions of plain values, which may run anywhere and again.
+"""What workers do, plain functions of plain values that may run anywhere and again, and when.
 
 A task leaves its result in the scratch folder, and does nothing where its result is there already.
 What a log observed lies in run files, block by block and end to end; results say where. All files
 are renamed into place, and a result comes after the run files that it tells of.
 """
 
+import operator
 import pickle
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial, wraps
+from functools import partial, reduce, wraps
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import zstandard
 
-from occmap.cells import CellBox, Evidence, Slices
+from occmap.cells import CellBox, Evidence, Ground, Slices
 from occmap.errors import MapError, name_log
 from occmap.evidence import make_empty
 from occmap.evidence.manifest import describe_files, plan_manifest
+from occmap.fleet.cluster import AnyJob, Cluster, Job, Result, Task
+from occmap.grid import Lattice
 from occmap.grid.rendering import count_agreeing
 from occmap.grid.tiles import unite
 from occmap.options import BuildOptions
 from occmap.readers import Role, open_log
-from occmap.report.results import count_cells
+from occmap.report.results import MapFacts, count_cells
 from occmap.scans import Keep, make_engine
-from occmap.scans.logs import count_scans, list_kinds
+from occmap.scans.logs import count_scans, list_kinds, suit_kinds
 from occmap.scans.mounts import open_drive
 from occmap.scans.tally import Tally
-from occmap.scans.tracing import trace_drive
-from occmap.store.layout import Block, BlockRecord, split_evidence
+from occmap.scans.tracing import Progress, trace_drive
+from occmap.store.layout import Block, BlockRecord, list_blocks, split_evidence
 from occmap.store.writing import paint_block, write_block
-from occmap.types import Int64
+from occmap.types import Int64, Update
 from occmap.writers.atomic import open_atomic
 
 if TYPE_CHECKING:  # these bring numba
     from occmap.clouds.counting import Counted
-
-AnyJob = TypeVar("AnyJob", bound="Job")
-Result = TypeVar("Result")
 
 COMPRESSOR = zstandard.ZstdCompressor(write_checksum=True)
 """Its checksum tells altered data from what was written"""
@@ -64,16 +64,6 @@ class Setting:
     """How many scans all logs have, where that is known"""
     store: Path = Path()
     """Where blocks are written"""
-
-
-@dataclass(frozen=True)
-class Job:
-    """What a task is about."""
-
-    name: str
-    """What its files are called"""
-    where: str
-    """As an error names it: the path of a log, or a block"""
 
 
 class Piece(NamedTuple):
@@ -102,7 +92,6 @@ class BlockJob(Job):
 
 Pieces: TypeAlias = dict[Block, list[Piece]]
 """What was observed in each block"""
-Task: TypeAlias = Callable[[Setting, AnyJob], Result]
 
 
 def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
@@ -302,3 +291,78 @@ def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int6
 def hash_log(_: Setting, job: Job) -> list[dict[str, Any]]:
     """Name, size and SHA-256 of the files of a log; raises LogError if one cannot be read."""
     return list(describe_files(Path(job.where)))
+
+
+@dataclass
+class Crew:
+    """Workers at a build, and what they found so far, or where they left it."""
+
+    cluster: Cluster
+    setting: Setting
+    logs: list[Job]
+    tally: Tally
+    blocks: Sequence[BlockJob] = ()
+    """Those in which anything was observed, each with all of it"""
+
+    def settle(self) -> None:
+        """Settle what only the logs show: how many scans, which update, the ground below clouds.
+
+        Raises
+        ------
+        OccmapError
+            A log cannot be read, or they hold scans and clouds.
+        """
+        with self.tally.time("open"):
+            surveyed = self.cluster.run(survey_log, self.setting, self.logs)
+        counts, kinds = zip(*surveyed, strict=True)
+        options = suit_kinds(reduce(operator.or_, kinds), self.setting.options)
+        self.setting = replace(self.setting, options=options, scans=sum(counts))
+        if self.setting.options.update is Update.CLOUD:
+            with self.tally.time("ground"):
+                self.find_ground()
+
+    def find_ground(self) -> None:
+        """Find the ground below the clouds of all logs."""
+        from occmap.clouds.counting import join_counted  # noqa: PLC0415  late: it brings numba
+        from occmap.scans.levelling import settle_ground  # noqa: PLC0415  likewise
+
+        def count(options: BuildOptions, ground: Ground | None) -> "Counted":
+            keep = self.setting.keep._replace(ground=ground)
+            setting = replace(self.setting, options=options, keep=keep)
+            level = "".join(f" {angle}" for angle in options.posing.level or ())
+            some = [replace(job, name=f"{job.name}{level} {bool(ground)}") for job in self.logs]
+            return join_counted(self.cluster.run(survey_ground, setting, some))
+
+        known = self.setting.keep
+        found = settle_ground(count, self.setting.options, known.ground)
+        self.tally.notes += found.notes
+        keep = known._replace(ground=found.ground)
+        self.setting = replace(self.setting, keep=keep, options=found.options)
+
+    def trace(self, progress: Progress) -> None:
+        """Trace all scans, and sort what was observed by the blocks that it lies in."""
+
+        def tell(traced: tuple[Tally, Pieces]) -> None:
+            progress(traced[0].scans_read, self.setting.scans)
+
+        blocks: Pieces = defaultdict(list)
+        for tally, of_log in self.cluster.run(trace_log, self.setting, self.logs, tell):
+            self.tally.add(tally)
+            for block, pieces in of_log.items():
+                blocks[block] += pieces
+        self.blocks = [BlockJob.of(*each) for each in sorted(blocks.items())]
+
+    def paint(self, records: Sequence[BlockRecord]) -> MapFacts:
+        """Paint the pictures of all blocks of a store, and sum up what the report tells of them.
+
+        Blocks beside those that are written are looked at, too: hits speak for the cells around.
+        """
+        beside = {block for record in records for block in list_blocks(record.reach.grow(1))}
+        around = map(BlockJob.of, beside - {job.block for job in self.blocks})
+        measured = self.cluster.run(measure_block, self.setting, [*self.blocks, *around])
+        reaches, cells, hits = zip(*measured, strict=True)
+        box = reduce(CellBox.join, filter(None, reaches))
+        agreeing, met = np.sum(hits, axis=0).tolist()
+        lattice = Lattice(self.setting.options.resolution)
+        where = lattice.resolution, lattice.measure(box), box.shape
+        return MapFacts(*where, np.sum(cells, axis=0), agreeing / met if met else None)

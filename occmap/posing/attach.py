@@ -107,8 +107,8 @@ class Poser:
 
     def may_leap(self) -> bool:
         """Whether any scan so far may prove to leap away, once all scans were seen."""
-        rows = (courses.Rows(track, self.options.max_speed) for _, track in self._list_tracks())
-        return not all(each.closes.all() for each in rows)
+        tracks, max_speed = self._list_tracks(), self.options.max_speed
+        return any(courses.find_leaps(track, max_speed).any() for _, track in tracks)
 
     def settle(self) -> bool:
         """Look for leaps, once all scans were seen; say whether all scans that were kept may stay.

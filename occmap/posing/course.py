@@ -9,7 +9,7 @@ A leap goes back: damaged poses put scans where the robot cannot have been, and 
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import reduce
 from typing import NamedTuple, Self
 
@@ -81,11 +81,11 @@ def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | Non
             why = "poses of two times are mixed; `stamps=record` takes the recorder's times"
             return Concern(f"{found}: {why}", {"stamps": Stamps.RECORD.value})
         found = f"{name} jumps to and fro"
-        if way_out := leave_row_out(track, scans_ns, first_ns):
-            option, value = way_out
+        if remedy := leave_row_out(track, scans_ns, first_ns):
             why = "was the clock set back, or do two nodes send it?"
+            ((option, value),) = remedy.items()
             keep = f"`{option}={value}` keeps what is not mixed"
-            return Concern(f"{found} for a while: {why} {keep}", {option: value})
+            return Concern(f"{found} for a while: {why} {keep}", remedy)
         share = len(list_turns(track, scans_ns, 1.0)) / len(track)
         if share > FLICKER_SHARE and len(track) >= FLICKER_SAMPLES:
             found += f" at {share:.0%} of its {len(track):,} samples"
@@ -93,33 +93,40 @@ def warn_of_mixed(chain: Chain, scans_ns: Int64, first_ns: int) -> Concern | Non
     return None
 
 
-def leave_row_out(track: Track, scans_ns: Int64, first_ns: int) -> tuple[str, str] | None:
+def leave_row_out(track: Track, scans_ns: Int64, first_ns: int) -> dict[str, str]:
     """Find the option that keeps most scans (S,) before or behind where a track is mixed.
 
-    That is the longest row of samples at which it clearly turns back at once. None: there is no
+    That is the longest row of samples at which it clearly turns back at once. Empty: there is no
     such row, or hardly a scan beside it.
     """
     turns = list_turns(track, scans_ns, FLICKER_TIMES)
     row = max(np.split(turns, np.flatnonzero(np.diff(turns) > ROW_GAP) + 1), key=len)
     if len(row) < FLICKER_ROW:
-        return None
+        return {}
     start_ns, end_ns = int(track.stamp_ns[row[0] - 1]), int(track.stamp_ns[row[-1] + 1])
-    before, behind = np.mean(scans_ns <= start_ns), np.mean(scans_ns >= end_ns)
-    if max(before, behind) < LEAST_SIDE:
-        return None
-    if before > behind:
-        return "end_s", write_end(start_ns - first_ns)
-    return "start_s", write_start(end_ns - first_ns)
+    sides = np.array([np.mean(scans_ns <= start_ns), np.mean(scans_ns >= end_ns)])
+    is_enough = sides.max() >= LEAST_SIDE
+    return keep_longest(sides, [(start_ns, end_ns)], first_ns) if is_enough else {}
 
 
-def write_start(since_ns: int) -> str:
-    """Write a time after the first scan (ns) as the option that keeps no earlier scan."""
-    return f"{-(-since_ns // MS_NS) / 1e3:.12g}"
+def keep_longest(
+    parts: Float64 | Int64, gaps: Sequence[tuple[int, int]], first_ns: int
+) -> dict[str, str]:
+    """Write the options, in whole ms, that keep the part of a log that has most scans.
 
-
-def write_end(since_ns: int) -> str:
-    """Write a time after the first scan (ns) as the option that keeps no later scan."""
-    return f"{since_ns // MS_NS / 1e3:.12g}"
+    Parameters
+    ----------
+    parts
+        (G + 1,) how many scans each has, or which share of them.
+    gaps
+        Where each gap between two parts starts and ends.
+    """
+    longest, remedy = int(np.argmax(parts)), {}
+    if longest > 0:
+        remedy["start_s"] = f"{-((first_ns - gaps[longest - 1][1]) // MS_NS) / 1e3:.12g}"
+    if longest < len(gaps):
+        remedy["end_s"] = f"{(gaps[longest][0] - first_ns) // MS_NS / 1e3:.12g}"
+    return remedy
 
 
 def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern | None:
@@ -143,12 +150,7 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     if not found:
         return None
     scans, jumps = np.diff([0, *found, len(track)]), list(found.values())
-    longest = int(np.argmax(scans))
-    remedy = {}
-    if longest > 0:
-        remedy["start_s"] = write_start(jumps[longest - 1].stamp_ns - first_ns)
-    if longest < len(jumps):
-        remedy["end_s"] = write_end(jumps[longest].stamp_ns - first_ns)
+    remedy = keep_longest(scans, [(each.stamp_ns, each.stamp_ns) for each in jumps], first_ns)
     keep = " and ".join(f"`{name}={value}`" for name, value in remedy.items())
     worst = max(jumps, key=lambda jump: jump.metres + jump.radians)
     text = (
@@ -159,7 +161,7 @@ def warn_of_jumps(chain: Chain | None, track: Track, first_ns: int) -> Concern |
     unless = "" if worst.is_correction else "unless the robot did so, as in a simulator, "
     return Concern(
         f"{text}: {unless}scans from before and after do not fit together; {keep} keeps the "
-        f"longest part, {scans[longest] / len(track):.0%} of them",
+        f"longest part, {scans.max() / len(track):.0%} of them",
         remedy,
     )
 
@@ -255,8 +257,8 @@ LONG_ROW_STEPS = 3
 """A row with at least this many steps shows where the robot is."""
 
 
-class Rows:
-    """The scans of a laser, cut where there is a pause or a leap.
+def find_outliers(track: Track, max_speed: float) -> Bool:
+    """(N,) which scans of a laser are outliers, by where it was at each (N).
 
     A leap is a step between two scans of a laser, at most ten seconds apart, that no robot makes
     in that time. Scans, in the order of time, are cut into parts where there is a pause, and parts
@@ -274,62 +276,48 @@ class Rows:
 
     Parameters
     ----------
-    track
-        Where the laser was at its scans.
     max_speed
         Faster steps (m/s) are leaps.
     """
-
-    def __init__(self, track: Track, max_speed: float) -> None:
-        self._track = track
-        self._max_speed = FASTEST if max_speed == math.inf else max_speed
-        pauses = track.interval_s > SPARSE_S
-        cuts = np.flatnonzero(pauses | is_too_far(track.step_m, track.interval_s, self._max_speed))
-        self.first, self.last = np.append(0, cuts + 1), np.append(cuts, len(track) - 1)
-        """(R,) which scan each row begins and ends with"""
-        self.opens, self.closes = np.append(True, pauses[cuts]), np.append(pauses[cuts], True)
-        """(R,) whether it is the first row of its part, and the last one"""
-        self.is_long: Bool = self.last - self.first >= LONG_ROW_STEPS
-        """(R,) whether each shows where the robot is"""
-        self._begin_ns = track.stamp_ns[self.first]
-
-    def find_continuation(self, row: int) -> int | None:
-        """Find the row that goes on where a row ended; None where there is none."""
-        place, end = self._track.position, self.last[row]
-        end_ns = int(self._track.stamp_ns[end])
-        soon = np.searchsorted(self._begin_ns, end_ns + int(SPARSE_S * 1e9), side="right")
-        # No row of the next part begins so soon.
-        others = np.arange(row + 1, soon)[:MOST_ROWS]
-        metres = np.linalg.norm(place[self.first[others]] - place[end], axis=1)
-        seconds = (self._begin_ns[others] - end_ns) / 1e9
-        shows = self.is_long[others] | (self.is_long[row] & self.closes[others])
-        found = others[shows & ~is_too_far(metres, seconds, self._max_speed)]
-        return int(found[0]) if len(found) else None
-
-
-def find_outliers(track: Track, max_speed: float) -> Bool:
-    """(N,) which scans of a laser are outliers, by where it was at each (N)."""
-    rows = Rows(track, max_speed)
+    pauses = track.interval_s > SPARSE_S
+    cuts = np.flatnonzero(pauses | find_leaps(track, max_speed))
+    first, last = np.append(0, cuts + 1), np.append(cuts, len(track) - 1)
+    opens, closes = np.append(True, pauses[cuts]), np.append(pauses[cuts], True)
+    is_long, is_single = last - first >= LONG_ROW_STEPS, first == last
+    begin_ns, end_ns = track.stamp_ns[first], track.stamp_ns[last]
+    begin, end = track.position[first], track.position[last]
+    # No row of the next part begins so soon.
+    soon = np.searchsorted(begin_ns, end_ns + int(SPARSE_S * 1e9), side="right")
     outliers = np.zeros(len(track), np.bool_)
-    is_long, is_single = rows.is_long, rows.first == rows.last
     row = 0
-    while row < len(rows.first) - 1:
-        following = row + 1
-        back = rows.find_continuation(row) if is_long[row] or rows.opens[row] else None
-        if back is not None:
-            outliers[rows.first[following] : rows.first[back]] = True
-        elif not rows.closes[row]:
-            if rows.opens[row] and is_single[row] and is_long[following]:
-                outliers[rows.first[row]] = True
-            elif is_long[row] and is_single[following] and rows.closes[following]:
-                outliers[rows.first[following]] = True
-        row = back or following
+    while row < len(first) - 1:
+        following, back = row + 1, first[:0]
+        if is_long[row] or opens[row]:
+            others = np.arange(following, soon[row])[:MOST_ROWS]
+            metres = np.linalg.norm(begin[others] - end[row], axis=1)
+            leaps = is_too_far(metres, (begin_ns[others] - end_ns[row]) / 1e9, max_speed)
+            back = others[~leaps & (is_long[others] | (is_long[row] & closes[others]))]
+        if len(back):
+            outliers[first[following] : first[back[0]]] = True
+            following = back[0]
+        elif opens[row] and not closes[row] and is_single[row] and is_long[following]:
+            outliers[first[row]] = True
+        elif closes[following] and not closes[row] and is_single[following] and is_long[row]:
+            outliers[first[following]] = True
+        row = following
     return outliers
+
+
+def find_leaps(track: Track, max_speed: float) -> Bool:
+    """(N - 1,) which steps of a laser between its scans (N) are leaps."""
+    pauses = track.interval_s > SPARSE_S
+    return ~pauses & is_too_far(track.step_m, track.interval_s, max_speed)
 
 
 def is_too_far(metres: Float64, seconds: Float64, max_speed: float) -> Bool:
     """(N,) whether steps are longer than a robot can go in that time."""
-    too_far: Bool = metres > np.maximum(SLACK_M, max_speed * seconds)
+    fastest = FASTEST if max_speed == math.inf else max_speed
+    too_far: Bool = metres > np.maximum(SLACK_M, fastest * seconds)
     return too_far
 
 

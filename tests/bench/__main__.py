@@ -28,11 +28,10 @@ from typing import Any
 
 import numba
 
-from tests.bench import limits, process_limits, tables
+from tests.bench import limits, tables
 from tests.bench.clouds import measure_clouds
 from tests.bench.engine import Figure, check_equal, measure_engine
-from tests.bench.logs import FORMATS, write_mcap
-from tests.bench.stages import Stages, measure_stages
+from tests.bench.logs import FORMATS, Stages, measure_stages, write_mcap
 from tests.bench.workloads import Sensor, Workload, make_office, make_yard, read_workload
 from tests.bench.yardstick import AVX2, FLAGS, Trace, compile_cpp
 from tests.samples import REAL_LOGS
@@ -90,12 +89,12 @@ class Bench:
         self._measure_texts(few)
         self._measure_many(few)
         self.rows += [
-            *process_limits.compare_mrpt(FREIBURG, self.folder),
-            *process_limits.measure_corridor(self.corridor, self.folder),
-            *process_limits.measure_field(self.folder),
-            process_limits.compare_help(),
-            process_limits.measure_smallest(self.folder),
-            process_limits.measure_writing(make_large_place(), self.folder),
+            *limits.compare_mrpt(FREIBURG, self.folder),
+            *limits.measure_corridor(self.corridor, self.folder),
+            *limits.measure_field(self.folder),
+            limits.compare_help(),
+            limits.measure_smallest(self.folder),
+            limits.measure_writing(make_large_place(), self.folder),
             *measure_clouds(self.folder),
         ]
         show(tables.draw_rows(self.rows))
@@ -150,8 +149,8 @@ class Bench:
         self.rows += [
             *limits.compare_builds(logs[many.scans]),
             *limits.compare_tenfold_time(logs),
-            *process_limits.compare_tenfold_memory(logs),
-            *process_limits.compare_slices(logs[many.scans]),
+            *limits.compare_tenfold_memory(logs),
+            *limits.compare_slices(logs[many.scans]),
         ]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from tests.bench.engine import Figure
 from tests.bench.limits import Row
-from tests.bench.stages import WHOLE, Stages
+from tests.bench.logs import WHOLE, Stages
 from tests.bench.workloads import Workload
 
 

@@ -27,7 +27,7 @@ from tests.bench.logs import FORMATS
 from tests.bench.measuring import Times, take_in_turn
 from tests.bench.plans import cast_scans
 from tests.bench.processes import ProcessError, run
-from tests.bench.settings import DEFAULT, OURS, Recording, list_steps
+from tests.bench.quality import DEFAULT, OURS, Recording, list_steps
 from tests.bench.tables import draw
 from tests.bench.workloads import Sensor, Workload, make_corridor, make_office, make_yard
 from tests.bench.yardstick import PLAIN, Counts, Trace, compile_cpp, find_box

@@ -1,15 +1,20 @@
 """What commands print with --json is what the schemas say, no more and no less."""
 
 import gzip
+import json
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import pytest
 from jsonschema import Draft202012Validator
 
+from occmap.cells import Box
 from occmap.cli import COMMANDS
-from occmap.cli.lists import NAMES
+from occmap.cli.lists import NAMES, make_schema
+from occmap.report import HIDDEN, Count, Finite, Share, printed_as, to_plain
 from tests.cli.runner import find_command, occmap
 from tests.inspection_logs import Drive, write_bag
 from tests.samples import DRIVES, SAMPLE_LOGS, write_csv
@@ -80,11 +85,11 @@ def test_a_schema_is_sound_and_strict_and_describes_every_field(name: str) -> No
 @pytest.mark.parametrize("name", NAMES)
 def test_numbers_have_units(name: str) -> None:
     for part in walk(load(name)):
-        for field in part.get("properties", {}).values():
-            kinds = field.get("type", ())
-            if isinstance(field, dict) and ("number" in kinds):
+        for each in part.get("properties", {}).values():
+            kinds = each.get("type", ())
+            if isinstance(each, dict) and ("number" in kinds):
                 words = ("(", "hare", "How much", "error", "unit")
-                assert any(word in field["description"] for word in words), field
+                assert any(word in each["description"] for word in words), each
 
 
 @pytest.mark.parametrize(
@@ -162,3 +167,126 @@ def test_an_unknown_field_or_a_missing_one_is_found() -> None:
     assert not validator.is_valid(printed | {"news": 1})
     assert not validator.is_valid({**printed, "map": {**printed["map"], "news": 1}})
     assert not validator.is_valid({key: printed[key] for key in printed if key != "notes"})
+
+
+class Colour(StrEnum):
+    RED = "red"
+    BLUE = "blue"
+
+
+class Corner(NamedTuple):
+    """A place."""
+
+    x: float
+    """Where it is (m)"""
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room of a house."""
+
+    size: Finite
+    """How large it is,
+    wall to wall (m2)"""
+    corners: tuple[Corner, ...]
+    """Its corners"""
+    paint: Colour | None = field(metadata=printed_as("colour"))
+    """Of its walls"""
+    key: object = field(default=None, metadata=HIDDEN)
+
+
+@dataclass(frozen=True)
+class Named:
+    """What has a name."""
+
+    name: str
+    """What it is called"""
+
+
+@dataclass(frozen=True)
+class House(Named):
+    """A house."""
+
+    rooms: list[Room]
+    """Its rooms"""
+    people: dict[str, Count]
+    """Who lives there, by age"""
+    lit: Share
+    """Share of the rooms that are lit"""
+    age: Literal["old", "new"]
+    """How old it is"""
+    extent: Box
+    """Lowest x and y, highest x and y (m)"""
+
+
+@dataclass(frozen=True)
+class Sale:
+    """What an agent adds."""
+
+    sold: bool
+    """It is sold"""
+
+
+HOUSE = House(
+    name="ours",
+    rooms=[Room(float("nan"), (Corner(1.0), Corner(2.0)), Colour.BLUE), Room(9.5, (), None)],
+    people={"children": 2},
+    lit=0.5,
+    age="old",
+    extent=(0.0, 0.0, 4.0, 5.0),
+)
+
+PRINTED = {
+    "name": "ours",
+    "rooms": [
+        {"size": None, "corners": [{"x": 1.0}, {"x": 2.0}], "colour": "blue"},
+        {"size": 9.5, "corners": [], "colour": None},
+    ],
+    "people": {"children": 2},
+    "lit": 0.5,
+    "age": "old",
+    "extent": [0.0, 0.0, 4.0, 5.0],
+}
+
+SCHEMA = make_schema("house", House, Sale)
+
+
+def test_values_become_what_json_has() -> None:
+    assert to_plain(HOUSE) == PRINTED
+
+
+def test_a_schema_is_the_type_with_the_texts_below_its_fields() -> None:
+    fields, room = SCHEMA["properties"], SCHEMA["properties"]["rooms"]["items"]
+    assert (SCHEMA["title"], SCHEMA["description"]) == ("occmap house --json", "A house.")
+    assert list(fields) == ["schema", *PRINTED, "sold"]
+    assert fields["schema"]["const"] == "occmap/house/1"
+    assert fields["name"]["description"] == "What it is called"
+    assert room["description"] == "A room of a house."
+    assert room["properties"]["size"]["description"] == "How large it is, wall to wall (m2)"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"name": 1},
+        {"name": None},
+        {"rooms": [{"size": "large", "corners": [], "colour": None}]},
+        {"rooms": [{"size": 1.0, "corners": [], "colour": "green"}]},
+        {"rooms": [{"size": 1.0, "corners": [{"x": 1.0, "y": 2.0}], "colour": None}]},
+        {"rooms": [{"size": 1.0, "corners": []}]},
+        {"people": {"children": -1}},
+        {"people": {"children": 1.5}},
+        {"lit": 1.5},
+        {"age": "odd"},
+        {"extent": [0.0, 0.0, 4.0]},
+        {"sold": 1},
+        {"news": 1},
+        {"extent": [0.0, 0.0, 4.0, 5.0, 6.0]},
+        {"lit": -0.5},
+    ],
+)
+def test_what_is_not_of_the_type_is_refused(wrong: dict[str, Any]) -> None:
+    validator = Draft202012Validator(json.loads(json.dumps(SCHEMA)))
+    right = {"schema": "occmap/house/1", **PRINTED, "sold": True}
+    validator.validate(right)
+    assert not validator.is_valid(right | wrong)

@@ -9,7 +9,8 @@ import pytest
 
 from occmap.clouds import CloudOptions
 from occmap.fleet import Fleet
-from occmap.fleet.tasks import Job, Setting, add_up, trace_log
+from occmap.fleet.cluster import Job
+from occmap.fleet.tasks import Setting, add_up, trace_log
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import PosingOptions

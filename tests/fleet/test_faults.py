@@ -20,8 +20,8 @@ from distributed.comm.core import CommClosedError
 
 from occmap.errors import FleetError, LogError, MapError, UsageError
 from occmap.fleet import Fleet, cluster, open_scratch
-from occmap.fleet.cluster import hold_signals, open_cluster
-from occmap.fleet.tasks import Job, Setting
+from occmap.fleet.cluster import Job, hold_signals, open_cluster
+from occmap.fleet.tasks import Setting
 from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import PosingOptions

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from occmap.cells import Slices
 from occmap.errors import MapError
-from occmap.evidence import render
 from occmap.grid import Lattice, tiles
 from occmap.grid.rendering import Reach, find_bounds, paint_cells
 from occmap.grid.tiles import TILE, EvidenceKind
-from occmap.sensor.models import CountingModel
 from tests.grid import scans
 
 
@@ -99,12 +97,6 @@ def test_what_is_surely_too_large_is_refused_while_it_grows(
     grid.refuse_outgrown(most)
     with pytest.raises(MapError, match="more than `max_cells="):
         grid.refuse_outgrown(most - 1)
-
-
-def test_a_map_with_a_wild_pose_is_refused_before_it_takes_memory() -> None:
-    grid = scans.make_grid(dict.fromkeys([(0, 0), (2 * 10**8, 2 * 10**8)], (1, 0)), 0.05)
-    with pytest.raises(MapError, match=r"to \(10000000.1, 10000000.1\) m"):
-        render(grid, CountingModel(), 10**9)
 
 
 def test_the_ends_of_hits_say_how_large_a_map_is_at_least() -> None:

@@ -303,7 +303,7 @@ def test_coverage_tells_gaps_and_jumps() -> None:
     assert (pose.topic, pose.child, pose.source) == ("/pose", "", Source.ODOMETRY)
 
 
-def test_the_defaults_bridge_a_second_and_deskew_nothing() -> None:
+def test_the_defaults_bridge_two_seconds_and_deskew_nothing() -> None:
     assert PosingOptions().max_pose_gap_s == 2.0
     assert PosingOptions().deskew is Deskew.OFF
 

@@ -331,16 +331,6 @@ def test_a_band_that_shows_late_is_no_return_from_the_first_scan_on(
     assert sum("361 of 3,600 ranges (10.0%) read 30 m" in note for note in found.report.notes) == 1
 
 
-def test_a_log_larger_than_a_batch_is_built_as_with_its_limit(tmp_path: Path) -> None:
-    scans = stream.BATCH_BEAMS // 60 + 400
-    log = write_late(tmp_path / "late.csv", scans, marked_from=scans - 200)
-    found = build([log], PLAIN)
-    told = build([log], replace(PLAIN, returns=ReturnOptions(range_max=29.25)))
-    assert found.report.beams == told.report.beams
-    assert found.report.beams.no_return == 200 * 12
-    np.testing.assert_array_equal(found.map.log_odds, told.map.log_odds)
-
-
 def test_check_says_of_a_band_what_build_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from occmap.cells import Evidence, Manifest, Slices
 from occmap.errors import MapError
-from occmap.grid.tiles import TILE, pack_bits
+from occmap.grid.tiles import pack_bits
 from occmap.types import Int64
 from occmap.writers.npz import SIDE, SLICES, add_array, narrow, read_evidence, write_evidence
 from tests.grid.scans import are_equal, assert_same_slices
@@ -53,10 +53,6 @@ SMALL = evidence_of({(0, 0): (3, 5), (0, 1): (0, 200), (7, 9): (1, 0)})
 def write(path: Path, evidence: Evidence = SMALL) -> Path:
     write_evidence(path, evidence)
     return path
-
-
-def test_a_tile_is_as_large_as_the_grid_has_it() -> None:
-    assert SIDE == TILE
 
 
 def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
