@@ -9,7 +9,7 @@ from typing import Any
 from occmap import writers
 from occmap.cells import Evidence
 from occmap.errors import MapError
-from occmap.evidence import list_contradictions, measure_steady, to_grid
+from occmap.evidence import count_steady, list_contradictions
 from occmap.evidence.manifest import describe_build, list_doubts, measure_files, plan_manifest
 from occmap.options import BuildOptions
 from occmap.readers import Role
@@ -70,7 +70,7 @@ def build(
             made = [describe_build(paths, options, tally.to_json())] if is_told else []
         manifest = replace(evidence.manifest, builds=(*evidence.manifest.builds, *made))
         evidence = replace(evidence, manifest=manifest)
-        steady = measure_steady(to_grid(evidence)) if tally.points else 1.0
+        steady = count_steady(evidence.tiles) if tally.points else (0, 0)
         tally.notes += [
             *(*unaligned, *fitted, *facts.lost, *list_doubts(manifest)),
             *list_contradictions(steady, tally.points),

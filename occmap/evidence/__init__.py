@@ -214,27 +214,28 @@ LEAST_GROUND, OF_CORRIDOR = 0.05, 0.8
 and 1% in corridors, where 83% of the hits and more are steady; by wrong mounts at most 76% are."""
 
 
-def measure_steady(grid: TileGrid) -> float:
-    """Measure which share of the hits of clouds lies in cells that mostly were hit; 1 of none.
+def count_steady(tiles: Mapping[Key, Tile]) -> tuple[int, int]:
+    """Count the hits of clouds in cells that mostly were hit, and all hits.
 
     Agreement hardly falls for clouds: a cell is called occupied from a twentieth of its looks on.
     """
     hits = steady = 0
-    for hit, missed in grid.tiles.values():
+    for hit, missed in tiles.values():
         hits, steady = hits + int(hit.sum()), steady + int(hit[hit > missed].sum())
-    return steady / hits if hits else 1.0
+    return steady, hits
 
 
-def list_contradictions(steady: float, points: Mapping[str, int]) -> Iterator[str]:
+def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Iterator[str]:
     """Say that clouds contradict each other, or show too little ground for what they are.
 
     Parameters
     ----------
-    steady
-        The share of their hits that lies in cells that mostly were hit.
+    hits
+        As `count_steady` counts them.
     points
         How many of their points lie where, as far as these were counted.
     """
+    steady = hits[0] / hits[1] if hits[1] else 1.0
     if steady < LEAST_STEADY:
         yield (
             f"clouds contradict each other: only {steady:.0%} of their hits lie in cells that "

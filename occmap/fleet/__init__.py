@@ -14,7 +14,10 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 from occmap import pipeline, writers
+from occmap.evidence import list_contradictions
 from occmap.evidence import manifest as manifests
 from occmap.fleet import tasks
 from occmap.fleet.cluster import Job, open_cluster, refuse_unseen_files
@@ -110,12 +113,15 @@ class Fleet:
                 crew.setting = replace(crew.setting, store=store)
                 with tally.time("fold"):
                     create_store(store, manifest, [job.block for job in crew.blocks])
-                    records = crew.cluster.run(tasks.store_block, crew.setting, crew.blocks)
+                    stored = crew.cluster.run(tasks.store_block, crew.setting, crew.blocks)
+                    records, hits = zip(*stored, strict=True)
                 with tally.time("render"):
                     facts = crew.paint(records)
                 with tally.time("write"):
                     finish_store(store, manifest, records, crew.setting.keep.ground)
+        of_clouds = np.sum(hits, axis=0).tolist() if tally.points else (0, 0)
         tally.notes += [*unaligned, *manifests.list_doubts(manifest)]
+        tally.notes += list_contradictions(of_clouds, tally.points)
         tally.notes += list_notes(paths, options, [output], tally, facts)
         report = pipeline.make_report(options, tally, facts)
         return replace(report, files=(str(output),))

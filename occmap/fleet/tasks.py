@@ -20,7 +20,7 @@ import zstandard
 
 from occmap.cells import CellBox, Evidence, Ground, Slices
 from occmap.errors import MapError, name_log
-from occmap.evidence import make_empty
+from occmap.evidence import count_steady, make_empty
 from occmap.evidence.manifest import describe_files, plan_manifest
 from occmap.fleet.cluster import AnyJob, Cluster, Job, Result, Task
 from occmap.grid import Lattice
@@ -258,15 +258,18 @@ def reduce_block(setting: Setting, job: BlockJob) -> Piece:
     return write_run(setting.folder, f"{job.name}.run", parts)[job.block]
 
 
-def store_block(setting: Setting, job: BlockJob) -> BlockRecord:
+def store_block(setting: Setting, job: BlockJob) -> tuple[BlockRecord, tuple[int, int]]:
     """Add up a block, and write it to the store; if a worker died at that, it is done anew.
+
+    Returns what the table says of it, and its hits as `count_steady` counts them.
 
     Raises
     ------
     OccmapError
         A run file cannot be read, or the store cannot be written.
     """
-    return write_block(setting.store, job.block, add_up(setting, job.pieces))
+    content = add_up(setting, job.pieces)
+    return write_block(setting.store, job.block, content), count_steady(content.tiles)
 
 
 def measure_block(setting: Setting, job: BlockJob) -> tuple[CellBox | None, Int64, tuple[int, int]]:

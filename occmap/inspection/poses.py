@@ -16,7 +16,7 @@ from occmap.cells import Box, CellBox, Ground
 from occmap.choices import format_mount, list_values, take
 from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
-from occmap.evidence import list_contradictions, measure_steady
+from occmap.evidence import count_steady, list_contradictions
 from occmap.grid import Lattice
 from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
@@ -376,7 +376,7 @@ def list_conflicts(clouds: Clouds, ground: Ground, options: BuildOptions) -> lis
     with suppress(MapError):  # it gets too large, which is a problem by itself
         for posed in clouds:
             engine.add(posed)
-        found += list_contradictions(measure_steady(engine.finish()), {})
+        found += list_contradictions(count_steady(engine.finish().tiles), {})
     return found
 
 

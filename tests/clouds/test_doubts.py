@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from occmap.evidence import list_contradictions, measure_steady
+from occmap.evidence import count_steady, list_contradictions
 from occmap.inspection.poses import see_around
 from occmap.options import BuildOptions
 from tests.cli.runner import ask, occmap
@@ -30,7 +30,7 @@ def test_hits_in_cells_that_mostly_were_missed_are_told(
     cells: list[tuple[int, int]], told: str
 ) -> None:
     grid = make_grid({(0, col): counts for col, counts in enumerate(cells)})
-    notes = list(list_contradictions(measure_steady(grid), {}))
+    notes = list(list_contradictions(count_steady(grid.tiles), {}))
     assert len(notes) == bool(told)
     assert all(told in note for note in notes)
 
@@ -42,7 +42,7 @@ def test_of_little_ground_is_told_where_clouds_are_not_as_steady_as_in_a_corrido
     unsteady: int, ground: int, is_told: bool
 ) -> None:
     grid = make_grid({(0, 0): (8, 0), (0, 1): (unsteady, 9)})
-    notes = list(list_contradictions(measure_steady(grid), {"ground": ground, "obstacle": 96}))
+    notes = list(list_contradictions(count_steady(grid.tiles), {"ground": ground, "obstacle": 96}))
     assert notes == [note for note in notes if "on the ground" in note] == notes[:is_told]
 
 
