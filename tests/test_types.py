@@ -97,6 +97,8 @@ def test_without_a_record_time_the_stamp_stands_for_it() -> None:
         ("0.0000000014", 1),
         ("0.0000000004", 0),
         (" 2.5 ", 2_500_000_000),
+        ("1700000000123", 1_700_000_000_123_000_000),
+        ("1700000000123456", 1_700_000_000_123_456_000),
     ],
 )
 def test_seconds_are_exact(seconds: str, nanoseconds: int) -> None:
