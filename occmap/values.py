@@ -212,10 +212,7 @@ OTHER_FILES = {
         "else unpack it: unzip PATH",
     ),
     rb"(?s:.{257})ustar": ("an archive", "unpack it: tar -xf PATH"),
-    rb"\xd4\xc3\xb2\xa1|\x4d\x3c\xb2\xa1|\n\r\r\n": (
-        "packets of a network",
-        "let the ROS driver of the lidar replay them, and record its clouds",
-    ),
+    rb"\xd4\xc3\xb2\xa1|\n\r\r\n": ("packets", "record what the lidar's ROS driver makes of them"),
     rb"ARROW1|PAR1": ("a table of Arrow", "make it CSV: pandas reads it, and has `to_csv`"),
     rb"\x93NUMPY": ("an array of NumPy", "SLAM that writes one writes its poses as text, too"),
     b"P5|image:": ("a map, not a log: `occmap diff` compares maps", ""),

@@ -39,7 +39,6 @@ TIMES = "times.txt"
 OF_CAMERA = "those of a camera (z is ahead, y down)"
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns the axes of a camera (right, down, ahead) to those of a robot (ahead, left, up)"""
-TO_CAMERA = np.block([[FROM_CAMERA.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
 
 MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
@@ -139,17 +138,21 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
-    finite = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
-    if len(finite) and parse in {TUM, EUROC}:
-        notes += [f"{path}: {doubt}" for doubt in _list_odd_turns(path, finite[:, 3:])]
-    if len(finite) and _are_of_camera(finite):
+    usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
+    has_order = not len(usable) or parse not in {TUM, EUROC}
+    if not has_order and (header := _find_order(path, usable[:, 3:])):
+        notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
+    if len(usable) and _are_of_camera(usable):
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
-        poses[:, :3], poses[:, 3:6] = poses[:, :3] @ FROM_CAMERA.T, poses[:, 3:6] @ FROM_CAMERA.T
+        poses = _turn_from_camera(poses)
     return times, poses
 
 
-def _list_odd_turns(path: Path, quaternions: Float64) -> Iterator[str]:
-    """Say where quaternions (N, 4) of no named order turn as no robot does in this one.
+def _find_order(path: Path, quaternions: Float64) -> str:
+    """Find the header for quaternions (N, 4) that turn as no robot does; "" where they do.
+
+    If their w is taken for x, they turn about x alone, and if z and w are taken for y and z, by
+    half a turn.
 
     Raises
     ------
@@ -161,11 +164,8 @@ def _list_odd_turns(path: Path, quaternions: Float64) -> Iterator[str]:
         raise LogError("no quaternion stands behind x, y and z", where=path, fix=fix)
     x, y, z, w = np.abs(quaternions).max(axis=0)
     if np.ptp(quaternions[:, 0]) > 0.1 and max(y, z) < 0.01:
-        header = "a header stamp x y z qw qx qy qz says so"
-        yield f"the poses turn about x alone: does qw come first? {header}"
-    if min(y, z) > 0.1 and max(x, w) < 0.01:
-        header = "a header stamp,x,y,z,qx,qy,qz,qw says so"
-        yield f"the poses turn by half a turn alone: does qw come last? {header}"
+        return "stamp x y z qw qx qy qz"
+    return "stamp,x,y,z,qx,qy,qz,qw" if min(y, z) > 0.1 and max(x, w) < 0.01 else ""
 
 
 def _are_of_camera(poses: Float64) -> bool:
@@ -176,6 +176,11 @@ def _are_of_camera(poses: Float64) -> bool:
     _, y, z = np.ptp(poses[:, :3], axis=0)
     upright, ahead = rotate_by(poses[:, 3:])[:, [1, 2], [1, 2]].min(axis=0)
     return bool(z > y and upright > 0.8 and ahead < 0.5)
+
+
+def _turn_from_camera(poses: Float64) -> Float64:
+    place, axis = poses[:, :3] @ FROM_CAMERA.T, poses[:, 3:6] @ FROM_CAMERA.T
+    return np.column_stack([place, axis, poses[:, 6]])
 
 
 def _read_matrices(
@@ -195,11 +200,9 @@ def _read_matrices(
         f"{path}: its poses go {y:.3g} m along y and {z:.3g} m along z, so they are taken as "
         + (OF_CAMERA if z > y else "those of a robot (x is ahead, z up)")
     )
-    if z > y:
-        rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
     rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
-    return None if None in stamps else stamps, poses
+    return None if None in stamps else stamps, _turn_from_camera(poses) if z > y else poses
 
 
 def _read_times(path: Path) -> list[int]:

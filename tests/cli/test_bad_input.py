@@ -53,7 +53,11 @@ def test_a_link_to_nothing_is_named_as_one() -> None:
         ("drive.mcap.zst", b"\x28\xb5\x2f\xfd\x04", "decompress it first: unzstd drive.mcap.zst"),
         ("drive.bag.lz4", b"\x04\x22\x4d\x18H@", "decompress it first: unlz4 drive.bag.lz4"),
         ("drive.tar.gz", gzip.compress(bytes([9] * 257) + b"ustar"), "tar -xf drive.tar.gz"),
-        ("packets.pcap", b"\xd4\xc3\xb2\xa1\x02\0", "let the ROS driver of the lidar replay them"),
+        (
+            "packets.pcap",
+            b"\xd4\xc3\xb2\xa1\x02\0",
+            "record what the lidar's ROS driver makes of them",
+        ),
         ("scan.las", b"LASF\0\0\0\0", "it starts with the bytes 4c 41 53 46"),
         ("zeros.mcap", bytes(5000), "a file that begins with zeros, as a power cut leaves one"),
         ("map.pgm", "P5\n2 1\n255\nab", "a map, not a log: `occmap diff` compares maps"),
