@@ -99,6 +99,7 @@ def test_without_a_record_time_the_stamp_stands_for_it() -> None:
         (" 2.5 ", 2_500_000_000),
         ("1700000000123", 1_700_000_000_123_000_000),
         ("1700000000123456", 1_700_000_000_123_456_000),
+        ("1305031102175304001", 1_305_031_102_175_304_001),
     ],
 )
 def test_seconds_are_exact(seconds: str, nanoseconds: int) -> None:

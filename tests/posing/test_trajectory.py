@@ -88,13 +88,6 @@ def test_what_rostopic_writes_of_poses(tmp_path: Path, place: str, turn: str) ->
     assert (sample.stamp_ns, sample.pose) == (3_000_000_001, (1, 2, 4, *TURN))
 
 
-@pytest.mark.parametrize("head", ["", "timestamp x y z qx qy qz qw\n", "stamp,x,y,z,qx,qy,qz,qw\n"])
-def test_whole_numbers_too_large_for_seconds_are_nanoseconds(tmp_path: Path, head: str) -> None:
-    line = "1305031102175304001 1 2 4 0 0 0.6 0.8\n"
-    (sample,) = read(tmp_path, head + (line.replace(" ", ",") if "," in head else line))
-    assert (sample.stamp_ns, sample.pose) == (1305031102175304001, (1, 2, 4, *TURN))
-
-
 def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
     tum, csv = "1 nan nan nan nan nan nan nan\n", "stamp,x,y,yaw\n1,2,3,inf\n"
     assert math.isnan(read(tmp_path, tum)[0].pose.qw)
