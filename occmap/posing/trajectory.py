@@ -171,11 +171,14 @@ def _find_order(path: Path, quaternions: Float64) -> str:
 def _are_of_camera(poses: Float64) -> bool:
     """Whether finite poses (N, 7) go and turn as only a camera's do in its axes.
 
-    They lead further along z than along y, and turn far about y, which stays where it is.
+    They lead further along z than along y, turn far about y, which stays where it is, and go where
+    their own z points.
     """
-    _, y, z = np.ptp(poses[:, :3], axis=0)
-    upright, ahead = rotate_by(poses[:, 3:])[:, [1, 2], [1, 2]].min(axis=0)
-    return bool(z > y and upright > 0.8 and ahead < 0.5)
+    turns, (_, y, z) = rotate_by(poses[:, 3:]), np.ptp(poses[:, :3], axis=0)
+    upright, turned = turns[:, [1, 2], [1, 2]].min(axis=0)
+    steps = np.einsum("nij,ni->nj", turns[:-1], np.diff(poses[:, :3], axis=0))
+    aside, _, ahead = np.abs(steps).sum(axis=0)
+    return bool(z > y and upright > 0.8 and turned < 0.5 and ahead > 2 * aside)
 
 
 def _turn_from_camera(poses: Float64) -> Float64:
