@@ -47,15 +47,16 @@ def as_stamp(value: Any) -> int:
     return int(value)
 
 
-LEAST_NANOSECONDS = 10**17
-"""A whole number beyond it is no time in seconds, which fits 64 bits only up to 10^10, and none in
-microseconds before the year 5138; as nanoseconds it is one since 1973."""
+UNITS = {12: 6, 13: 6, 15: 3, 16: 3, 17: 0, 18: 0}
+"""By the power of ten of a whole number that is too large for seconds, which fit 64 bits only up to
+10^10: those of its unit in nanoseconds. Such are the times from 2001 to 5138 in milliseconds and in
+microseconds, and those in nanoseconds since 1973."""
 
 
 def parse_seconds(text: str) -> int:
     """Convert seconds, as text, to nanoseconds exactly; a float would round to 0.2 us.
 
-    What can only be whole nanoseconds is taken as such.
+    What can only be a whole number of milliseconds, microseconds or nanoseconds is taken as such.
 
     Raises
     ------
@@ -64,8 +65,8 @@ def parse_seconds(text: str) -> int:
     """
     with suppress(ArithmeticError):  # what decimal raises for words and for NaN
         number = Decimal(text)
-        is_nanoseconds = number > LEAST_NANOSECONDS and number % 1 == 0
-        nanoseconds = number if is_nanoseconds else number.scaleb(9)
+        is_whole = number > 10**12 and number % 1 == 0
+        nanoseconds = number.scaleb(UNITS.get(number.adjusted(), 9) if is_whole else 9)
         if abs(nanoseconds) < 2**63:
             return round(nanoseconds)
     raise ValueError(f"{shorten(text)} is not a time in seconds")
@@ -147,7 +148,7 @@ def shorten(value: object) -> str:
 
 
 COLUMN_NAMES = {
-    "stamp": ("timestamp", "time", "t", "timestamp_s", "time_s"),
+    "stamp": ("timestamp", "time", "t", "timestamp_s", "time_s", "__time"),
     "stamp_ns": ("field.header.stamp", "%time", "timestamp_ns", "time_ns", "t_ns"),
     "yaw": ("theta", "heading", "field.theta"),
     "frame": ("field.header.frame_id", "header.frame_id"),
@@ -187,13 +188,36 @@ def tell_missing(names: Sequence[str], columns: Iterable[str]) -> str:
     return f"{found}, but {odd!r}: units are s, m and rad" if odd else found
 
 
+NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x1f]")
+BINARY_WITHIN = 64
+"""A log or a picture has a byte of no text within these first bytes; a text may have some later,
+where a crash cut it."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+PACKERS = {
+    "zstd": (ZSTD_MAGIC, "unzstd"),
+    "gzip": (b"\x1f\x8b", "gunzip"),
+    "lz4": (b"\x04\x22\x4d\x18", "unlz4"),
+    "bzip2": (b"BZh", "bunzip2"),
+    "xz": (b"\xfd7zXZ", "unxz"),
+    "7z": (b"7z\xbc\xaf", "7z x"),
+}
+"""How files begin that a program compressed, and what undoes that"""
 OTHER_FILES = {
-    b"PK\x03\x04": ("an archive; if it is evidence (.npz), `occmap render` reads it", ""),
+    **{
+        re.escape(magic): (f"a file that {name} compressed", f"decompress it first: {command} PATH")
+        for name, (magic, command) in PACKERS.items()
+    },
+    b"PK\x03\x04": (
+        "an archive; if it is evidence (.npz), `occmap render` reads it",
+        "else unpack it: unzip PATH",
+    ),
+    rb"(?s:.{257})ustar": ("an archive", "unpack it: tar -xf PATH"),
+    rb"\xd4\xc3\xb2\xa1|\n\r\r\n": ("packets", "record what the lidar's ROS driver makes of them"),
+    rb"ARROW1|PAR1": ("a table of Arrow", "make it CSV: pandas reads it, and has `to_csv`"),
+    rb"\x93NUMPY": ("an array of NumPy", "SLAM that writes one writes its poses as text, too"),
     b"P5|image:": ("a map, not a log: `occmap diff` compares maps", ""),
     b"\x89PNG": ("a picture, not a log: `occmap diff` compares maps", ""),
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "fetch it: git lfs pull"),
-    re.escape(ZSTD_MAGIC): ("a file that zstd compressed", "decompress it first: unzstd PATH"),
     rb"\xff\xfe[\t-~]\0|\xfe\xff\0[\t-~]": (
         "text in UTF-16",
         "make it UTF-8 first: iconv -f UTF-16 -t UTF-8 PATH > NEW.csv",
@@ -215,7 +239,10 @@ OTHER_FILES = {
         "a single cloud of points",
         "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`",
     ),
-    b"VERTEX": ("a pose graph, whose poses have no times", "let the SLAM write TUM"),
+    b"VERTEX|EDGE|PARAMS_|FIX ": (
+        "a pose graph, whose poses have no times",
+        "let the SLAM write TUM",
+    ),
 }
 """By a pattern of how a file begins: what it is, and how to make of it what is read; "" where that
 is never"""

@@ -52,7 +52,12 @@ def check_command(console: Console, /, logs: tuple[Path, ...], **values: Any) ->
     """
     check_picture(values["output"], logs, [".html"])
     chosen = take(BuildOptions, values)
-    inspection = inspect(options.gather_logs(console, logs, chosen), chosen)
+    recordings = options.gather_logs(console, logs, chosen)
+    inspection = inspect(recordings, chosen)
+    words, last = inspection.command, 2 + len(recordings)
+    if len(recordings) > len(logs) and words[2:last] == tuple(map(str, recordings)):
+        line = (*words[:2], *map(str, logs), *words[last:])  # with the folders and patterns given
+        inspection = replace(inspection, command=line)
     if values["output"]:
         write_inspection(values["output"], inspection)
     if console.quiet or console.as_json:

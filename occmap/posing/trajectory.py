@@ -2,8 +2,8 @@
 
 TUM: `stamp x y z qx qy qz qw` (s). CSV: a header `stamp,x,y,yaw` or more columns (s), or what
 `rostopic echo -p` writes of poses (ns). EuRoC: lines `stamp,x,y,z,qw,qx,qy,qz`, which may go on
-(ns). KITTI: the first three rows of a matrix of 4 x 4 in each line, and the time of each (s) in
-times.txt beside it.
+(ns). KITTI: the first three rows of a matrix of 4 x 4 in each line, or all four, and the time of
+each (s) in times.txt beside it; MulRan has it (ns) before the three rows.
 """
 
 import re
@@ -17,7 +17,7 @@ import numpy as np
 
 from occmap import values
 from occmap.errors import LogError, refuse_unreadable
-from occmap.posing.tracks import to_quaternions
+from occmap.posing.tracks import rotate_by, to_quaternions
 from occmap.report import count
 from occmap.types import Float64, Moments, Pose, PoseBatch
 
@@ -32,18 +32,13 @@ SHAPES = (
     "expected lines `stamp x y z qx qy qz qw`, the header stamp,x,y,yaw and such lines, or those "
     "of EuRoC or KITTI"
 )
-MATRIX = 12
-"""Numbers in a line of KITTI"""
+MATRICES = (12, 13, 16)
+"""Numbers in a line of KITTI, also with a time in front, or with the fourth row"""
 TIMES = "times.txt"
 
+OF_CAMERA = "those of a camera (z is ahead, y down)"
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns the axes of a camera (right, down, ahead) to those of a robot (ahead, left, up)"""
-TO_CAMERA = np.block([[FROM_CAMERA.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
-
-NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x1f]")
-BINARY_WITHIN = 64
-"""A log or a picture has a byte of no text within these first bytes; a text may have some later,
-where a crash cut it."""
 
 MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
@@ -71,6 +66,8 @@ def _parse_pose(
     if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):
         raise ValueError(f"{len(fields)} values where {expected} belong")
     texts = dict(zip(columns, fields, strict=False))
+    if "nsec" in texts:
+        texts["stamp"] = f"{texts['sec']}.{texts['nsec'].strip():0>9}"
     rotation = QUATERNION if "qw" in texts else ANGLES
     numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
     return parse_stamp(texts["stamp"]), numbers
@@ -80,13 +77,13 @@ TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.p
 EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
 """Others may follow."""
 EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
-NANOSECONDS = re.compile(r"-?\d{16,}(?!\d*\.)")
-"""A time with too many digits for seconds, as EuRoC's are though their header names no unit"""
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
-PLACE = re.compile(r"^(?:.*\b(?:position|translation)\.|p_(?:\w+_)?|t)([xyz])$")
-TURN = re.compile(r"^(?:.*\b(?:orientation|rotation)\.|q_(?:\w+_)?)([wxyz])$")
-"""What ROS, EuRoC and TUM call the columns of a place and of a quaternion"""
+PLACE = re.compile(r"^(?:.*\b(?:position|translation)[./]|p_(?:\w+_)?|t)([xyz])(?:_m)?$")
+TURN = re.compile(r"^(?:.*\b(?:orientation|rotation)[./]|q_(?:\w+_)?)([wxyz])$")
+"""What ROS, EuRoC, TUM and Argoverse call the columns of a place and of a quaternion"""
+TIME = re.compile(r"^(?:.*\bstamp[./])?(n?)(?:ano)?(sec)s?$")
+"""What ROS calls the two columns of a time"""
 
 
 def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None) -> PoseBatch:
@@ -99,7 +96,7 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
     Parameters
     ----------
     notes
-        Grows by a note on the axes of KITTI poses, which the file does not state.
+        Grows by notes on the axes of the poses, which the file does not state, and on what is odd.
     moments
         The times of the scans of a log, which poses without times of their own are for one by one,
         and all poses where those of the scans are not known.
@@ -127,8 +124,8 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     lines, headings = _read_rows(path)
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
-    if not has_header and len(begin.split()) == MATRIX:
-        return None, _read_matrices(path, lines, notes)
+    if not has_header and len(_split_matrix(begin)) in MATRICES:
+        return _read_matrices(path, lines, notes)
     rows: list[Row] = []
     for parse in _parse_lines(path, lines[:1], partial(_find_format, headings)):
         rows += _parse_lines(path, lines[has_header:], parse)
@@ -141,35 +138,74 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
-    elif parse is TUM and _begins_with_w(poses[np.isfinite(poses).all(axis=1), 3:]):
-        header = "a header stamp x y z qw qx qy qz says so"
-        notes.append(f"{path}: the poses turn about x alone: does qw come first? {header}")
+    usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
+    has_order = not len(usable) or parse not in {TUM, EUROC}
+    if not has_order and (header := _find_order(path, usable[:, 3:])):
+        notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
+    if len(usable) and _are_of_camera(usable):
+        notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
+        poses = _turn_from_camera(poses)
     return times, poses
 
 
-def _begins_with_w(quaternions: Float64) -> bool:
-    """Whether quaternions (N, 4), if w were last, turn about x alone, as no robot does."""
-    x, y, z, _ = np.abs(quaternions - quaternions[:1] * [1, 0, 0, 0]).T
-    return bool(len(x)) and x.max() > 0.1 and max(y.max(), z.max()) < 0.01
+def _find_order(path: Path, quaternions: Float64) -> str:
+    """Find the header for quaternions (N, 4) that turn as no robot does; "" where they do.
+
+    If their w is taken for x, they turn about x alone, and if z and w are taken for y and z, by
+    half a turn.
+
+    Raises
+    ------
+    LogError
+        They are no rotations.
+    """
+    if np.median(np.abs(np.linalg.norm(quaternions, axis=1) - 1)) > 0.05:
+        fix = f"a header must say what the columns are; {SHAPES}"
+        raise LogError("no quaternion stands behind x, y and z", where=path, fix=fix)
+    x, y, z, w = np.abs(quaternions).max(axis=0)
+    if np.ptp(quaternions[:, 0]) > 0.1 and max(y, z) < 0.01:
+        return "stamp x y z qw qx qy qz"
+    return "stamp,x,y,z,qx,qy,qz,qw" if min(y, z) > 0.1 and max(x, w) < 0.01 else ""
 
 
-def _read_matrices(path: Path, lines: Iterable[NumberedLine], notes: list[str]) -> Float64:
-    """Read KITTI's poses.
+def _are_of_camera(poses: Float64) -> bool:
+    """Whether finite poses (N, 7) go and turn as only a camera's do in its axes.
+
+    They lead further along z than along y, turn far about y, which stays where it is, and go where
+    their own z points.
+    """
+    turns, (_, y, z) = rotate_by(poses[:, 3:]), np.ptp(poses[:, :3], axis=0)
+    upright, turned = turns[:, [1, 2], [1, 2]].min(axis=0)
+    steps = np.einsum("nij,ni->nj", turns[:-1], np.diff(poses[:, :3], axis=0))
+    aside, _, ahead = np.abs(steps).sum(axis=0)
+    return bool(z > y and upright > 0.8 and turned < 0.5 and ahead > 2 * aside)
+
+
+def _turn_from_camera(poses: Float64) -> Float64:
+    place, axis = poses[:, :3] @ FROM_CAMERA.T, poses[:, 3:6] @ FROM_CAMERA.T
+    return np.column_stack([place, axis, poses[:, 6]])
+
+
+def _read_matrices(
+    path: Path, lines: Sequence[NumberedLine], notes: list[str]
+) -> tuple[Sequence[int] | None, Float64]:
+    """Read KITTI's poses, and the times (ns) of those that have them.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
     are told by where they lead: on the ground only such poses go far along z.
     """
-    rows = np.array(list(_parse_lines(path, lines, _parse_row))).reshape(-1, 3, 4)
+    size = len(_split_matrix(lines[0][1]))
+    stamps, numbers = zip(*_parse_lines(path, lines, partial(_parse_matrix, size)), strict=True)
+    rows = np.array(numbers).reshape(-1, 3, 4)
     finite = rows[np.isfinite(rows).all(axis=(1, 2))]
     y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
     notes.append(
-        f"{path}: its poses go {y:.3g} m along y and {z:.3g} m along z, so they are taken as those "
-        + ("of a camera (z is ahead, y down)" if z > y else "of a robot (x is ahead, z up)")
+        f"{path}: its poses go {y:.3g} m along y and {z:.3g} m along z, so they are taken as "
+        + (OF_CAMERA if z > y else "those of a robot (x is ahead, z up)")
     )
-    if z > y:
-        rows = np.einsum("ij,njk,kl->nil", FROM_CAMERA, rows, TO_CAMERA)
     rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
-    return np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
+    poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
+    return None if None in stamps else stamps, _turn_from_camera(poses) if z > y else poses
 
 
 def _read_times(path: Path) -> list[int]:
@@ -196,9 +232,9 @@ def _read_lines(path: Path) -> Iterator[NumberedLine]:
     """Read the lines that are not empty."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
-            begin = file.read(BINARY_WITHIN)
+            begin = file.read(values.BINARY_WITHIN)
         found, fix = values.name_other(path, begin)
-        if found or NO_TEXT.search(begin):
+        if found or values.NO_TEXT.search(begin):
             found = found or "not text, so not a trajectory"
             raise LogError(found, where=path, fix=fix or SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -231,36 +267,43 @@ def _find_format(headings: Sequence[str], text: str) -> Callable[[str], Row]:
         return _read_header(text)
     for heading in headings:
         with suppress(ValueError):
-            parse = _read_header(heading, is_ns=bool(NANOSECONDS.match(text)))
+            parse = _read_header(heading)
             parse(text)  # raises: it names other columns
             return parse
-    if re.match(r"-?\d+\s*,", text):
+    if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC_COLUMNS) - 1:
         return EUROC
     if set(text).intersection(",;"):
         raise ValueError("no header says what the columns are")
     return TUM
 
 
-def _read_header(text: str, *, is_ns: bool = False) -> Callable[[str], Row]:
+def _read_header(text: str) -> Callable[[str], Row]:
     """Tell by a header how the lines below are parsed; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
     separator = values.find_separator(text)
-    columns, states_ns = values.split_header(text, separator)
-    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
+    columns, is_ns = values.split_header(text, separator)
+    names = [TIME.sub(r"\1\2", TURN.sub(r"q\1", PLACE.sub(r"\1", name))) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
-    missing = {"stamp", "x", "y", *angles}.difference(names)
+    stamp = {"sec", "nsec"} if "nsec" in names else {"stamp"}
+    missing = {*stamp, "x", "y", *angles}.difference(names)
     if missing:
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    parse = values.parse_nanoseconds if is_ns or states_ns else values.parse_seconds
+    parse = values.parse_nanoseconds if is_ns and "stamp" in stamp else values.parse_seconds
     return partial(_parse_pose, names, separator, parse)
 
 
-def _parse_row(text: str) -> list[float]:
-    words = text.split()
-    if len(words) != MATRIX:
-        raise ValueError(f"{len(words)} values where {MATRIX} belong")
-    return list(map(values.parse_number, words))
+def _split_matrix(text: str) -> list[str]:
+    return text.replace(",", " ").split()
+
+
+def _parse_matrix(size: int, text: str) -> tuple[int | None, list[float]]:
+    words = _split_matrix(text)
+    if len(words) != size:
+        raise ValueError(f"{len(words)} values where {size} belong")
+    is_timed = size == 13
+    stamp_ns = values.parse_seconds(words[0]) if is_timed else None
+    return stamp_ns, list(map(values.parse_number, words[is_timed:][:12]))

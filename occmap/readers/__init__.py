@@ -11,7 +11,6 @@ A probe holds the first bytes of a path, by which readers know it.
 """
 
 import re
-import shlex
 import zlib
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -28,7 +27,7 @@ from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanBatch
-from occmap.values import find_separator, name_other, shorten, split_header
+from occmap.values import BINARY_WITHIN, NO_TEXT, find_separator, name_other, shorten, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"
 
@@ -116,14 +115,13 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
         found = "a gzip file with nothing in it that can be read"
     elif (other := name_other(probe.path, content))[0]:
         found, fix = other
-    elif content.isascii():
+    elif content.isascii() and not NO_TEXT.search(content[:BINARY_WITHIN]):
         first_line = content.decode("ascii").splitlines()[0][:60]
         found = f"a text file of no known log format: it starts with {first_line!r}"
         names, _ = split_header(first_line, find_separator(first_line))
         fix = "if it holds poses alone, give it with `poses`" * {"x", "y"}.issubset(names)
     elif content is not raw:
-        found = "a file that gzip compressed"
-        fix = f"decompress it first: gunzip {shlex.quote(str(probe.path))}"
+        found, fix = name_other(probe.path, raw)
     else:
         found = f"not a known log format: it starts with the bytes {raw[:8].hex(' ')}"
     return LogError(found, where=probe.path, fix=fix or otherwise)

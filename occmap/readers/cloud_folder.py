@@ -52,6 +52,8 @@ MOST_VALUES = 64
 """Of a point, in an array without names: one with more is turned the other way round."""
 _ERRORS = (LookupError, ValueError, TypeError, EOFError, OSError, SyntaxError, MemoryError)
 """What is raised of bytes that are not as their format has them"""
+BEYOND_EARTH_M = 1e8
+"""Where most points lie in a .bin of whole numbers, as NCLT has them"""
 MOST_BYTES = 1 << 31
 """What a file may unpack to; a cloud of a hundred million points has less."""
 
@@ -168,10 +170,21 @@ def _read_count(text: str) -> int:
 
 
 def read_bin(data: bytes, values: int = 4) -> Points:
-    """Read KITTI's x, y, z and reflectance, each a float of 32 bits."""
-    if len(data) % (4 * values):
+    """Read KITTI's x, y, z and reflectance, each a float of 32 bits.
+
+    Boreas has six values a point, and RobotCar all x before all y. By a wrong layout places, many
+    below zero, stand where the reflectance belongs.
+    """
+    numbers = np.frombuffer(data, "<f4", len(data) // 4)
+    sizes = [size for size in (values, 5, 6) if len(data) % (4 * size) == 0]
+    fitting = [numbers.reshape(-1, size) for size in sizes]
+    fitting += [numbers.reshape(size, -1).T for size in sizes if size == values]
+    likely = [rows for rows in fitting if not (rows[:, 3] < 0).any()]
+    if not likely and len(data) % (4 * values):
         raise DamageError(f"has {len(data):,} bytes, where a point takes {4 * values}")
-    rows = np.frombuffer(data, "<f4").reshape(-1, values)
+    rows = (likely or fitting)[0]
+    if np.count_nonzero(np.abs(rows[:, :3]) > BEYOND_EARTH_M) > len(rows):
+        raise DamageError("holds no points of x, y, z and reflectance as floats of 32 bits")
     return Points(dict(zip("xyz", rows.T, strict=False)), len(rows))
 
 

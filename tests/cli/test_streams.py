@@ -101,3 +101,4 @@ def test_the_recordings_of_a_folder_are_built_as_one() -> None:
     assert told.json["scans"]["used"] == 6
     for said in (told, *(occmap(f"{command} day") for command in ("check", "tune", "compare"))):
         assert f"note: {note}\n" in said.err
+    assert occmap("check day").out.splitlines()[-1].startswith("occmap build day -o ")

@@ -5,9 +5,6 @@ from pathlib import Path
 import pytest
 
 from occmap.errors import LogError
-from occmap.posing import PosingOptions
-from occmap.posing.attach import Poser
-from occmap.posing.sources import gather
 from occmap.posing.trajectory import read_trajectory
 from occmap.readers import open_log
 from occmap.types import PoseSample
@@ -34,40 +31,39 @@ def test_tum(tmp_path: Path) -> None:
 EUROC = "1403636580838555648,4.5,-1.5,0.75,0.8,0,0,0.6"
 HALF = math.sqrt(0.5)
 TURN = (0, 0, 0.6, 0.8)
+FLAT = (1, 2, 0, 0, 0, 0, 1)
 
 
 @pytest.mark.parametrize(
     ("text", "pose"),
     [
         ("Stamp, X, Y, Yaw\n# comment\n3,1,2,1.5707963267948966\n", (1, 2, 0, 0, 0, HALF, HALF)),
-        (
-            "y,x,name,z,roll,pitch,yaw,stamp\n2,1,run7,3,3.141592653589793,0,0,3\n",
-            (1, 2, 3, 1, 0, 0, 0),
-        ),
+        ("y,x,name,z,roll,pitch,yaw,t\n2,1,run,3,3.141592653589793,0,0,3\n", (1, 2, 3, 1, 0, 0, 0)),
         ("#stamp x y z qx qy qz qw id\n3 1 2 4 0 0 0.6 0.8 7\n", (1, 2, 4, *TURN)),
         ("#stamp x y z qw qx qy qz\n# by hand\n3 1 2 4 0.8 0 0 0.6\n", (1, 2, 4, *TURN)),
         ("#time [ns],x,y,z,qx,qy,qz,qw\n3000000000,1,2,4,0,0,0.6,0.8\n", (1, 2, 4, *TURN)),
         ("# stamp,x,y,qx,qy,qz,qw\n3,1,2,0,0,0.6,0.8\n", (1, 2, 0, *TURN)),
         ("stamp,x,y,qx,qy,qz,qw\n3,2,3,0.1,0.2,0.3,0.4\n", (2, 3, 0, 0.1, 0.2, 0.3, 0.4)),
-        ("\ufeffstamp,x,y,yaw\r\n3,1,2,0\r\n", (1, 2, 0, 0, 0, 0, 1)),
-        ('"Time [s]","x [m]","y (m)","theta [rad]"\n3,1,2,0\n', (1, 2, 0, 0, 0, 0, 1)),
+        ("\ufeffstamp,x,y,yaw\r\n3,1,2,0\r\n", FLAT),
+        ('"Time [s]","x [m]","y (m)","theta [rad]"\n3,1,2,0\n', FLAT),
         ("timestamp\ttx\tty\ttz\tqx\tqy\tqz\tqw\n3\t1\t2\t4\t0\t0\t0.6\t0.8\n", (1, 2, 4, *TURN)),
         ("t;x;y;z;qx;qy;qz;qw\n3,0;1,0;2;4;0;0;0,6;0,8\n", (1, 2, 4, *TURN)),
-        (
-            "t [ns]\tx\ty\tz\tqx\tqy\tqz\tqw\n3000000000\t1,0\t2\t4\t0\t0\t0,6\t0,8\n",
-            (1, 2, 4, *TURN),
-        ),
+        ("t [ns]\tx\ty\tqx\tqy\tqz\tqw\n3000000000\t1,0\t2\t0\t0\t0\t1\n", FLAT),
         (
             "time [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],"
             "q_RS_z []\n3000000000,1,2,4,0.8,0,0,0.6\n",
             (1, 2, 4, *TURN),
         ),
+        ("#sec,nsec,x,y,z,qx,qy,qz,qw\n3,0,1,2,4,0,0,0.6,0.8\n", (1, 2, 4, *TURN)),
+        ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n4,3,0,1,2,0\n", FLAT),
+        ("__time,/odom/pose/position/x,/odom/pose/position/y,yaw\n3,1,2,0\n", FLAT),
+        ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
     ],
     ids=[
         *("heading", "columns in any order beside others", "comment", "comments", "nanoseconds"),
         *("whole seconds", "quaternion", "byte order"),
         *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
-        "names of EuRoC",
+        *("names of EuRoC", "Newer College", "bagpy", "PlotJuggler", "Argoverse"),
     ],
 )
 def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
@@ -86,22 +82,10 @@ def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
 )
 def test_what_rostopic_writes_of_poses(tmp_path: Path, place: str, turn: str) -> None:
     """The stamp of the header counts, in nanoseconds, and no speed is taken for a place."""
-    names = ["%time", "field.header.stamp", "field.header.frame_id"]
-    names += [f"field.{place}.{axis}" for axis in "xyz"] + [
-        f"field.{turn}.{axis}" for axis in "xyzw"
-    ]
-    names += ["field.pose.covariance0", "field.twist.twist.linear.x"]
-    row = "9000000000,3000000001,map,1,2,4,0,0,0.6,0.8,0.1,5"
-    (sample,) = read(tmp_path, f"{','.join(names)}\n{row}\n")
-    assert sample.stamp_ns == 3_000_000_001
-    assert sample.pose == (1, 2, 4, *TURN)
-
-
-@pytest.mark.parametrize("head", ["", "timestamp x y z qx qy qz qw\n", "stamp,x,y,z,qx,qy,qz,qw\n"])
-def test_whole_numbers_too_large_for_seconds_are_nanoseconds(tmp_path: Path, head: str) -> None:
-    line = "1305031102175304001 1 2 4 0 0 0.6 0.8\n"
-    (sample,) = read(tmp_path, head + (line.replace(" ", ",") if "," in head else line))
-    assert (sample.stamp_ns, sample.pose) == (1305031102175304001, (1, 2, 4, *TURN))
+    names = [f"{place}.{axis}" for axis in "xyz"] + [f"{turn}.{axis}" for axis in "xyzw"]
+    header = ",field.".join(["%time", "header.stamp", "header.frame_id", *names, "twist.linear.x"])
+    (sample,) = read(tmp_path, f"{header}\n9000000000,3000000001,map,1,2,4,0,0,0.6,0.8,5\n")
+    assert (sample.stamp_ns, sample.pose) == (3_000_000_001, (1, 2, 4, *TURN))
 
 
 def test_a_lost_tracker_writes_nan(tmp_path: Path) -> None:
@@ -155,7 +139,18 @@ def test_quaternions_that_begin_with_w_are_told_and_read_by_a_header(tmp_path: P
         assert not notes
         path.write_text("".join(lines))
         read_trajectory(path, notes)
-    assert "does qw come first?" in notes[0]
+    path.write_text("".join(last).replace(" ", ","))  # which is read as EuRoC
+    read_trajectory(path, notes)
+    assert "try the header `stamp x y z qw qx qy qz`" in notes[0]
+    assert "try the header `stamp,x,y,z,qx,qy,qz,qw`" in notes[1]
+
+
+def test_of_a_camera_poses_of_any_format_are_in_a_robots_axes(tmp_path: Path) -> None:
+    """ORB-SLAM3 and RTAB-Map write them in TUM: ahead, then by 1.2 radians to the left."""
+    left = f"0 {-math.sin(0.6)} 0 {math.cos(0.6)}"
+    samples = read(tmp_path, f"1 0 0 0 0 0 0 1\n2 0 0 9 0 0 0 1\n3 -2 -1 9 {left}\n")
+    assert samples[1].pose == pytest.approx((9, 0, 0, 0, 0, 0, 1))
+    assert samples[2].pose == pytest.approx((9, 2, 1, 0, 0, math.sin(0.6), math.cos(0.6)))
 
 
 @pytest.mark.parametrize(
@@ -164,7 +159,7 @@ def test_quaternions_that_begin_with_w_are_told_and_read_by_a_header(tmp_path: P
         ("1 2 3\n", 1, "3 values where 8 belong"),
         ("# TUM\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1 7\n", 3, "9 values where 8 belong"),
         ("1 0 0 0 0 0 here 1\n", 1, "'here' where a number belongs"),
-        ("1305031102175 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
+        ("130503110217 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
         ("1.5,1,2,0\n", 1, "no header says what the columns are"),
         ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw, but 'yaw [deg]': units are"),
         ("time;x;y;theta(deg)\n1;2;3;0\n", 1, "has no column yaw, but 'theta(deg)': units are"),
@@ -175,7 +170,7 @@ def test_quaternions_that_begin_with_w_are_told_and_read_by_a_header(tmp_path: P
         ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' where a number belongs"),
         ("stamp,x,y,yaw\n1,2,3\n", 2, "3 values where 4 belong"),
         ("9" * 100_000, 1, "1 values where 8 belong"),
-        ("12,1,2,3\n", 1, "4 values where 8 belong"),
+        ("12,1,2,3\n", 1, "no header says what the columns are"),
         (f"{EUROC}\n1.5,1,2,3,1,0,0,0\n", 2, "'1.5' is not a time in nanoseconds"),
         ("99999999999999999999,1,2,3,1,0,0,0\n", 1, "is not a time in nanoseconds"),
     ],
@@ -188,6 +183,12 @@ def test_a_bad_line_is_named(tmp_path: Path, text: str, line: int, found: str) -
     assert found in message
     assert "\n" not in message
     assert len(message) < 400 + len(str(tmp_path))
+
+
+@pytest.mark.parametrize("line", ["12,5,1,2,3,0,0,0.6,0.8\n", "12 1 2 3 0.1 0.2 0.3 0\n"])
+def test_columns_that_hold_no_quaternion_are_refused(tmp_path: Path, line: str) -> None:
+    with pytest.raises(LogError, match="no quaternion stands behind"):
+        read(tmp_path, line)
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "stamp,x,y,yaw\n"])
@@ -203,7 +204,9 @@ def test_an_empty_trajectory_is_refused(tmp_path: Path, text: str) -> None:
         (b"\x1b\x8c$FQ\x0fJ{h", "not text, so not a trajectory"),
         (b"\xdb\x01\xf5[{\x1f\x1d{\x8a", "pbstream.*trajectories_to_rosbag -input .*drive.bin"),
         ("stamp,x,y,yaw\n1,2,3,0\n".encode("utf-16"), "UTF-16.*iconv"),
-        (b"VERTEX_SE2 0 11.8 4.2 1.57\n", "pose graph, whose poses have no times"),
+        (b"PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n", "pose graph, whose poses have no times"),
+        (b"\x93NUMPY\x01\0", "an array of NumPy.*its poses as text"),
+        (b"\x1f\x8b\x08\0", "decompress it first: gunzip"),
     ],
 )
 def test_what_is_no_trajectory_is_named(tmp_path: Path, content: bytes, found: str) -> None:
@@ -258,6 +261,12 @@ def test_kitti_of_a_robot_and_of_a_camera_is_in_a_robots_axes(
     assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, turn, HALF])
 
 
+def test_a_matrix_may_have_its_time_in_front(tmp_path: Path) -> None:
+    line = f"1700000000000000007,{LEVEL.format(4, 5, 0).replace(' ', ',')}"
+    (sample,) = read(tmp_path, line)
+    assert (sample.stamp_ns, sample.pose) == (1_700_000_000_000_000_007, (4, 5, 0, 0, 0, 0, 1))
+
+
 @pytest.mark.parametrize(
     ("goal", "whose"),
     [((9, 2, 0.5), "robot (x is ahead, z up)"), ((2, -1, 9), "camera (z is ahead, y down)")],
@@ -265,16 +274,13 @@ def test_kitti_of_a_robot_and_of_a_camera_is_in_a_robots_axes(
 def test_kitti_axes_are_a_guess_that_is_told(
     tmp_path: Path, goal: tuple[float, float, float], whose: str
 ) -> None:
-    path = tmp_path / "poses.txt"
-    path.write_text(f"{LEVEL.format(0, 0, 0)}\n{LEVEL.format(*goal)}\n")
+    path, notes = tmp_path / "poses.txt", list[str]()
+    path.write_text(f"{LEVEL.format(0, 0, 0)} 0 0 0 1\n{LEVEL.format(*goal)} 0 0 0 1\n")
     (tmp_path / "times.txt").write_text("1\n2\n")
-    options = PosingOptions(poses=str(path))
-    poser = Poser(gather([], options), options)
+    read_trajectory(path, notes)
     _, y, z = map(abs, goal)
-    assert poser.notes == [
-        f"{path}: its poses go {y:g} m along y and {z:g} m along z, so they are taken as those of "
-        f"a {whose}"
-    ]
+    told = f"its poses go {y:g} m along y and {z:g} m along z, so they are taken as those of a"
+    assert notes == [f"{path}: {told} {whose}"]
 
 
 @pytest.mark.parametrize(

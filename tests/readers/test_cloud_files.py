@@ -141,6 +141,7 @@ def test_arrays_of_any_number(tmp_path: Path, kind: str) -> None:
         ("a.ply", ply("binary_little_endian", ["list uchar float x"], XYZ), "lists"),
         ("a.ply", ply("ascii", ["float x"], TEXT), "no field y"),
         ("a.bin", b"0123456789", "10 bytes"),
+        ("a.bin", np.full(32, 20_000, "<u2").tobytes(), "no points of x, y, z and reflectance"),
         ("a.npy", b"\x93NUMPY", "not a .npy"),
         ("a.npy", npy(np.ones((3, 65))), "3 x 65 of float64"),
     ],
@@ -215,6 +216,15 @@ def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:
     (tmp_path / "1533151603547590.pcd.bin").write_bytes(rows.tobytes())
     (cloud,) = read(tmp_path)
     assert cloud.points.tolist() == [[1, 2, 3]] * 4
+
+
+@pytest.mark.parametrize("layout", ["4", "5", "6", "4 columns"])
+def test_of_a_bin_no_reflectance_is_below_zero(tmp_path: Path, layout: str) -> None:
+    """Boreas writes six values a point, and RobotCar all x, then all y."""
+    rows = np.array([[1, -2, 3, 9, 7, 0], [-4, -5, -6, 9, 7, 0]] * 30, "<f4")[:, : int(layout[0])]
+    (tmp_path / "1.bin").write_bytes((rows.T if "columns" in layout else rows).tobytes())
+    (cloud,) = read(tmp_path)
+    assert cloud.points.tolist() == [[1, -2, 3], [-4, -5, -6]] * 30
 
 
 def test_points_have_the_times_that_a_file_gives_them(tmp_path: Path) -> None:
