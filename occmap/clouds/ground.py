@@ -172,7 +172,7 @@ def grow(
         grown.append(found)
     growth.restore_levels(blocks, grown[0], height)
     smooth = np.empty_like(height)
-    growth.smooth_ground(blocks, peaks, height, smooth)
+    growth.smooth_ground(blocks, peaks, grown[0], height, smooth)
     keep_known(known, found._replace(height=smooth))
     return smooth
 
@@ -267,7 +267,8 @@ def fit_plane(blocks: Blocks, height: Int32) -> Int32 | None:
     at = np.flatnonzero(height != NO_GROUND)
     if len(at) < LEAST_LEVEL:
         return None
-    row, col = list_places(blocks, np.arange(len(height)))
+    corners, inside = blocks.places.T[..., None] * BLOCK, np.indices((BLOCK, BLOCK))
+    row, col = (corners + inside.reshape(2, 1, -1)).reshape(2, -1)
     terms = np.stack([np.ones_like(row), col - col[at[0]], row - row[at[0]]], axis=1)
     known, level_mm, used = terms[at], height[at].astype(np.int64), np.ones(len(at), np.bool_)
     for _ in range(ROUNDS):
@@ -281,12 +282,6 @@ def fit_plane(blocks: Blocks, height: Int32) -> Int32 | None:
     if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
         return None
     return np.asarray(np.rint(terms @ plane).astype(np.int32))
-
-
-def list_places(blocks: Blocks, at: Int64) -> tuple[Int64, Int64]:
-    """The rows and the columns of columns (N,), by where they lie in flat arrays."""
-    row, col = blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK
-    return row + (at >> BLOCK_BITS & BLOCK - 1), col + (at & BLOCK - 1)
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:
@@ -320,10 +315,8 @@ def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     keys, counts = table.keys[kept], table.counts[kept]
     is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
     places = unpack_columns(keys[is_next], path)
-    many, (level, weight) = (
-        np.zeros(len(places), np.int32),
-        np.empty((2, 8 * len(keys) + 8), np.int32),
-    )
+    many = np.zeros(len(places), np.int32)
+    level, weight = np.empty((2, 8 * len(keys) + 8), np.int32)
     found = heights.list_peaks(keys, counts, np.empty(heights.ROOM, np.int64), many, level, weight)
     blocks = make_blocks(places, known)
     at = find_columns(blocks, places)

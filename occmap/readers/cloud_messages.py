@@ -326,33 +326,31 @@ def _project(camera: Camera, depth: Float32, message: Any, topic: str, record_ns
     if depth.shape != (camera.height, camera.width):
         found = f"has {depth.shape[1]} x {depth.shape[0]} pixels"
         raise DamageError(f"{found}, where its camera has {camera.width} x {camera.height}")
-    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(depth, camera.fx))
+    row, column = np.nonzero(np.isfinite(depth) & (depth > 0) & ~find_flying(camera, depth))
     z = depth[row, column]
     x, y = (column - camera.cx) / camera.fx * z, (row - camera.cy) / camera.fy * z
     return make_cloud({"x": x, "y": y, "z": z}, get_header(message), topic, record_ns)
 
 
-FLYING_M, FLYING_SHARE, BESIDE_M = 0.1, 0.03, 0.5
+FLYING_M, FLYING_SHARE, BESIDE_M = 0.1, 0.03, 0.15
 """At an edge, a pixel so far (m, or this share of its depth) from both things mixes the two, unless
-pixels of a wall so far beside the camera, along its view, are as far from each other"""
+pixels of a wall so far beside the camera, or of a floor so far below it, are as far from each
+other"""
 
 
-def find_flying(depth: Float32, focal: float) -> Bool:
-    """Find pixels (H, W) that hang in the air between a nearer and a farther one in their row.
+def find_flying(camera: Camera, depth: Float32) -> Bool:
+    """Find pixels (H, W) that hang in the air between a nearer and a farther one beside them.
 
     A pole one pixel wide is nearer than both.
-
-    Parameters
-    ----------
-    focal
-        The focal length along a row (pixels).
     """
-    left, here, right = depth[:, :-2], depth[:, 1:-1], depth[:, 2:]
-    near, far = np.minimum(left, right), np.maximum(left, right)
     flying = np.zeros(depth.shape, np.bool_)
     with np.errstate(invalid="ignore", over="ignore"):
-        along = np.maximum(here**2 / (BESIDE_M * focal), FLYING_SHARE * here)
-        least = np.maximum(along, FLYING_M)
-        between = (near > 0) & (here - near > least) & (far - here > least) & (far < np.inf)
-    flying[:, 1:-1] = between
+        for lines, found, focal in (depth, flying, camera.fx), (depth.T, flying.T, camera.fy):
+            before, here, after = lines[:, :-2], lines[:, 1:-1], lines[:, 2:]
+            at = np.nonzero(np.abs(after - before) > 2 * FLYING_M)  # only few, so that it is quick
+            (near, far), here = np.sort([before[at], after[at]], axis=0), here[at]
+            slant = here**2 / (BESIDE_M * focal)
+            least = np.maximum(slant, FLYING_SHARE * here).clip(FLYING_M)
+            between = (near > 0) & (here - near > least) & (far - here > least) & (far < np.inf)
+            found[:, 1:-1][at] |= between
     return flying

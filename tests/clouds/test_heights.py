@@ -155,18 +155,25 @@ def test_a_level_that_goes_on_is_given_back_but_for_its_brink(
     assert np.flatnonzero(rows == 0).tolist() == lost
 
 
-def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high() -> None:
-    heights = lay({650: 0, 651: 20})
-    first, many = lay({650: 0, 651: 2}, 0), lay({650: 2, 651: 2}, 0)
-    # Of the first column a peak at 100 is beyond 90 mm; of the second one it is within.
+@pytest.mark.parametrize(
+    ("level", "first", "passed", "smooth"),
+    [
+        (20, 0, PASSED, 54),
+        (100, 0, PASSED, 14),  # a brink has the ground below it
+        (100, 0, STOOD, 80),
+        (100, 90, PASSED, 80),  # what lies lower is the brink
+    ],
+)
+def test_ground_is_the_mean_of_peaks_around_that_are_about_as_high(
+    level: int, first: int, passed: int, smooth: int
+) -> None:
     found, points = np.array([[0, 100, 20, 80], [6, 9, 3, 1]], np.int32)
-    peaks = growth.Peaks(first, many, found, points)
-    base = np.empty_like(heights)
+    peaks = growth.Peaks(lay({650: 0, 651: 2}, 0), lay({650: 2, 651: 2}, 0), found, points)
+    was, base = Found(lay({650: first}), *np.full((2, 4096), passed)), lay({})
 
-    growth.smooth_ground(BLOCKS, peaks, heights, base)
+    growth.smooth_ground(BLOCKS, peaks, was, lay({650: 0, 651: level}), base)
 
-    assert base[650] == (6 * 0 + 3 * 20 + 1 * 80) // 10
-    assert base[651] == (6 * 0 + 9 * 100 + 3 * 20 + 1 * 80) // 19
+    assert base[650:652].tolist() == [(6 * 0 + 3 * 20 + 1 * 80) // 10, smooth]
 
 
 @pytest.mark.parametrize(("rise", "notes"), [(1500, 0), (3000, 1)])

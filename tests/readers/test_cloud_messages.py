@@ -12,7 +12,7 @@ from rosbags.typesys.store import Typestore
 
 from occmap.errors import LogError
 from occmap.readers import Role, open_log, read_recorded
-from occmap.readers.cloud_messages import convert_cloud, find_flying, find_offsets
+from occmap.readers.cloud_messages import Camera, convert_cloud, find_flying, find_offsets
 from occmap.scans.logs import choose_topics
 from occmap.types import Cloud, Pose
 from tests.readers.clouds import cloud, image, info, listed, livox, packed
@@ -247,8 +247,8 @@ def test_a_depth_image_is_a_point_for_each_pixel(
         ([1.0, 1.0, 4.0, 4.0], []),
         ([1.0, 1.09, 4.0], []),  # a wall that is seen at a slant
         ([5.0, 5.14, 6.0], []),
-        ([8.0, 8.5, 9.0], []),  # a wall half a metre beside the camera grows by 0.64 a pixel there
-        ([8.0, 8.9, 10.5], [1]),
+        ([4.0, 4.4, 4.9], []),  # a wall 0.15 m beside the camera grows by 0.53 m a pixel there
+        ([4.0, 4.8, 5.7], [1]),
         ([0.0, 2.0, 4.0], []),
         ([1.0, 2.0, np.nan], []),
         ([1.0, 2.0, np.inf], []),
@@ -259,8 +259,10 @@ def test_a_depth_image_is_a_point_for_each_pixel(
 def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
     depths: list[float], flying: list[int]
 ) -> None:
-    found = find_flying(np.array([depths, depths], np.float32), 200.0)
-    assert [np.flatnonzero(row).tolist() for row in found] == [flying, flying]
+    row = np.array([depths], np.float32)
+    camera = Camera(0, 0, 200.0, 200.0, 0.0, 0.0)
+    for found in (find_flying(camera, row), find_flying(camera, row.T)):
+        assert np.flatnonzero(found).tolist() == flying
 
 
 def test_a_camera_that_never_comes_is_told_of(tmp_path: Path) -> None:

@@ -14,8 +14,8 @@ STEP_MM = 80
 """The ground of a column is at most this far from the mean of what is beside it, and is bilinear
 between columns that differ by no more"""
 SMOOTH, ALIKE_MM = 4, 90
-"""So far around it (columns) the ground of a column is the mean of what lies so near to its own: a
-step as high as the clearance is none"""
+"""So far around it (columns) the ground of a column is the mean of what lies so near to its own: of
+a step as high as the clearance it is one side, and floor that two visits show 8 cm apart is one"""
 PASSED, STOOD = 1, 2
 """Columns that the robot passed by, and those that it stood on"""
 QUEUED = -1
@@ -318,6 +318,24 @@ def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool
     return 2 * seen > BROAD
 
 
+@step
+def find_below(blocks: Blocks, first: Found, height: Int32, at: int) -> int:
+    """The height of the ground of a column (mm); at a brink, of the lowest ground beside it.
+
+    Points of a column at a brink are of both sides, and of the face between them. What was lowered
+    since it was found first is the brink itself.
+    """
+    level: int = height[at]
+    lowest, (row, col) = level, locate(blocks, at)
+    for up in range(-1, 2):
+        for right in range(-1, 2):
+            near = find_column(blocks, row + up, col + right)
+            is_below = near >= 0 and NO_GROUND < height[near] < level - BRINK_MM
+            if is_below and height[near] == first.height[near]:
+                lowest = min(lowest, height[near])
+    return level if first.passed[at] == STOOD else lowest
+
+
 @kernel
 def is_level(blocks: Blocks, found: Found, at: int) -> bool:
     """Whether a column is of a surface that goes on, and not at its brink."""
@@ -327,13 +345,9 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
             if goes_on(blocks, height, at, up, right):
                 return True
         return False
-    # It goes on away from what lies lower, and the next column towards that is no brink.
-    if not goes_on(blocks, height, at, -down, -aside):
-        return False
-    row, col = locate(blocks, at)
-    way = max(abs(down), abs(aside))
-    near = find_column(blocks, row + int(np.rint(down / way)), col + int(np.rint(aside / way)))
-    return near >= 0 and height[near] != NO_GROUND and height[at] - height[near] <= BRINK_MM
+    # It goes on away from what lies lower.
+    is_brink = find_below(blocks, found, height, at) < height[at]
+    return not is_brink and goes_on(blocks, height, at, -down, -aside)
 
 
 @kernel
@@ -354,7 +368,7 @@ def restore_levels(blocks: Blocks, found: Found, base: Int32) -> None:
 
 
 @kernel
-def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, base: Int32) -> None:
+def smooth_ground(blocks: Blocks, peaks: Peaks, first: Found, height: Int32, base: Int32) -> None:
     """Take the mean of all peaks around a column that lie within `ALIKE_MM` of its ground.
 
     Poses are off by some centimetres, and otherwise at each visit: what one visit shows of the
@@ -362,14 +376,16 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, base: Int32) -> N
 
     Parameters
     ----------
+    first
+        What was found first, with all that stands on the ground.
     height
         (C,) mm, as found.
     base
         (C,) filled.
     """
-    for at in range(height.size):
-        base[at] = height[at]
-        if height[at] == NO_GROUND:
+    for at in range(base.size):
+        level = base[at] = find_below(blocks, first, height, at)
+        if level == NO_GROUND:
             continue
         row, col = locate(blocks, at)
         total, points = 0, 0
@@ -379,7 +395,7 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, height: Int32, base: Int32) -> N
                 if near < 0 or height[near] == NO_GROUND:
                     continue
                 for k in range(peaks.first[near], peaks.first[near] + peaks.many[near]):
-                    if abs(peaks.height[k] - height[at]) <= ALIKE_MM:
+                    if abs(peaks.height[k] - level) <= ALIKE_MM:
                         total += peaks.weight[k] * peaks.height[k]
                         points += peaks.weight[k]
         if points:
