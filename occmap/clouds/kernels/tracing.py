@@ -221,40 +221,69 @@ def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: f
 @kernel
 def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     """Observe the cells of one cloud, each once: a hit before a miss."""
-    state, apart, ends, touched = canvas.state, room.apart, room.ends, room.touched
     scale = UNITS_PER_CELL / canvas.resolution
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
     under = find_floor(canvas, row, col, -HIGHEST)
+    tall = cloud.origin[2] * 1000 - under if under != -HIGHEST else 0.0
+    over = 1 - band.high / max(tall, float(band.high))
     many, floors = find_ends(cloud, band, canvas, room, under)
-    first = room.first
+    many = free_floor(canvas, room, floors, many)
+    many = clear_bearings((row, col), over, canvas, room, many)
+    count_looks((row, col), canvas, room.touched, many)
+
+
+@step
+def free_floor(canvas: Canvas, room: Room, floors: int, many: int) -> int:
+    """Mark the cells of floor points that are free, and find where each bearing is first met.
+
+    Returns how many cells are touched.
+    """
+    state, apart, first = canvas.state, room.apart, room.first
     for bearing in range(SECTORS):
         first[bearing] = apart[OBSTACLE, bearing]
     for i in range(floors):
-        at, bearing = room.floor[i], room.floor_bearing[i]
-        first[bearing] = min(first[bearing], room.floor_apart[i])
+        at, bearing, far = room.floor[i], room.floor_bearing[i], room.floor_apart[i]
+        first[bearing] = min(first[bearing], far)
         # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
-        is_behind = room.floor_apart[i] > apart[OBSTACLE, bearing]
-        if state[at] == 0 and not (is_behind and room.floor_steep[i] < room.steep[bearing]):
-            touched[many] = at
+        is_behind = far > apart[OBSTACLE, bearing]
+        is_beneath = is_behind and room.floor_steep[i] < room.steep[bearing]
+        if state[at] == 0 and not is_beneath:
+            room.touched[many] = at
             many += 1
             state[at] = MISS
-    tall = cloud.origin[2] * 1000 - under if under != -HIGHEST else 0.0
-    over = 1 - band.high / max(tall, float(band.high))
+    return many
+
+
+@step
+def clear_bearings(
+    start: tuple[int, int], over: float, canvas: Canvas, room: Room, many: int
+) -> int:
+    """Mark the cells up to the end of each bearing; return how many are touched.
+
+    Beams that pass above the robot say nothing of what is below them, which is the share `over` of
+    a bearing's lowest beam.
+    """
     for bearing in range(SECTORS):
-        kind = OBSTACLE if apart[OBSTACLE, bearing] < NOTHING else GROUND
-        if apart[kind, bearing] < NOTHING:
-            up = (ends[kind, bearing] + HALF_END) >> END_BITS
-            right = ends[kind, bearing] - (up << END_BITS)
-            # Beams that pass above the robot say nothing of what is below them.
-            share = over * np.sqrt(first[bearing] / abs(apart[kind, bearing])) if over else 0.0
-            many = clear_line((row, col), (up, right), share, canvas, touched, many)
-    near = NEAR_M * scale / UNITS_PER_CELL
+        kind = OBSTACLE if room.apart[OBSTACLE, bearing] < NOTHING else GROUND
+        far, end = room.apart[kind, bearing], room.ends[kind, bearing]
+        if far < NOTHING:
+            up = (end + HALF_END) >> END_BITS
+            right = end - (up << END_BITS)
+            share = over * np.sqrt(room.first[bearing] / abs(far)) if over else 0.0
+            many = clear_line(start, (up, right), share, canvas, room.touched, many)
+    return many
+
+
+@step
+def count_looks(start: tuple[int, int], canvas: Canvas, touched: Int32, many: int) -> None:
+    """Count what the cloud says of the cells that it touched, and forget it."""
+    state, near = canvas.state, NEAR_M / canvas.resolution
     for i in range(many):
         at = touched[i]
         tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
-        of_row, of_col = locate(canvas.tiles, at)
-        up, right = of_row - row, of_col - col
+        row, col = locate(canvas.tiles, at)
+        up, right = row - start[0], col - start[1]
         weight = NEAR_WEIGHT if up * up + right * right < near * near else 1
         layer = 2 * tile + (0 if state[at] & HIT else 1)
         canvas.counts[layer * CELLS + inside] += weight
