@@ -62,15 +62,17 @@ class FrameTree:
 
     def __init__(self, edges: Iterable[Edge]) -> None:
         self._up: dict[str, list[Edge]] = defaultdict(list)
-        self._down: dict[str, list[Edge]] = defaultdict(list)
         self.edges = tuple(_choose_edges(edges))
         for edge in self.edges:
             self._up[edge.child].append(edge)
-            self._down[edge.parent].append(edge)
-        self.frames: tuple[str, ...] = tuple(sorted(self._up.keys() | self._down.keys()))
+        self._steps = defaultdict(list, {child: up.copy() for child, up in self._up.items()})
+        """To each frame, from those above it and then from those below"""
+        for edge in self.edges:
+            self._steps[edge.parent].append(edge.invert())
+        self.frames: tuple[str, ...] = tuple(sorted(self._steps))
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self._up or frame in self._down
+        return frame in self._steps
 
     @cached_property
     def bodies(self) -> list[str]:
@@ -115,7 +117,7 @@ class FrameTree:
         for frame in queue:  # it grows meanwhile
             if frame == upper:
                 break
-            for step in chain(self._up.get(frame, ()), map(Edge.invert, self._down.get(frame, ()))):
+            for step in self._steps.get(frame, ()):
                 if step.parent != lower and step.parent not in down:
                     down[step.parent] = step
                     queue.append(step.parent)

@@ -222,12 +222,15 @@ def _list_beside(
 
 def _list_contradictions(edges: Iterable[Edge], tree: FrameTree) -> Iterator[str]:
     """Say where the transforms of a log contradict each other, and which of them count."""
-    tf = [edge for edge in edges if edge.source is Source.TF]
+    tf: dict[tuple[str, str], list[Edge]] = defaultdict(list)
+    for edge in edges:
+        if edge.source is Source.TF:
+            tf[edge.parent, edge.child].append(edge)
     doubles: dict[tuple[str, str], list[str]] = defaultdict(list)
     parents: dict[str, list[str]] = defaultdict(list)
     for used in tree.edges:
         parents[used.child].append(used.parent)
-        same = [edge for edge in tf if (edge.parent, edge.child) == (used.parent, used.child)]
+        same = tf[used.parent, used.child]
         if used.source is Source.TF and _disagree(same):
             topics = join_names(sorted({edge.topic for edge in same}))
             doubles[topics, used.topic].append(f"{used.parent} -> {used.child}")
