@@ -154,6 +154,8 @@ COLUMN_NAMES = {
     "frame": ("field.header.frame_id", "header.frame_id"),
 }
 """What other programs call a column; those of `rostopic echo -p` begin with `field.`"""
+_TIME = re.compile(r"^(?:.*\bstamp[./])?(n?)(?:ano)?(sec)s?$")
+"""What ROS calls the two columns of a time: whole seconds, and nanoseconds to be added"""
 _UNIT = re.compile(r"\s*[\[(](?:s|m|rad)?[\])]$")
 """A unit behind the name of a column, where it is the one that is expected"""
 
@@ -167,10 +169,13 @@ def find_separator(row: str) -> str | None:
 def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
     """Split a header row into the names of its columns, as occmap has them where it knows them.
 
-    Also say whether the time, which is `stamp`, is in nanoseconds.
+    Also say whether the time, which is `stamp`, is in nanoseconds. Beside `nsec` it is in seconds.
     """
     cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
     names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
+    halves = [_TIME.sub(r"\1\2", name) for name in names]
+    if {"sec", "nsec"}.issubset(halves):
+        names = ["stamp" if name == "sec" else name for name in halves]
     for name, others in COLUMN_NAMES.items():
         found = next((other for other in others if other in names), "")
         if found and name.removesuffix("_ns") not in names:

@@ -67,7 +67,7 @@ def _parse_pose(
         raise ValueError(f"{len(fields)} values where {expected} belong")
     texts = dict(zip(columns, fields, strict=False))
     if "nsec" in texts:
-        texts["stamp"] = f"{texts['sec']}.{texts['nsec'].strip():0>9}"
+        texts["stamp"] = f"{texts['stamp']}.{texts['nsec'].strip():0>9}"
     rotation = QUATERNION if "qw" in texts else ANGLES
     numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
     return parse_stamp(texts["stamp"]), numbers
@@ -82,8 +82,6 @@ NUMBER = re.compile(r"[-+.\d]|nan|inf")
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)[./]|p_(?:\w+_)?|t)([xyz])(?:_m)?$")
 TURN = re.compile(r"^(?:.*\b(?:orientation|rotation)[./]|q_(?:\w+_)?)([wxyz])$")
 """What ROS, EuRoC, TUM and Argoverse call the columns of a place and of a quaternion"""
-TIME = re.compile(r"^(?:.*\bstamp[./])?(n?)(?:ano)?(sec)s?$")
-"""What ROS calls the two columns of a time"""
 
 
 def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None) -> PoseBatch:
@@ -284,15 +282,14 @@ def _read_header(text: str) -> Callable[[str], Row]:
     """
     separator = values.find_separator(text)
     columns, is_ns = values.split_header(text, separator)
-    names = [TIME.sub(r"\1\2", TURN.sub(r"q\1", PLACE.sub(r"\1", name))) for name in columns]
+    names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
-    stamp = {"sec", "nsec"} if "nsec" in names else {"stamp"}
-    missing = {*stamp, "x", "y", *angles}.difference(names)
+    missing = {"stamp", "x", "y", *angles}.difference(names)
     if missing:
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    parse = values.parse_nanoseconds if is_ns and "stamp" in stamp else values.parse_seconds
+    parse = values.parse_nanoseconds if is_ns else values.parse_seconds
     return partial(_parse_pose, names, separator, parse)
 
 

@@ -32,9 +32,10 @@ LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
     "stamp": decimals.SECONDS,
+    "nsec": decimals.NANOSECONDS,
 }
 """What differs between the scans of one laser, as ranges do"""
-NAMES = frozenset((*REQUIRED, *DEFAULTS, *POSE_NAMES))
+NAMES = frozenset((*REQUIRED, *DEFAULTS, *MEASURED))
 """What may stand as a column or in a comment; beams are columns only."""
 _BEAM = re.compile(r"^r(?:anges?)?_?\[?0*(\d+)\]?$")
 """What a beam may be called"""

@@ -143,7 +143,8 @@ class Pattern(NamedTuple):
     names: Sequence[str]
     """(N,) how a sentence about each word begins"""
     columns: Mapping[str, int]
-    """Which words are stamp, record (the second time), x, y, yaw and time_increment"""
+    """Which words are stamp, nsec (added to it), record (the second time), x, y, yaw and
+    time_increment"""
     constants: Mapping[str, Any]
     """Those of these numbers that stand for all lines"""
     scan: Scan
@@ -160,6 +161,8 @@ class Pattern(NamedTuple):
         stamp_ns = np.full(len(words.ranges), self.scan.stamp_ns)
         if "stamp" in self.columns:
             stamp_ns = words.times[self.columns["stamp"]].copy()
+        if "nsec" in self.columns:
+            stamp_ns += words.times[self.columns["nsec"]]
         # Converters write 0 where they know no second time.
         record_ns = words.times[self.columns["record"]] if "record" in self.columns else stamp_ns
         record_ns = np.where(record_ns, record_ns, stamp_ns)

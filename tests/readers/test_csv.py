@@ -69,11 +69,14 @@ FULL = Scan(
         WHOLE.replace("stamp", "timestamp_ns").replace("0.1234", "01234"),
         WHOLE.replace("0.1234", "01234"),
         WHOLE.replace("stamp", "%time").replace("0.1234", "01234"),
+        WHOLE.replace("stamp", "Time,header.stamp.secs,header.stamp.nsecs")
+        .replace("0.123", "0,123")
+        .replace("17", "1799999999.5,17"),
     ],
     ids=[
         *("plain", "crlf", "bom", "blanks", "quotes", "other order", "gzip", "semicolons", "tabs"),
         *("decimal commas", "numpy's header", "other names", "units"),
-        *("named nanoseconds", "nanoseconds", "rostopic's time"),
+        *("named nanoseconds", "nanoseconds", "rostopic's time", "bagpy's header"),
     ],
 )
 def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
