@@ -169,13 +169,14 @@ def find_separator(row: str) -> str | None:
 def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
     """Split a header row into the names of its columns, as occmap has them where it knows them.
 
-    Also say whether the time, which is `stamp`, is in nanoseconds. Beside `nsec` it is in seconds.
+    Also say whether the time, which is `stamp`, is in nanoseconds. Of a time in two columns `stamp`
+    is the seconds, and `stamp_nsec` the rest.
     """
     cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
     names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
     halves = [_TIME.sub(r"\1\2", name) for name in names]
-    if {"sec", "nsec"}.issubset(halves):
-        names = ["stamp" if name == "sec" else name for name in halves]
+    if {"sec", "nsec"}.issubset(halves) and "stamp" not in names:
+        names[halves.index("sec")], names[halves.index("nsec")] = "stamp", "stamp_nsec"
     for name, others in COLUMN_NAMES.items():
         found = next((other for other in others if other in names), "")
         if found and name.removesuffix("_ns") not in names:

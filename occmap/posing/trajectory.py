@@ -40,6 +40,9 @@ OF_CAMERA = "those of a camera (z is ahead, y down)"
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Turns the axes of a camera (right, down, ahead) to those of a robot (ahead, left, up)"""
 
+LEAST_WAY_M = 1.0
+"""A lidar that tilts on an arm goes less far"""
+
 MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
@@ -66,8 +69,8 @@ def _parse_pose(
     if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):
         raise ValueError(f"{len(fields)} values where {expected} belong")
     texts = dict(zip(columns, fields, strict=False))
-    if "nsec" in texts:
-        texts["stamp"] = f"{texts['stamp']}.{texts['nsec'].strip():0>9}"
+    if "stamp_nsec" in texts:
+        texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
     rotation = QUATERNION if "qw" in texts else ANGLES
     numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
     return parse_stamp(texts["stamp"]), numbers
@@ -122,7 +125,7 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     lines, headings = _read_rows(path)
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
-    if not has_header and len(_split_matrix(begin)) in MATRICES:
+    if not has_header and _is_matrix(begin):
         return _read_matrices(path, lines, notes)
     rows: list[Row] = []
     for parse in _parse_lines(path, lines[:1], partial(_find_format, headings)):
@@ -138,7 +141,7 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         poses = np.array(turned)
     usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
     has_order = not len(usable) or parse not in {TUM, EUROC}
-    if not has_order and (header := _find_order(path, usable[:, 3:])):
+    if not has_order and (header := _find_order(path, parse, usable[:, 3:])):
         notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
     if len(usable) and _are_of_camera(usable):
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
@@ -146,10 +149,10 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     return times, poses
 
 
-def _find_order(path: Path, quaternions: Float64) -> str:
+def _find_order(path: Path, parse: object, quaternions: Float64) -> str:
     """Find the header for quaternions (N, 4) that turn as no robot does; "" where they do.
 
-    If their w is taken for x, they turn about x alone, and if z and w are taken for y and z, by
+    If TUM takes their w for x, they turn about x alone, and if EuRoC takes z and w for y and z, by
     half a turn.
 
     Raises
@@ -157,12 +160,14 @@ def _find_order(path: Path, quaternions: Float64) -> str:
     LogError
         They are no rotations.
     """
-    if np.median(np.abs(np.linalg.norm(quaternions, axis=1) - 1)) > 0.05:
+    lengths = np.linalg.norm(quaternions, axis=1)
+    if np.median(np.abs(lengths / np.median(lengths) - 1)) > 0.05:
         fix = f"a header must say what the columns are; {SHAPES}"
         raise LogError("no quaternion stands behind x, y and z", where=path, fix=fix)
     x, y, z, w = np.abs(quaternions).max(axis=0)
-    if np.ptp(quaternions[:, 0]) > 0.1 and max(y, z) < 0.01:
-        return "stamp x y z qw qx qy qz"
+    if parse is TUM:
+        turns = np.ptp(quaternions[:, 0]) > 0.1
+        return "stamp x y z qw qx qy qz" if turns and max(y, z) < 0.01 else ""
     return "stamp,x,y,z,qx,qy,qz,qw" if min(y, z) > 0.1 and max(x, w) < 0.01 else ""
 
 
@@ -176,7 +181,8 @@ def _are_of_camera(poses: Float64) -> bool:
     upright, turned = turns[:, [1, 2], [1, 2]].min(axis=0)
     steps = np.einsum("nij,ni->nj", turns[:-1], np.diff(poses[:, :3], axis=0))
     aside, _, ahead = np.abs(steps).sum(axis=0)
-    return bool(z > y and upright > 0.8 and turned < 0.5 and ahead > 2 * aside)
+    goes_ahead = z > max(y, LEAST_WAY_M) and ahead > 2 * aside
+    return bool(goes_ahead and upright > 0.8 and turned < 0.5)
 
 
 def _turn_from_camera(poses: Float64) -> Float64:
@@ -295,6 +301,18 @@ def _read_header(text: str) -> Callable[[str], Row]:
 
 def _split_matrix(text: str) -> list[str]:
     return text.replace(",", " ").split()
+
+
+def _is_matrix(text: str) -> bool:
+    """Whether a line holds a matrix, by its length, and by what turns in it where that is known."""
+    size = len(_split_matrix(text))
+    if size not in MATRICES:
+        return False
+    with suppress(ValueError):
+        turn = np.reshape(_parse_matrix(size, text)[1], (3, 4))[:, :3]
+        is_known = bool(np.isfinite(turn).all())
+        return not is_known or np.allclose(turn @ turn.T, np.eye(3), atol=0.05)
+    return True
 
 
 def _parse_matrix(size: int, text: str) -> tuple[int | None, list[float]]:

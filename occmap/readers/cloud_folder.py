@@ -183,7 +183,8 @@ def read_bin(data: bytes, values: int = 4) -> Points:
     if not likely and len(data) % (4 * values):
         raise DamageError(f"has {len(data):,} bytes, where a point takes {4 * values}")
     rows = (likely or fitting)[0]
-    if np.count_nonzero(np.abs(rows[:, :3]) > BEYOND_EARTH_M) > len(rows):
+    apart = np.abs(rows[:, :3])  # infinite where nothing came back
+    if np.count_nonzero((apart > BEYOND_EARTH_M) & (apart < np.inf)) > len(rows):
         raise DamageError("holds no points of x, y, z and reflectance as floats of 32 bits")
     return Points(dict(zip("xyz", rows.T, strict=False)), len(rows))
 

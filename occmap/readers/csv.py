@@ -32,7 +32,7 @@ LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
     "stamp": decimals.SECONDS,
-    "nsec": decimals.NANOSECONDS,
+    "stamp_nsec": decimals.NANOSECONDS,
 }
 """What differs between the scans of one laser, as ranges do"""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *MEASURED))

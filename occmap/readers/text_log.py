@@ -143,7 +143,7 @@ class Pattern(NamedTuple):
     names: Sequence[str]
     """(N,) how a sentence about each word begins"""
     columns: Mapping[str, int]
-    """Which words are stamp, nsec (added to it), record (the second time), x, y, yaw and
+    """Which words are stamp, stamp_nsec (added to it), record (the second time), x, y, yaw and
     time_increment"""
     constants: Mapping[str, Any]
     """Those of these numbers that stand for all lines"""
@@ -161,8 +161,8 @@ class Pattern(NamedTuple):
         stamp_ns = np.full(len(words.ranges), self.scan.stamp_ns)
         if "stamp" in self.columns:
             stamp_ns = words.times[self.columns["stamp"]].copy()
-        if "nsec" in self.columns:
-            stamp_ns += words.times[self.columns["nsec"]]
+        if "stamp_nsec" in self.columns:
+            stamp_ns += words.times[self.columns["stamp_nsec"]]
         # Converters write 0 where they know no second time.
         record_ns = words.times[self.columns["record"]] if "record" in self.columns else stamp_ns
         record_ns = np.where(record_ns, record_ns, stamp_ns)

@@ -232,3 +232,24 @@ def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> Non
 
     assert found.height.tolist() == [20, 148, none]
     assert found.weight.tolist() == [0, 7, 0]
+
+
+@pytest.mark.parametrize(
+    ("back", "below"), [(0, -70), (NO_GROUND, -70), (70, 0)], ids=["brink", "edge", "slope"]
+)
+def test_a_column_at_a_brink_has_the_ground_of_the_lower_side(back: int, below: int) -> None:
+    heights = lay({64 * 5 + 5: 0, 64 * 5 + 6: -70, 64 * 5 + 4: back})
+    first = Found(heights.copy(), np.zeros_like(heights), np.zeros(len(heights), np.uint8))
+    assert growth.find_below(BLOCKS, first, heights, 64 * 5 + 5) == below
+
+
+@pytest.mark.parametrize("is_seen", [True, False])
+def test_a_level_ends_where_what_lies_beside_it_is_hidden(is_seen: bool) -> None:
+    """The lower floor is two columns away from it, and the one between may lie in a shadow."""
+    rows = [64 * row for row in range(20)]
+    heights = lay({row + col: 0 for row in rows for col in range(12)})
+    heights[[row + 13 for row in rows]] = -200
+    heights[[row + 12 for row in rows]] = 0 if is_seen else NO_GROUND
+    passed, weight = np.full(len(heights), PASSED, np.uint8), np.ones_like(heights)
+    found = Found(heights, weight, passed)
+    assert growth.is_level(BLOCKS, found, 64 * 10 + 11) == is_seen

@@ -56,6 +56,10 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         ),
         ("#sec,nsec,x,y,z,qx,qy,qz,qw\n3,0,1,2,4,0,0,0.6,0.8\n", (1, 2, 4, *TURN)),
         ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n4,3,0,1,2,0\n", FLAT),
+        ("h.stamp.sec,h.stamp.nsec,x,y,yaw,g.stamp.sec,g.stamp.nsec\n3,0,1,2,0,8,9\n", FLAT),
+        ("time,nsec,x,y,yaw\n3.0,5,1,2,0\n", FLAT),
+        ("# t x y qx qy qz qw a b c d e f\n3 1 2 0 0 0 1 7 7 7 7 7 7\n", FLAT),
+        ("3000000000,1,2,0,1,0,0,0,7,7,7,7,7\n", FLAT),  # EuRoC's lines may go on
         ("__time,/odom/pose/position/x,/odom/pose/position/y,yaw\n3,1,2,0\n", FLAT),
         ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
     ],
@@ -63,7 +67,8 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         *("heading", "columns in any order beside others", "comment", "comments", "nanoseconds"),
         *("whole seconds", "quaternion", "byte order"),
         *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
-        *("names of EuRoC", "Newer College", "bagpy", "PlotJuggler", "Argoverse"),
+        *("names of EuRoC", "Newer College", "bagpy", "two stamps", "half a time"),
+        *("13 columns", "13 numbers", "PlotJuggler", "Argoverse"),
     ],
 )
 def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
@@ -185,10 +190,16 @@ def test_a_bad_line_is_named(tmp_path: Path, text: str, line: int, found: str) -
     assert len(message) < 400 + len(str(tmp_path))
 
 
-@pytest.mark.parametrize("line", ["12,5,1,2,3,0,0,0.6,0.8\n", "12 1 2 3 0.1 0.2 0.3 0\n"])
+@pytest.mark.parametrize("line", ["12,5,1,2,{},0,0,0.6,0.8\n", "12 1 2 3 0.{} 0.2 0.3 0\n"])
 def test_columns_that_hold_no_quaternion_are_refused(tmp_path: Path, line: str) -> None:
     with pytest.raises(LogError, match="no quaternion stands behind"):
-        read(tmp_path, line)
+        read(tmp_path, line.format(1) + line.format(3))
+
+
+def test_quaternions_of_another_length_are_rotations(tmp_path: Path) -> None:
+    (sample, _) = read(tmp_path, "3 1 2 4 0 0 1.2 1.6\n4 1 2 4 0 0 1.6 1.2\n")
+    length = math.hypot(*sample.pose[3:])
+    assert [each / length for each in sample.pose[3:]] == pytest.approx(TURN)
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "stamp,x,y,yaw\n"])

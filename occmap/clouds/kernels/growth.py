@@ -322,15 +322,18 @@ def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool
 def find_below(blocks: Blocks, first: Found, height: Int32, at: int) -> int:
     """The height of the ground of a column (mm); at a brink, of the lowest ground beside it.
 
-    Points of a column at a brink are of both sides, and of the face between them. What was lowered
-    since it was found first is the brink itself.
+    Points of a column at a brink are of both sides, and of the face between them. It falls by more
+    on one side than it rises on the other. What was lowered since it was found first is the brink
+    itself.
     """
     level: int = height[at]
     lowest, (row, col) = level, locate(blocks, at)
     for up in range(-1, 2):
         for right in range(-1, 2):
             near = find_column(blocks, row + up, col + right)
-            is_below = near >= 0 and NO_GROUND < height[near] < level - BRINK_MM
+            back = find_column(blocks, row - up, col - right)
+            above = max(level, height[back]) if back >= 0 else level
+            is_below = near >= 0 and NO_GROUND < height[near] < 2 * level - above - BRINK_MM
             if is_below and height[near] == first.height[near]:
                 lowest = min(lowest, height[near])
     return level if first.passed[at] == STOOD else lowest
@@ -345,7 +348,12 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
             if goes_on(blocks, height, at, up, right):
                 return True
         return False
-    # It goes on away from what lies lower.
+    # It goes on away from what lies lower, and the next column towards that is seen.
+    row, col = locate(blocks, at)
+    way = max(abs(down), abs(aside))
+    near = find_column(blocks, row + int(np.rint(down / way)), col + int(np.rint(aside / way)))
+    if near < 0 or height[near] == NO_GROUND:
+        return False
     is_brink = find_below(blocks, found, height, at) < height[at]
     return not is_brink and goes_on(blocks, height, at, -down, -aside)
 
