@@ -1,8 +1,4 @@
-"""The ground below a drive: found from all clouds before any of them is traced.
-
-Its tilt against the floor that clouds see says whether a sensor sits, or its poses stand,
-otherwise than they are said to.
-"""
+"""The ground below a drive: derived from what all clouds show, before any of them is traced."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -140,8 +140,8 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
     usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
-    has_order = not len(usable) or parse not in {TUM, EUROC}
-    if not has_order and (header := _find_order(path, parse, usable[:, 3:])):
+    is_without_header = len(usable) and parse in {TUM, EUROC}
+    if is_without_header and (header := _find_order(path, parse, usable[:, 3:])):
         notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
     if len(usable) and _are_of_camera(usable):
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")

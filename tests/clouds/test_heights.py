@@ -253,3 +253,10 @@ def test_a_level_ends_where_what_lies_beside_it_is_hidden(is_seen: bool) -> None
     passed, weight = np.full(len(heights), PASSED, np.uint8), np.ones_like(heights)
     found = Found(heights, weight, passed)
     assert growth.is_level(BLOCKS, found, 64 * 10 + 11) == is_seen
+
+
+def test_a_ridge_is_no_level() -> None:
+    """The ways to what lies lower, on both sides, cancel out."""
+    heights = lay({64 * row + col: -200 * (col != 10) for row in range(20) for col in range(21)})
+    found = Found(heights, np.ones_like(heights), np.full(len(heights), PASSED, np.uint8))
+    assert not growth.is_level(BLOCKS, found, 64 * 10 + 10)

@@ -300,15 +300,21 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
             base[at] = weighted // points
 
 
+@step
+def find_along(blocks: Blocks, at: int, way: tuple[int, int], k: int) -> int:
+    """Where the column that lies k steps from one, on a way up and right, lies; or -1."""
+    (row, col), (up, right) = locate(blocks, at), way
+    steps = max(abs(up), abs(right))
+    rise, run = int(np.rint(k * up / steps)), int(np.rint(k * right / steps))
+    return find_column(blocks, row + rise, col + run)
+
+
 @kernel
 def goes_on(blocks: Blocks, height: Int32, at: int, up: int, right: int) -> bool:
     """Whether the surface of a column goes on for 1.5 m, on one way (columns)."""
-    row, col = locate(blocks, at)
-    way = max(abs(up), abs(right))
     seen, high = 0, float(height[at])
-    for k in range(1, BROAD + 1 if way else 0):
-        rise, run = int(np.rint(k * up / way)), int(np.rint(k * right / way))
-        near = find_column(blocks, row + rise, col + run)
+    for k in range(1, BROAD + 1 if up or right else 0):
+        near = find_along(blocks, at, (up, right), k)
         high -= SLOPE_MM
         if near >= 0 and height[near] != NO_GROUND:
             seen += 1
@@ -348,14 +354,13 @@ def is_level(blocks: Blocks, found: Found, at: int) -> bool:
             if goes_on(blocks, height, at, up, right):
                 return True
         return False
-    # It goes on away from what lies lower, and the next column towards that is seen.
-    row, col = locate(blocks, at)
-    way = max(abs(down), abs(aside))
-    near = find_column(blocks, row + int(np.rint(down / way)), col + int(np.rint(aside / way)))
-    if near < 0 or height[near] == NO_GROUND:
+    # It goes on away from what lies lower (and not where that is on all sides), and the next column
+    # towards that is seen, and no brink.
+    if not goes_on(blocks, height, at, -down, -aside):
         return False
-    is_brink = find_below(blocks, found, height, at) < height[at]
-    return not is_brink and goes_on(blocks, height, at, -down, -aside)
+    near = find_along(blocks, at, (down, aside), 1)
+    is_seen = near >= 0 and height[near] != NO_GROUND
+    return is_seen and find_below(blocks, found, height, at) == height[at]
 
 
 @kernel
