@@ -16,7 +16,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from occmap.cells import CellBox
-from occmap.errors import LogError, OccmapError
+from occmap.errors import OccmapError
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
@@ -26,7 +26,7 @@ from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
 from occmap.posing.attach import Poser
-from occmap.readers import Log, Role, open_log
+from occmap.readers import Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
@@ -325,26 +325,25 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
 
 def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     """Look into one log."""
-    known = LogFindings(str(path))
+    known, log = LogFindings(str(path)), None
     try:
         log = open_log(path, options.reading)
-        known = replace(known, streams=tuple(log.streams), notes=tuple(log.notes))
+        known = replace(known, streams=tuple(log.streams))
         posing = prepare(log, look_ahead(log, options), options)
-    except OccmapError as error:
-        return replace(known, problem=str(error.placed(path)))
-    return inspect_log(known, log, posing, options)
-
-
-def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and add to what is known of it."""
-    poser, drive = posing.poser, Drive(log, posing.poser, options)
-    try:
+        drive = Drive(log, posing.poser, options)
         for _ in drive.rounds():  # once more if the first ones hid "no return", or some leap away
             survey = Survey(drive)
             survey.survey()
-    except LogError as error:  # a part that was read says nothing of the log
-        return replace(known, notes=tuple(log.notes), problem=str(error.placed(log.path)))
-    seen = list(survey.topics.values())
+    except OccmapError as error:  # a part that was read says nothing of the log
+        notes = tuple(log.notes) if log else ()
+        return replace(known, notes=notes, problem=str(error.placed(path)))
+    return sum_up_log(known, survey, posing)
+
+
+def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFindings:
+    """Add to what is known of a log what its scans showed."""
+    drive, poser, seen = survey.drive, posing.poser, list(survey.topics.values())
+    log, options = drive.log, drive.options
     scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)

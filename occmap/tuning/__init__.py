@@ -91,15 +91,8 @@ class Tuning(Improvement, Scored):
     command: tuple[str, ...]
     """The command line that builds the better map, word by word; empty where nothing is
     recommended, or where what was found is not sure"""
-    agreement: float | None = field(metadata=HIDDEN)
-    """Share of the hits in cells that the map of the best calls occupied; None without any"""
     doubts: Sequence[str] = field(default=(), metadata=HIDDEN)
     """Those of the notes that are why nothing is recommended"""
-
-    @property
-    def doubt(self) -> str:
-        """That scans contradict each other even with the best that was found; else empty."""
-        return doubt_agreement(self.agreement)
 
 
 def tune(
@@ -146,7 +139,6 @@ def tune(
             for log, old, new in zip(tally.logs, before.parts, told.parts, strict=True)
         ],
         command=(),
-        agreement=after.agreement,
     )
     doubts = list(list_doubts(tuning, scorer))
     if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
@@ -247,9 +239,9 @@ def measure_motion(log: KeptLog, options: PosingOptions) -> tuple[float, float]:
 
 def list_doubts(tuning: Tuning, scorer: Scorer) -> Iterator[str]:
     """Say what makes the result less sure."""
-    if tuning.doubt:
+    if doubt := doubt_agreement(scorer.score(tuning.correction).agreement):
         yield (
-            f"{tuning.doubt} with the best that was found: the search may have ended far from what "
+            f"{doubt} with the best that was found: the search may have ended far from what "
             "is right; measure the mount and give it by `sensor_pose`, or see `occmap check`"
         )
     for each in tuning.by_log:
