@@ -8,7 +8,6 @@ right. Other options are tried on a sample of the scans.
 is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -25,7 +24,6 @@ from occmap.inspection.poses import Doubt
 from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
-from occmap.posing.attach import Poser
 from occmap.readers import Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
@@ -57,10 +55,9 @@ def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection
         unseen = "no beam of any scan observes a cell: see the ranges"
         unseen = f"{UNSEEN_CLOUDS}: {MEND_CLOUDS}" if of_clouds else unseen
     refusal = find_refusal(logs, box, options)
-    problems = [log.problem for log in logs if log.problem]
     # That no scan has a pose is why nothing is seen.
-    problems += list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
-    problems = list(filter(None, problems))
+    faults = list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
+    problems = tuple(filter(None, [*(log.problem for log in logs), *faults]))
 
     command, differing = ((), ()) if refusal else recommend(logs, options)
     if unseen and FLAGS["no_return"] not in command:
@@ -68,7 +65,7 @@ def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
     warnings = *damage, *concerns, *differing
-    return Inspection(tuple(logs), found, tuple(problems), warnings, command, not problems)
+    return Inspection(tuple(logs), found, problems, warnings, command, not problems)
 
 
 def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
@@ -357,8 +354,8 @@ def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFinding
         box, ground, against, problem = inspect_ground(survey)
         doubts += against
     elif not scans:
-        unused = sum((topic.left_out for topic in seen), Counter[str]())
-        lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
+        unused, lack = survey.left_out, "holds no scan that can be read"
+        lack = write_unused(unused.total(), unused) if unused else lack
         problem = f"{log.path}: {lack}"
     fixes = list(poses.tell_fixes(drive))  # the log and the poser take notes meanwhile
     notes = *poser.notes, *drive.limits.list_notes(), *drive.list_left(), *fixes
@@ -394,10 +391,9 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
     except OccmapError as error:
         problem = str(error.placed(log.path))
     # By the options of the ground; it has seen no cloud, but knows the chains and what leaps away.
-    drift, known = options.posing.find_drift(log.path), (poser.fixed, poser.chains)
-    level = Poser(poser.sources, options.posing, *known, leaps=poser.leaps, drift=drift)
-    again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
-    some, drive = {it: again[it] for it in again if again[it]}, Drive(log, level, options)
+    drive = Drive(log, replace(poser, options=options.posing, courses={}), options)
+    again = {topic: poses.pose_again(each, drive.poser) for topic, each in survey.topics.items()}
+    some = {topic: clouds for topic, clouds in again.items() if clouds}
     against = list(poses.list_cloud_concerns(some, drive, ground))
     if ground is not None:
         box = poses.enclose_clouds(drive, ground)
