@@ -265,8 +265,8 @@ def find_body(
     spread
         Parts of the robot keep their range so well (m).
     """
-    poses, measured = zip(*((posed.at_first_beam, ranges) for posed, ranges in seen), strict=True)
-    position, rotation = map(np.concatenate, zip(*poses, strict=True))
+    scans, measured = zip(*seen, strict=True)
+    position, rotation = map(np.concatenate, zip(*(it.at_first_beam for it in scans), strict=True))
     _, first = np.unique(np.floor(position[:, :2] / PLACE_M), axis=0, return_index=True)
     place, turn = position[first, :2], rotation[first, :2, :2]
     ranges, ways = np.concatenate(measured)[first], sensor.tabulate_bearings(*form)
