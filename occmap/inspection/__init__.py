@@ -383,7 +383,7 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
     """
     from occmap.scans.levelling import find_ground  # noqa: PLC0415  late: it brings numba
 
-    box, ground, notes, problem = None, None, list[str](), ""
+    ground, notes, problem = None, list[str](), ""
     log, poser = survey.drive.log, survey.drive.poser
     options = replace(survey.drive.options, posing=poser.options)
     try:
@@ -395,8 +395,7 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
     again = {topic: poses.pose_again(each, drive.poser) for topic, each in survey.topics.items()}
     some = {topic: clouds for topic, clouds in again.items() if clouds}
     against = list(poses.list_cloud_concerns(some, drive, ground))
-    if ground is not None:
-        box = poses.enclose_clouds(drive, ground)
+    box = poses.enclose_clouds(drive, ground) if ground else None
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
 
