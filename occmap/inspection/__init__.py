@@ -417,7 +417,7 @@ def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFind
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=poses.sum_up_poses(topic, posing),
-        mount=poses.describe_mount(drive, topic),
+        mount=poses.sum_up_mount(drive, topic),
         agreement=estimate_agreement(topic.sample.parts, options),
     )
     better = poses.find_better(drive, topic, found)
