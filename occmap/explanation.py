@@ -204,8 +204,6 @@ class Observation:
 
     numbers: tuple[int, int] = field(metadata=HIDDEN)
     """Hits and misses, or log-odds in units of 1/65536 and observations"""
-    kind: EvidenceKind = field(metadata=HIDDEN)
-    """Which of the two"""
     unit: int = field(metadata=HIDDEN)
     """What one observation counts in all of these"""
 
@@ -214,8 +212,8 @@ class Observation:
         """Read the two numbers of a cell."""
         first, second = numbers
         if kind is EvidenceKind.LOG_ODDS:
-            return cls(None, None, first * LOG_ODDS_UNIT, second, (first, second), kind, unit)
-        return cls(first, second, None, first + second, (first, second), kind, unit)
+            return cls(None, None, first * LOG_ODDS_UNIT, second, (first, second), unit)
+        return cls(first, second, None, first + second, (first, second), unit)
 
     @property
     def pair(self) -> tuple[float, float]:
@@ -225,7 +223,7 @@ class Observation:
 
     def __str__(self) -> str:
         first, second = self.pair
-        if self.kind is EvidenceKind.LOG_ODDS:
+        if self.log_odds is not None:
             return f"log-odds {first:.3f} of {count(second, 'observation')}"
         return f"{count(first, 'hit')} and {count(second, 'miss')}"
 
@@ -450,7 +448,7 @@ def explain(saved: Blocks, question: Question, progress: Progress = ignore_progr
     sightings, scans_used = find_sightings(uses, cell, progress)
     seen = around[1][1]
     sums = (sum(each.seen.numbers[part] for each in sightings) for part in (0, 1))
-    explained = Observation.read(sums, seen.kind, seen.unit)
+    explained = Observation.read(sums, grid.kind, grid.unit)
     notes = list(records.list_doubts(manifest))
     if uses and explained != seen:
         notes.append(tell_unexplained(f"{explained} of {seen}", part, uses))

@@ -20,7 +20,6 @@ from occmap.difference import MapDifference, tell_changes
 from occmap.errors import UsageError
 from occmap.explanation import Explanation, Observation, Question, Visits, explain
 from occmap.grid.rendering import Framing
-from occmap.grid.tiles import EvidenceKind
 from occmap.options import FILES, OPTIONS, POSES, SCANS, BuildOptions
 from occmap.report import Row, count, join_names, label_first, write_box, write_time
 from occmap.report.limits import DIFF, SAVED, SCORE
@@ -118,11 +117,6 @@ def put_out(
 
 MOST_SCANS, MOST_BUILDS = 12, 6
 """Longer lists are cut: --json has all"""
-PAIRS = {
-    EvidenceKind.COUNTS: ("hits", "misses"),
-    EvidenceKind.LOG_ODDS: ("log-odds", "observations"),
-}
-"""What the two numbers of a cell are"""
 
 
 @command(
@@ -241,7 +235,8 @@ def list_scans(explanation: Explanation) -> Iterator[Row]:
         )
         for scan in scans[:MOST_SCANS]
     ]
-    head = ("stamp (s)", *PAIRS[explanation.seen.kind], "sensor at (m)", "away (m)", "from")
+    pair = "hits misses" if explanation.seen.log_odds is None else "log-odds observations"
+    head = ("stamp (s)", *pair.split(), "sensor at (m)", "away (m)", "from")
     yield from (("", line) for line in align([head, *rows]))
     if len(scans) > MOST_SCANS:
         yield "", f"and {len(scans) - MOST_SCANS:,} more: --json lists all"

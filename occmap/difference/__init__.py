@@ -7,13 +7,13 @@ from itertools import permutations
 import numpy as np
 
 from occmap import report
-from occmap.cells import Box, CellBox, CellClass, OccupancyMap
+from occmap.cells import Box, CellBox, CellClass
 from occmap.difference.maps import ClassMap, Place
 from occmap.errors import MapError
 from occmap.grid.tiles import MAX_CELLS
 from occmap.report import HIDDEN, Count, Printed, Row, Share, printed_as
 from occmap.types import Bool, Int64, UInt8
-from occmap.writers.edits import Shape, apply_edits
+from occmap.writers.edits import LOG_ODDS, Shape, cover
 
 
 def find_largest_blob(mask: Bool) -> tuple[int, CellBox] | None:
@@ -186,18 +186,14 @@ def compare_maps(before: ClassMap, after: ClassMap, shapes: Sequence[Shape] = ()
         turns = (f"{each.path} is turned by {each.align or 0} degrees" for each in (before, after))
         notes.append(f"{', '.join(turns)}: to see what changed, build both with one `align`")
     changed_cells = sum(changed.values())
-    edited = None
-    if shapes:
-        nothing = np.full(both.shape, np.nan, np.float32)
-        blank = OccupancyMap(nothing, one > 0, corner.resolution, (corner.x, corner.y))
-        is_drawn = ~np.isnan(apply_edits(blank, shapes).log_odds)
-        edited = int(np.count_nonzero(is_drawn & (one != other)))
+    box = both.move(round(place.y / place.resolution), round(place.x / place.resolution))
+    is_drawn = cover((it for it in shapes if it.change in LOG_ODDS), box, place.resolution)
     return MapDifference(
         share=changed_cells / max(known, 1),
         known=known,
         changed_cells=changed_cells,
         changed=changed,
-        edited=edited,
+        edited=int(np.count_nonzero(is_drawn & (one != other))) if shapes else None,
         largest=blob and ChangedBlob(blob[0], corner.measure(blob[1])),
         columns=both.cols,
         rows=both.rows,

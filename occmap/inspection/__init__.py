@@ -8,7 +8,6 @@ right. Other options are tried on a sample of the scans.
 is judged: problems, warnings, and the command that makes the best of the logs.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -16,7 +15,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from occmap.cells import CellBox
-from occmap.errors import LogError, OccmapError
+from occmap.errors import OccmapError
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.tiles import refuse_large
 from occmap.inspection import findings, poses
@@ -25,8 +24,7 @@ from occmap.inspection.poses import Doubt
 from occmap.inspection.survey import BEYOND, MOSTLY_OPEN, Survey, TopicSurvey
 from occmap.options import FLAGS, BuildOptions, compose_build
 from occmap.posing import Concern, DropReason, Stamps
-from occmap.posing.attach import Poser
-from occmap.readers import Log, Role, open_log
+from occmap.readers import Role, open_log
 from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
@@ -57,10 +55,9 @@ def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection
         unseen = "no beam of any scan observes a cell: see the ranges"
         unseen = f"{UNSEEN_CLOUDS}: {MEND_CLOUDS}" if of_clouds else unseen
     refusal = find_refusal(logs, box, options)
-    problems = [log.problem for log in logs if log.problem]
     # That no scan has a pose is why nothing is seen.
-    problems += list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
-    problems = list(filter(None, problems))
+    faults = list_pose_problems(logs, options.posing.stamps) or [refusal or unseen]
+    problems = tuple(filter(None, [*(log.problem for log in logs), *faults]))
 
     command, differing = ((), ()) if refusal else recommend(logs, options)
     if unseen and FLAGS["no_return"] not in command:
@@ -68,7 +65,7 @@ def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection
     damage = (f"{log.path}: {text}" for log in logs for text in log.damage)
     concerns = (concern.text for log in logs for concern in log.concerns)
     warnings = *damage, *concerns, *differing
-    return Inspection(tuple(logs), found, tuple(problems), warnings, command, not problems)
+    return Inspection(tuple(logs), found, problems, warnings, command, not problems)
 
 
 def find_refusal(logs: Sequence[LogFindings], box: CellBox | None, options: BuildOptions) -> str:
@@ -325,26 +322,25 @@ def inspect(paths: Sequence[Path], options: BuildOptions) -> Inspection:
 
 def inspect_path(path: Path, options: BuildOptions) -> LogFindings:
     """Look into one log."""
-    known = LogFindings(str(path))
+    known, log = LogFindings(str(path)), None
     try:
         log = open_log(path, options.reading)
-        known = replace(known, streams=tuple(log.streams), notes=tuple(log.notes))
+        known = replace(known, streams=tuple(log.streams))
         posing = prepare(log, look_ahead(log, options), options)
-    except OccmapError as error:
-        return replace(known, problem=str(error.placed(path)))
-    return inspect_log(known, log, posing, options)
-
-
-def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOptions) -> LogFindings:
-    """Read the scans of an opened log, and add to what is known of it."""
-    poser, drive = posing.poser, Drive(log, posing.poser, options)
-    try:
+        drive = Drive(log, posing.poser, options)
         for _ in drive.rounds():  # once more if the first ones hid "no return", or some leap away
             survey = Survey(drive)
             survey.survey()
-    except LogError as error:  # a part that was read says nothing of the log
-        return replace(known, notes=tuple(log.notes), problem=str(error.placed(log.path)))
-    seen = list(survey.topics.values())
+    except OccmapError as error:  # a part that was read says nothing of the log
+        notes = tuple(log.notes) if log else ()
+        return replace(known, notes=notes, problem=str(error.placed(path)))
+    return sum_up_log(known, survey, posing)
+
+
+def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFindings:
+    """Add to what is known of a log what its scans showed."""
+    drive, poser, seen = survey.drive, posing.poser, list(survey.topics.values())
+    log, options = drive.log, drive.options
     scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
     mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)
@@ -358,8 +354,8 @@ def inspect_log(known: LogFindings, log: Log, posing: Posing, options: BuildOpti
         box, ground, against, problem = inspect_ground(survey)
         doubts += against
     elif not scans:
-        unused = sum((topic.left_out for topic in seen), Counter[str]())
-        lack = write_unused(unused.total(), unused) if unused else "holds no scan that can be read"
+        unused, lack = survey.left_out, "holds no scan that can be read"
+        lack = write_unused(unused.total(), unused) if unused else lack
         problem = f"{log.path}: {lack}"
     fixes = list(poses.tell_fixes(drive))  # the log and the poser take notes meanwhile
     notes = *poser.notes, *drive.limits.list_notes(), *drive.list_left(), *fixes
@@ -387,7 +383,7 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
     """
     from occmap.scans.levelling import find_ground  # noqa: PLC0415  late: it brings numba
 
-    box, ground, notes, problem = None, None, list[str](), ""
+    ground, notes, problem = None, list[str](), ""
     log, poser = survey.drive.log, survey.drive.poser
     options = replace(survey.drive.options, posing=poser.options)
     try:
@@ -395,13 +391,11 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
     except OccmapError as error:
         problem = str(error.placed(log.path))
     # By the options of the ground; it has seen no cloud, but knows the chains and what leaps away.
-    drift, known = options.posing.find_drift(log.path), (poser.fixed, poser.chains)
-    level = Poser(poser.sources, options.posing, *known, leaps=poser.leaps, drift=drift)
-    again = {each.stream.topic: poses.pose_again(each, level) for each in survey.topics.values()}
-    some, drive = {it: again[it] for it in again if again[it]}, Drive(log, level, options)
+    drive = Drive(log, replace(poser, options=options.posing, courses={}), options)
+    again = {topic: poses.pose_again(each, drive.poser) for topic, each in survey.topics.items()}
+    some = {topic: clouds for topic, clouds in again.items() if clouds}
     against = list(poses.list_cloud_concerns(some, drive, ground))
-    if ground is not None:
-        box = poses.enclose_clouds(drive, ground)
+    box = poses.enclose_clouds(drive, ground) if ground else None
     problem = "; ".join([problem, *(each.text for _, each in against)]) if problem else ""
     return box, notes, against, problem
 
@@ -423,7 +417,7 @@ def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFind
         ranges=topic.census.sum_up(topic.sample.parts, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=poses.sum_up_poses(topic, posing),
-        mount=poses.describe_mount(drive, topic),
+        mount=poses.sum_up_mount(drive, topic),
         agreement=estimate_agreement(topic.sample.parts, options),
     )
     better = poses.find_better(drive, topic, found)

@@ -205,11 +205,6 @@ class ScanFindings:
     better: Better | None = field(default=None, metadata=HIDDEN)
 
     @property
-    def wanted(self) -> int:
-        """Scans that the user asked for."""
-        return count_wanted(self.scans, self.left_out)
-
-    @property
     def kept(self) -> int:
         """Scans that are not left out before anybody asks for their poses."""
         return self.scans - sum(self.left_out.values())
@@ -316,7 +311,7 @@ class Inspection(Printed):
     @property
     def dropped_share(self) -> float:
         """The share of the scans asked for that have no pose; 0 of nothing."""
-        wanted = sum(topic.wanted for topic in self.topics)
+        wanted = sum(count_wanted(topic.scans, topic.left_out) for topic in self.topics)
         return (wanted - sum(topic.poses.posed for topic in self.topics)) / max(wanted, 1)
 
     @property

@@ -19,7 +19,7 @@ from occmap.errors import MapError
 from occmap.evidence import count_steady, list_contradictions
 from occmap.grid import Lattice
 from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
-from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body, stack_scans
+from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
 from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import Concern, Deskew, Stamps
 from occmap.posing.attach import Poser, place_logs
@@ -28,13 +28,13 @@ from occmap.posing.sources import Sources
 from occmap.readers import Role
 from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
-from occmap.scans import estimate_agreement, mounts
+from occmap.scans import Keep, estimate_agreement, make_engine, mounts
 from occmap.scans.logs import read_poser
 from occmap.scans.mounts import Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor.bands import BAND
-from occmap.types import IDENTITY, Float64, Pose, PosedScans
+from occmap.types import IDENTITY, Float64, Pose, PosedScans, Update
 
 Doubt: TypeAlias = tuple[str, Concern]
 """A topic, and what spoils its map"""
@@ -259,14 +259,11 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     )
 
 
-def describe_mount(drive: Drive, topic: TopicSurvey) -> MountFindings | None:
-    """Say how the sensor of a topic sits; None where no scan has a pose."""
+def sum_up_mount(drive: Drive, topic: TopicSurvey) -> MountFindings | None:
+    """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     stance = drive.poser.find_stance(topic.stream.topic)
-    if stance is None:
-        return None
-    parts, returns = topic.sample.parts, drive.options.returns
-    better = mounts.find_better_mount(drive.poser, parts, returns)
-    return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
+    better = mounts.find_better_mount(drive.poser, topic.sample.parts, drive.options.returns)
+    return stance and MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
 LEAST_TILT_DEG = 0.5
@@ -305,9 +302,8 @@ def list_cloud_concerns(
             yield topic, wrong
         if ground is None:
             continue
-        rows = [stack_scans(posed, see_around(posed, ground, options)) for posed in clouds]
-        shape = -math.pi, math.tau / BEARINGS, BEARINGS
-        if body := find_body(np.concatenate(rows), shape, OWN_SPREAD_M):
+        seen = [(posed, see_around(posed, ground, options)) for posed in clouds]
+        if body := find_body(seen, (-math.pi, math.tau / BEARINGS, BEARINGS), OWN_SPREAD_M):
             yield topic, warn_of_body(body)
         if not wrong:  # which would be a reason for all that follows
             conflicts = [Concern(text) for text in list_conflicts(clouds, ground, options)]
@@ -369,10 +365,8 @@ def find_leaning(clouds: Clouds, ground: Ground, options: BuildOptions) -> Itera
 
 def list_conflicts(clouds: Clouds, ground: Ground, options: BuildOptions) -> list[str]:
     """Say that clouds contradict each other, if they do."""
-    from occmap.clouds.engine import CloudEngine, make_band  # noqa: PLC0415  late: it brings numba
-
-    band, lattice = make_band(options.clouds, options.returns), Lattice(options.resolution)
-    engine, found = CloudEngine(lattice, band, ground, options.max_cells), list[str]()
+    engine = make_engine(replace(options, update=Update.CLOUD), Keep(ground=ground))
+    found = list[str]()
     with suppress(MapError):  # it gets too large, which is a problem by itself
         for posed in clouds:
             engine.add(posed)

@@ -125,7 +125,6 @@ class RangeCensus:
         beyond = 0 if measured else sum(n for (name, _), n in self.counts.items() if name == BEYOND)
         is_limit = math.isfinite(self.limit) and not beyond
         suggested = "clear" if is_open and not is_code and is_limit else "ignore"
-        bodies = (find_body(rows, it) for it, rows in stack_sample(sample, options).items())
         return RangeFindings(
             total=self.total,
             measured=measured,
@@ -138,7 +137,7 @@ class RangeCensus:
             ),
             repeated=repeated,
             crossed=crossed,
-            body=next(filter(None, bodies), None),
+            body=find_body_in_sample(sample, options),
         )
 
 
@@ -207,8 +206,7 @@ def find_crossing(origin: Float64, direction: Float64, reach: Float64, hit: Floa
     ways = origin[:, None] + steps[..., None] * direction[:, None]
     aside = ASIDE_M * np.stack([-direction[:, 1], direction[:, 0]], axis=1)[:, None]
     there, left, right = (
-        np.isin(encode_cells(each, HIT_CELL_M), walls)
-        for each in (ways, ways + aside, ways - aside)
+        np.isin(encode_cells(ways + side * aside, HIT_CELL_M), walls) for side in (0, 1, -1)
     )
     crossing: Bool = (there & look_around(left) & look_around(right)).max(axis=1)
     return crossing
@@ -242,38 +240,36 @@ Form: TypeAlias = tuple[float, float, int]
 """Bearing of the first beam, the angle from one to the next (rad), and how many there are"""
 
 
-def stack_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> dict[Form, Float64]:
-    """Stack the scans of a sample by their form, as `stack_scans` makes them."""
-    seen: defaultdict[Form, list[Float64]] = defaultdict(list)
+def find_body_in_sample(parts: Sequence[PosedScans], options: ReturnOptions) -> Box | None:
+    """Find the robot in a sample of scans; those of one form are looked through together."""
+    seen: defaultdict[Form, list[tuple[PosedScans, Float64]]] = defaultdict(list)
     for part in parts:
         batch, (kind, reach, _) = part.batch, sensor.classify(part.batch, options)
-        ranges = np.where(kind == Kind.HIT, reach, NO_HIT_M)
         form = batch.angle_min, batch.angle_increment, batch.ranges.shape[1]
-        seen[form].append(stack_scans(part, ranges))
-    return {form: np.concatenate(scans) for form, scans in seen.items()}
+        seen[form].append((part, np.where(kind == Kind.HIT, reach, NO_HIT_M)))
+    bodies = (find_body(scans, form) for form, scans in seen.items())
+    return next(filter(None, bodies), None)
 
 
-def stack_scans(posed: PosedScans, ranges: Float64) -> Float64:
-    """(S, 12 + B) the positions, rotations and ranges (S, B) of scans."""
-    position, rotation = posed.at_first_beam
-    return np.column_stack([position, rotation.reshape(-1, 9), ranges])
-
-
-def find_body(rows: Float64, form: Form, spread: float = OWN_SPREAD_M) -> Box | None:
+def find_body(
+    seen: Sequence[tuple[PosedScans, Float64]], form: Form, spread: float = OWN_SPREAD_M
+) -> Box | None:
     """Find a box around what beams measure at the same range wherever the sensor goes: the robot.
 
     It is in the sensor's frame (m); None where there is no such thing.
 
     Parameters
     ----------
-    rows
-        Scans of one form, as `stack_scans` makes them.
+    seen
+        Scans of one form, and their ranges (S, B), NO_HIT_M where there is no hit.
     spread
         Parts of the robot keep their range so well (m).
     """
-    _, first = np.unique(np.floor(rows[:, :2] / PLACE_M), axis=0, return_index=True)
-    place, turn = rows[first, :2], rows[first, 3:12].reshape(-1, 3, 3)[:, :2, :2]
-    ranges, ways = rows[first, 12:], sensor.tabulate_bearings(*form)
+    scans, measured = zip(*seen, strict=True)
+    position, rotation = map(np.concatenate, zip(*(it.at_first_beam for it in scans), strict=True))
+    _, first = np.unique(np.floor(position[:, :2] / PLACE_M), axis=0, return_index=True)
+    place, turn = position[first, :2], rotation[first, :2, :2]
+    ranges, ways = np.concatenate(measured)[first], sensor.tabulate_bearings(*form)
     if len(first) < MIN_PLACES or np.hypot(*turn[:, :, 0].mean(axis=0)) > MOST_STRAIGHT:
         return None
     middle = np.median(ranges, axis=0)

@@ -110,15 +110,15 @@ def compose(page: Page) -> str:
     from bokeh.resources import Resources  # noqa: PLC0415  likewise
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415  likewise
 
+    of_stage = page.stage.plots if page.stage else ()
     of_sections = [b.plot for each in page.sections for b in each.blocks if b.kind == "plot"]
-    figures = [*(page.stage.plots if page.stage else ()), *of_sections]
+    figures = [*of_stage, *of_sections]
     script, divs = components(figures) if figures else ("", ())
     numbers: dict[str, str] = {}
     script, *divs = (
         BOKEH_ID.sub(lambda it: numbers.setdefault(it[0], f"bokeh-{len(numbers)}"), each)
         for each in (script, *divs)
     )
-    of_stage = len(page.stage.plots) if page.stage else 0
     resources = Resources("inline", components=["bokeh"], minified=True)
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -126,8 +126,8 @@ def compose(page: Page) -> str:
     environment.filters["spell"] = spell_flags
     html = environment.get_template("page.html").render(
         page=page,
-        maps=divs[:of_stage],
-        plots=iter(divs[of_stage:]),
+        maps=divs[: len(of_stage)],
+        plots=iter(divs[len(of_stage) :]),
         bokeh=resources.render() + script if figures else "",
         style=(HERE / "page.css").read_text(),
         script=(HERE / "page.js").read_text(),

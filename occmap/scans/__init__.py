@@ -5,7 +5,7 @@ are the engine for an update and a model, and what a sample of scans is judged b
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
@@ -19,7 +19,7 @@ from occmap.grid.tiles import WINDOW_CELLS, GridSpec, tabulate
 from occmap.options import BuildOptions
 from occmap.sensor import interpret
 from occmap.sensor.models import CountingModel, RadialModel
-from occmap.types import Float64, Int64, PosedScans, Rays, ScanBatch, Update
+from occmap.types import Float64, Int64, Kind, PosedScans, Rays, ScanBatch, Update
 
 if TYPE_CHECKING:
     from occmap.grid.engine import Engine
@@ -157,3 +157,8 @@ def encode_cells(points: Float64, cell: float) -> Int64:
     """Number the cells (...,) of a size (m) that points (..., 2) are nearest to."""
     cells = np.rint(np.clip(points / cell, -(2**30), 2**30)).astype(np.int64)
     return np.asarray((cells[..., 0] << 32) + cells[..., 1])
+
+
+def list_hits(seen: Iterable[Rays]) -> Float64:
+    """(N, 2) where the beams of scans ended on something (m)."""
+    return np.concatenate([np.zeros((0, 2)), *(rays.end[rays.kind == Kind.HIT] for rays in seen)])

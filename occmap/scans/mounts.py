@@ -22,12 +22,12 @@ from occmap.posing.chain import Transforms, hold
 from occmap.posing.frames import BASE_NAMES, Edge
 from occmap.posing.sources import gather
 from occmap.readers import Log, open_log
-from occmap.scans import encode_cells, estimate_agreement
+from occmap.scans import encode_cells, estimate_agreement, list_hits
 from occmap.scans.logs import look_ahead, read_poser
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor import ReturnOptions, interpret
-from occmap.types import IDENTITY, Cloud, Float64, Kind, Pose, PosedScans, Scan
+from occmap.types import IDENTITY, Cloud, Pose, PosedScans, Scan
 
 MOUNT_CELL_M = 0.1
 """Side of the cells in which the hits of a sample are counted (m)"""
@@ -271,11 +271,8 @@ def choose_turn(marked: Sequence[int]) -> Pose | None:
 
 def count_marked(parts: Sequence[PosedScans], mount: Pose, options: ReturnOptions) -> int:
     """Count the cells that have a hit when the sensor is mounted so."""
-    hits: list[Float64] = []
-    for part in parts:
-        rays, _ = interpret(mount_scans(part, mount), options)
-        hits.append(rays.end[rays.kind == Kind.HIT])
-    return len(np.unique(encode_cells(np.concatenate(hits or [np.zeros((0, 2))]), MOUNT_CELL_M)))
+    seen = (interpret(mount_scans(part, mount), options)[0] for part in parts)
+    return len(np.unique(encode_cells(list_hits(seen), MOUNT_CELL_M)))
 
 
 def mount_scans(part: PosedScans, mount: Pose) -> PosedScans:

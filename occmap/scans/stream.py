@@ -41,7 +41,7 @@ class Selector:
         self._wanted: Counter[str] = Counter()
         """How many scans of each topic lie in the time window so far"""
         self.read = 0
-        self.left_out: Counter[LeftOut] = Counter()
+        self.left_out: Counter[str] = Counter()
         """How many of those read `select` left out, by reason"""
 
     def select(self, scans: Iterable[Recorded]) -> Iterator[Recorded]:

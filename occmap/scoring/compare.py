@@ -89,25 +89,21 @@ class SharedEvidence:
             engine.add(make_scans(scans))
         engine.finish()
         self._engine = make_engine(options)
-        self._seconds: list[float] = []
+        self.seconds: list[float] = []
+        """Processor time of each step, in any thread (s)"""
 
     def add(self, rays: Rays) -> None:
         """Trace scans; any thread may."""
         start = thread_time()
         self._engine.add(rays)
-        self._seconds.append(thread_time() - start)
+        self.seconds.append(thread_time() - start)
 
     def finish(self) -> TileGrid:
         """Return the evidence of all scans."""
         start = thread_time()
         grid = self._engine.finish()
-        self._seconds.append(thread_time() - start)
+        self.seconds.append(thread_time() - start)
         return grid
-
-    @property
-    def seconds(self) -> float:
-        """Processor time of all threads together (s)."""
-        return sum(self._seconds)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -166,7 +162,7 @@ def score_variants(
     for variant in variants:
         grid, start = grids[variant.evidence], thread_time()
         made = render(grid, variant.model, options.max_cells)
-        seconds = shared[variant.evidence].seconds + thread_time() - start
+        seconds = sum(shared[variant.evidence].seconds) + thread_time() - start
         trial = score_map(made, held_out, options.jobs)
         scored = ScoredVariant(
             variant=variant,

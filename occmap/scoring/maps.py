@@ -15,11 +15,11 @@ from occmap.grid.tiles import MAX_CELLS
 from occmap.options import BuildOptions
 from occmap.report import HIDDEN, Count, Finite, Printed, Share, fold_notes
 from occmap.report.results import doubt_agreement
-from occmap.scans import Sample
+from occmap.scans import Sample, list_hits
 from occmap.scans.tally import ScanCounts
 from occmap.scans.tracing import Progress, Reading, ignore_progress
 from occmap.scoring import MOST_SCANS, Trial, score_map
-from occmap.scoring.matching import REACH_M, Match, Walls, find_match, list_hits
+from occmap.scoring.matching import REACH_M, Match, Walls, find_match
 from occmap.store.merging import STAY, Transform
 from occmap.types import IDENTITY, Bool, Float32, Rays, UInt8
 from occmap.writers import check_picture, refuse_input

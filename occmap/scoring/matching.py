@@ -5,7 +5,7 @@ evidence there. Users say `fit` for it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -20,6 +20,7 @@ from occmap.errors import PoseError
 from occmap.evidence import read_model, render, to_grid
 from occmap.grid.tiles import MAX_CELLS, EvidenceKind
 from occmap.options import BuildOptions
+from occmap.scans import list_hits
 from occmap.scans.align import sample_rays
 from occmap.scans.tracing import Observed
 from occmap.sensor.models import SensorModel
@@ -31,7 +32,7 @@ from occmap.store.merging import (
     move_ground,
     refuse_different,
 )
-from occmap.types import Bool, Float32, Float64, Kind, Pose, Rays, Update
+from occmap.types import Bool, Float32, Float64, Pose, Update
 
 REACH_M, REACH_RAD = 2.0, math.radians(20)
 """No larger transform is looked for, and what is farther from a wall counts as this far"""
@@ -345,8 +346,3 @@ def spread_points(weights: Float64, place: Place) -> Float64:
     shares = (np.arange(MOST_POINTS if len(sums) else 0) + 0.5) / MOST_POINTS
     which = np.searchsorted(sums, shares * sums[-1:])
     return np.asarray(place.list_middles(weights > 0)[which])
-
-
-def list_hits(seen: Iterable[Rays]) -> Float64:
-    """(N, 2) where the beams of scans ended (m)."""
-    return np.concatenate([np.zeros((0, 2)), *(rays.end[rays.kind == Kind.HIT] for rays in seen)])

@@ -1,6 +1,6 @@
 """Tuning: the time offset and the mount by which a map predicts scans best."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -91,15 +91,8 @@ class Tuning(Improvement, Scored):
     command: tuple[str, ...]
     """The command line that builds the better map, word by word; empty where nothing is
     recommended, or where what was found is not sure"""
-    agreement: float | None = field(metadata=HIDDEN)
-    """Share of the hits in cells that the map of the best calls occupied; None without any"""
     doubts: Sequence[str] = field(default=(), metadata=HIDDEN)
     """Those of the notes that are why nothing is recommended"""
-
-    @property
-    def doubt(self) -> str:
-        """That scans contradict each other even with the best that was found; else empty."""
-        return doubt_agreement(self.agreement)
 
 
 def tune(
@@ -125,14 +118,17 @@ def tune(
     after = scorer.score(best)
     leading = max(scorer.tried.values(), key=lambda trial: trial.score.share)
     told = after if best.is_any else leading
-    tuning = Tuning(
+    by_log = [
+        TunedLog(**improve(old, new), log=log, agreement=new.agreement)
+        for log, old, new in zip(tally.logs, before.parts, told.parts, strict=True)
+    ]
+    doubts = list(list_doubts(scorer, best, by_log))
+    if best.is_any or findings["time"].verdict is Verdict.DISAGREE:
+        doubts += list_other_cures(paths, options)
+    return Tuning(
         logs=tally.logs,
-        notes=(),
-        scans=KeptScans(
-            **vars(tally.scans),
-            held_out=len(before.predicted),
-            kept=sum(log.scans for log in scorer.logs),
-        ),
+        notes=(*tally.notes, *unsearched, *doubts),
+        scans=KeptScans(**vars(tally.scans), held_out=len(before.predicted), kept=kept),
         resolution=options.resolution,
         **improve(before, after),
         correction=best,
@@ -141,19 +137,10 @@ def tune(
             TriedCorrection(**vars(correction), share=trial.score.share)
             for correction, trial in scorer.tried.items()
         ],
-        by_log=[
-            TunedLog(**improve(old, new), log=log, agreement=new.agreement)
-            for log, old, new in zip(tally.logs, before.parts, told.parts, strict=True)
-        ],
-        command=(),
-        agreement=after.agreement,
+        by_log=by_log,
+        command=search.compose(scorer, best) if best.is_any and not doubts else (),
+        doubts=doubts,
     )
-    doubts = list(list_doubts(tuning, scorer))
-    if best.is_any or tuning.time.verdict is Verdict.DISAGREE:
-        doubts += list_other_cures(paths, options)
-    command = search.compose(scorer, best) if best.is_any and not doubts else ()
-    notes = (*tally.notes, *unsearched, *doubts)
-    return replace(tuning, command=command, notes=notes, doubts=doubts)
 
 
 def search_all(scorer: Scorer) -> tuple[dict[str, Any], list[str]]:
@@ -245,27 +232,28 @@ def measure_motion(log: KeptLog, options: PosingOptions) -> tuple[float, float]:
     return float(travel.max()), float(np.arccos(np.clip(cosine, -1, 1)).max())
 
 
-def list_doubts(tuning: Tuning, scorer: Scorer) -> Iterator[str]:
-    """Say what makes the result less sure."""
-    if tuning.doubt:
+def list_doubts(scorer: Scorer, best: Correction, by_log: Iterable[TunedLog]) -> Iterator[str]:
+    """Say what makes the best correction, and what it does for each log, less sure."""
+    trial = scorer.score(best)
+    if doubt := doubt_agreement(trial.agreement):
         yield (
-            f"{tuning.doubt} with the best that was found: the search may have ended far from what "
+            f"{doubt} with the best that was found: the search may have ended far from what "
             "is right; measure the mount and give it by `sensor_pose`, or see `occmap check`"
         )
-    for each in tuning.by_log:
+    for each in by_log:
         if each.loses:
             yield (
                 f"{each.log} loses {-each.gain:.4f} +- {each.gain_error:.4f} by what the other "
                 "logs gain by: its mount or its clock may be another; tune it by itself"
             )
-    if tuning.correction.is_any:
-        yield from list_unlike(scorer, tuning.correction)
-    half = tuning.scans.held_out // 2
+    if best.is_any:
+        yield from list_unlike(scorer, best)
+    half = len(trial.predicted) // 2
     if half < FEW_SCANS:
         few = f"{count(half, 'held-out scan')} in each half: too few to tell"
         yield f"{few}; give a longer log, or more logs of this robot"
-    if scorer.is_at_edge(tuning.correction):
-        offset = scorer.options.posing.time_offset_s + tuning.correction.time_s
+    if scorer.is_at_edge(best):
+        offset = scorer.options.posing.time_offset_s + best.time_s
         yield f"no larger time offset is tried: tune again with `time_offset_s={offset:g}`"
 
 

@@ -15,7 +15,7 @@ GeoJSON has them as polygons and lines with a property `class`, and for lines `w
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
@@ -69,15 +69,15 @@ class Shape:
         corners, reach = np.concatenate(self.rings), self.find_reach(resolution)
         return corners.min(axis=0) - reach, corners.max(axis=0) + reach
 
-    def find_cells(self, grid: OccupancyMap) -> tuple[tuple[slice, slice], Bool]:
-        """Find the cells whose middle is inside the area, or near the line.
+    def find_cells(self, whole: CellBox, size: float) -> tuple[tuple[slice, slice], Bool]:
+        """Find the cells of a box, of some size (m), with their middle inside the area or near it.
 
         Returns
         -------
         window, covered
-            Rows and columns of a part of the map, and which of its cells it covers.
+            Rows and columns of a part of the box, and which of its cells it covers.
         """
-        reach, size, whole = self.find_reach(grid.resolution), grid.resolution, grid.box
+        reach = self.find_reach(size)
         (low, left), (high, right) = (end[::-1] / size for end in self.measure(size))
         box = whole.clip(CellBox(*(math.floor(edge) for edge in (low, left, high, right))).grow(1))
         # Counted from the map's zero, so that a part of a map has the middles of the whole.
@@ -124,20 +124,19 @@ def apply_edits(grid: OccupancyMap, shapes: Sequence[Shape]) -> OccupancyMap:
         return grid
     log_odds, observed = grid.log_odds.copy(), grid.observed.copy()
     for shape in drawn:
-        window, cells = shape.find_cells(grid)
+        window, cells = shape.find_cells(grid.box, grid.resolution)
         log_odds[window][cells] = LOG_ODDS[shape.change]
         observed[window][cells] = shape.change is not Change.UNKNOWN
     return replace(grid, log_odds=log_odds, observed=observed)
 
 
-def find_forbidden(grid: OccupancyMap, shapes: Sequence[Shape]) -> Bool:
-    """(H, W) the cells of a map that shapes forbid."""
-    forbidden = np.zeros(grid.shape, np.bool_)
+def cover(shapes: Iterable[Shape], box: CellBox, resolution: float) -> Bool:
+    """(H, W) the cells of a box, of some size (m), that lie in any of some shapes."""
+    covered = np.zeros(box.shape, np.bool_)
     for shape in shapes:
-        if shape.change is Change.FORBIDDEN:
-            window, cells = shape.find_cells(grid)
-            forbidden[window] |= cells
-    return forbidden
+        window, cells = shape.find_cells(box, resolution)
+        covered[window] |= cells
+    return covered
 
 
 def read_edits(path: Path | None) -> tuple[Shape, ...]:

@@ -18,7 +18,7 @@ from occmap.errors import UsageError
 from occmap.types import UInt8
 from occmap.writers import MapMode, WriteOptions, Writer, bands_from_top
 from occmap.writers.atomic import open_atomic
-from occmap.writers.edits import find_forbidden
+from occmap.writers.edits import Change, cover
 
 UNKNOWN, FREE, OCCUPIED = 205, 254, 0
 GREYS = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
@@ -84,7 +84,8 @@ class KeepoutWriter(PgmWriter):
         OutputError
             One of them cannot be written; then neither is left behind.
         """
-        forbidden = find_forbidden(grid, options.shapes)
+        shapes = (shape for shape in options.shapes if shape.change is Change.FORBIDDEN)
+        forbidden = cover(shapes, grid.box, grid.resolution)
         log_odds = np.where(forbidden, np.float32(1), np.float32(-1))
         mask = replace(
             grid, log_odds=log_odds, observed=np.ones_like(forbidden), decision=EVEN_ODDS

@@ -173,7 +173,7 @@ def trace(scans: Scans, options: BuildOptions) -> tuple[TileGrid, float]:
     evidence = SharedEvidence(options)
     for rays in scans.seen:
         evidence.add(rays)
-    return evidence.finish(), evidence.seconds
+    return evidence.finish(), sum(evidence.seconds)
 
 
 def score(grid: OccupancyMap, scans: Scans, seconds: float = math.nan) -> Fare:

@@ -18,7 +18,6 @@ from occmap.errors import LogError, MapError, PoseError
 from occmap.evidence import keep_lasting, render, to_grid
 from occmap.evidence.manifest import UNRECORDED, describe_build, list_logs
 from occmap.explanation import Explanation, Question, Use, explain, find_uses, recall_options
-from occmap.grid.tiles import EvidenceKind
 from occmap.options import BuildOptions, Selection
 from occmap.pipeline import build
 from occmap.posing import Deskew, PosingOptions, Stamps
@@ -117,7 +116,7 @@ def test_one_beam_clears_three_cells_and_hits_the_fourth() -> None:
     assert all([scan.seen for scan in each.scans] == [each.seen] for each in found[:4])
     hit = found[3]
     assert (hit.cell.lattice_row, hit.cell.lattice_column) == (0, 3)
-    assert hit.seen.kind is EvidenceKind.COUNTS
+    assert hit.seen.log_odds is None
     assert hit.cell.extent == pytest.approx((0.3, 0.0, 0.4, 0.1))
     (scan,) = hit.scans
     assert (scan.stamp_ns, scan.topic, scan.build) == (0, "scan", 0)
@@ -254,7 +253,6 @@ def test_the_numbers_of_a_radial_model_are_log_odds_and_observations() -> None:
     for scans in (1, 2):
         options = replace(TENTH, model=models.QuadraticModel(p_min=0.2))
         found = ask(observe([AHEAD] * scans, options), (0.05, 0.05))
-        assert found.seen.kind is EvidenceKind.LOG_ODDS
         seen = found.to_json()["seen"]
         # p = 0.2 near the sensor, and log-odds are kept to 1/65536.
         assert seen.pop("log_odds") == pytest.approx(scans * math.log(0.2 / 0.8), abs=1e-4)

@@ -11,7 +11,7 @@ import pytest
 
 from occmap.cells import OccupancyMap
 from occmap.errors import UsageError
-from occmap.writers.edits import Shape, apply_edits, find_forbidden, read_edits
+from occmap.writers.edits import Shape, apply_edits, cover, read_edits
 from tests.writers.maps import map_of_places
 
 
@@ -95,7 +95,8 @@ def test_forbidden_shapes_leave_the_map_alone(tmp_path: Path) -> None:
     grid = make_map()
     shapes = read(tmp_path, "forbidden,box,-1,2,0,3", "forbidden,box,50,50,60,60")
     assert apply_edits(grid, shapes) is grid
-    assert np.argwhere(find_forbidden(grid, shapes)).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+    covered = cover(shapes, grid.box, grid.resolution)
+    assert np.argwhere(covered).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
 
 
 @pytest.mark.parametrize(
