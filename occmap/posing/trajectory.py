@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -51,35 +51,43 @@ Row: TypeAlias = tuple[int, list[float]]
 """A time (ns), the place, and the quaternion, or roll, pitch and yaw"""
 
 
-def _parse_pose(
-    columns: Sequence[str], separator: str | None, parse_stamp: Callable[[str], int], text: str
-) -> Row:
-    """Parse a line of these columns, with any white space between where `separator` is None.
+class Table(NamedTuple):
+    """How the lines of a file hold poses."""
 
-    Optional columns that are absent are 0. Between ; and tabs, a comma in a number is a dot.
+    columns: Sequence[str]
+    """Their names; of EuRoC others may follow"""
+    separator: str | None
+    """Any white space, if it is None"""
+    unit: int = values.SECONDS
+    """Of times, as `values.UNITS` has it"""
 
-    Raises
-    ------
-    ValueError
-        There are fewer or more values, or one is no number.
-    """
-    if separator in {";", "\t"}:
-        text = text.replace(",", ".")
-    fields, expected = text.split(separator), len(columns)
-    if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):
-        raise ValueError(f"{len(fields)} values where {expected} belong")
-    texts = dict(zip(columns, fields, strict=False))
-    if "stamp_nsec" in texts:
-        texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
-    rotation = QUATERNION if "qw" in texts else ANGLES
-    numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
-    return parse_stamp(texts["stamp"]), numbers
+    def split(self, text: str) -> list[str]:
+        """Split a line into its values. Between ; and tabs, a comma in a number is a dot."""
+        if self.separator in {";", "\t"}:
+            text = text.replace(",", ".")
+        return text.split(self.separator)
+
+    def parse(self, text: str) -> Row:
+        """Parse a line. Optional columns that are absent are 0.
+
+        Raises
+        ------
+        ValueError
+            There are fewer or more values, or one is no number.
+        """
+        fields, expected = self.split(text), len(self.columns)
+        if len(fields) < expected or (len(fields) > expected and self != EUROC):
+            raise ValueError(f"{len(fields)} values where {expected} belong")
+        texts = dict(zip(self.columns, fields, strict=False))
+        if "stamp_nsec" in texts:
+            texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
+        rotation = QUATERNION if "qw" in texts else ANGLES
+        numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
+        return values.parse_time(texts["stamp"], self.unit), numbers
 
 
-TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.parse_seconds)
-EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
-"""Others may follow."""
-EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
+TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
+EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS)
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)[./]|p_(?:\w+_)?|t)([xyz])(?:_m)?$")
@@ -127,9 +135,13 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     has_header = not NUMBER.match(begin)
     if not has_header and _is_matrix(begin):
         return _read_matrices(path, lines, notes)
-    rows: list[Row] = []
-    for parse in _parse_lines(path, lines[:1], partial(_find_format, headings)):
-        rows += _parse_lines(path, lines[has_header:], parse)
+    form = next(_parse_lines(path, lines[:1], partial(_find_format, headings)), TUM)
+    lines = lines[has_header:]
+    sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
+    columns, unit, note = values.settle_times(form.columns, form.unit, sample)
+    notes += [f"{path}: {note}"] * bool(note)
+    settled = form._replace(columns=tuple(columns), unit=unit)
+    rows = list(_parse_lines(path, lines, settled.parse))
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
     times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
@@ -140,8 +152,8 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
     usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
-    is_without_header = len(usable) and parse in {TUM, EUROC}
-    if is_without_header and (header := _find_order(path, parse, usable[:, 3:])):
+    is_without_header = len(usable) and (form is TUM or form is EUROC)
+    if is_without_header and (header := _find_order(path, form, usable[:, 3:])):
         notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
     if len(usable) and _are_of_camera(usable):
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
@@ -149,7 +161,7 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
     return times, poses
 
 
-def _find_order(path: Path, parse: object, quaternions: Float64) -> str:
+def _find_order(path: Path, form: Table, quaternions: Float64) -> str:
     """Find the header for quaternions (N, 4) that turn as no robot does; "" where they do.
 
     If TUM takes their w for x, they turn about x alone, and if EuRoC takes z and w for y and z, by
@@ -165,7 +177,7 @@ def _find_order(path: Path, parse: object, quaternions: Float64) -> str:
         fix = f"a header must say what the columns are; {SHAPES}"
         raise LogError("no quaternion stands behind x, y and z", where=path, fix=fix)
     x, y, z, w = np.abs(quaternions).max(axis=0)
-    if parse is TUM:
+    if form is TUM:
         turns = np.ptp(quaternions[:, 0]) > 0.1
         return "stamp x y z qw qx qy qz" if turns and max(y, z) < 0.01 else ""
     return "stamp,x,y,z,qx,qy,qz,qw" if min(y, z) > 0.1 and max(x, w) < 0.01 else ""
@@ -218,7 +230,7 @@ def _read_times(path: Path) -> list[int]:
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_seconds, fix))
+    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_time, fix))
 
 
 def _read_rows(path: Path) -> tuple[list[NumberedLine], list[str]]:
@@ -259,8 +271,8 @@ def _parse_lines(
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _find_format(headings: Sequence[str], text: str) -> Callable[[str], Row]:
-    """Tell by its first line how the lines of a file are parsed; raises ValueError.
+def _find_format(headings: Sequence[str], text: str) -> Table:
+    """Tell by its first line how the lines of a file hold poses; raises ValueError.
 
     Parameters
     ----------
@@ -271,23 +283,23 @@ def _find_format(headings: Sequence[str], text: str) -> Callable[[str], Row]:
         return _read_header(text)
     for heading in headings:
         with suppress(ValueError):
-            parse = _read_header(heading)
-            parse(text)  # raises: it names other columns
-            return parse
-    if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC_COLUMNS) - 1:
+            form = _read_header(heading)
+            form.parse(text)  # raises: it names other columns
+            return form
+    if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC.columns) - 1:
         return EUROC
     if set(text).intersection(",;"):
         raise ValueError("no header says what the columns are")
     return TUM
 
 
-def _read_header(text: str) -> Callable[[str], Row]:
-    """Tell by a header how the lines below are parsed; raises ValueError.
+def _read_header(text: str) -> Table:
+    """Tell by a header how the lines below hold poses; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
     separator = values.find_separator(text)
-    columns, is_ns = values.split_header(text, separator)
+    columns, unit = values.split_header(text, separator)
     names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
     missing = {"stamp", "x", "y", *angles}.difference(names)
@@ -295,8 +307,7 @@ def _read_header(text: str) -> Callable[[str], Row]:
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    parse = values.parse_nanoseconds if is_ns else values.parse_seconds
-    return partial(_parse_pose, names, separator, parse)
+    return Table(tuple(names), separator, unit)
 
 
 def _split_matrix(text: str) -> list[str]:
@@ -320,5 +331,5 @@ def _parse_matrix(size: int, text: str) -> tuple[int | None, list[float]]:
     if len(words) != size:
         raise ValueError(f"{len(words)} values where {size} belong")
     is_timed = size == 13
-    stamp_ns = values.parse_seconds(words[0]) if is_timed else None
+    stamp_ns = values.parse_time(words[0]) if is_timed else None
     return stamp_ns, list(map(values.parse_number, words[is_timed:][:12]))

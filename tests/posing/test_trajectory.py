@@ -61,6 +61,8 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         ("# t x y qx qy qz qw a b c d e f\n3 1 2 0 0 0 1 7 7 7 7 7 7\n", FLAT),
         ("3000000000,1,2,0,1,0,0,0,7,7,7,7,7\n", FLAT),  # EuRoC's lines may go on
         ("__time,/odom/pose/position/x,/odom/pose/position/y,yaw\n3,1,2,0\n", FLAT),
+        ("time [ms],x,y,yaw\n3000.0,1,2,0\n", FLAT),
+        ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n3,0,0,1,2,0\n", FLAT),
         ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
     ],
     ids=[
@@ -68,13 +70,25 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         *("whole seconds", "quaternion", "byte order"),
         *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
         *("names of EuRoC", "Newer College", "bagpy", "two stamps", "half a time"),
-        *("13 columns", "13 numbers", "PlotJuggler", "Argoverse"),
+        *("13 columns", "13 numbers", "PlotJuggler", "milliseconds", "never set", "Argoverse"),
     ],
 )
 def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
     (sample,) = read(tmp_path, text)
     assert sample.stamp_ns == 3 * 10**9
     assert sample.pose == pytest.approx(pose)
+
+
+@pytest.mark.parametrize("since_boot", [10**10, 960 * 10**9, 1234567890123, 40000 * 10**9])
+def test_nanoseconds_since_the_start_of_a_computer(tmp_path: Path, since_boot: int) -> None:
+    """Whole milliseconds of 13 digits would lie hours apart."""
+    stamps = [since_boot, since_boot + 10**8 + 1]
+    samples = read(tmp_path, "".join(f"{stamp} 1 2 4 0 0 0.6 0.8\n" for stamp in stamps))
+    assert [sample.stamp_ns for sample in samples] == stamps
+    rows = "".join(f"{stamp},1\n" for stamp in stamps)
+    (tmp_path / "log.csv").write_text(f"# angle_min: 0\n# angle_increment: 1\nstamp,r0\n{rows}")
+    scans = open_log(tmp_path / "log.csv").scans(["scan"])
+    assert [scan.stamp_ns for scan in scans] == stamps
 
 
 @pytest.mark.parametrize(
@@ -164,7 +178,7 @@ def test_of_a_camera_poses_of_any_format_are_in_a_robots_axes(tmp_path: Path) ->
         ("1 2 3\n", 1, "3 values where 8 belong"),
         ("# TUM\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1 7\n", 3, "9 values where 8 belong"),
         ("1 0 0 0 0 0 here 1\n", 1, "'here' where a number belongs"),
-        ("130503110217 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
+        ("1e10 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
         ("1.5,1,2,0\n", 1, "no header says what the columns are"),
         ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw, but 'yaw [deg]': units are"),
         ("time;x;y;theta(deg)\n1;2;3;0\n", 1, "has no column yaw, but 'theta(deg)': units are"),

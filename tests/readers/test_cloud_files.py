@@ -204,11 +204,13 @@ def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Pa
         ("cloud_1700000000_000000007.ply", 1_700_000_000 * SECOND + 7),
         ("1700000000000000007.bin", 1_700_000_000 * SECOND + 7),
         ("n015__LIDAR_TOP__1533151603547590.pcd.bin", 1_533_151_603_547_590_000),
-        ("000123.bin", None),
     ],
 )
-def test_times_in_names(name: str, stamp_ns: int | None) -> None:
-    assert cloud_folder.read_time(Path(name)) == stamp_ns
+def test_times_in_names(name: str, stamp_ns: int) -> None:
+    assert cloud_folder.read_times([Path(name)]) == [stamp_ns]
+    assert not cloud_folder.read_times([Path(name), Path("000123.bin")])
+    since_boot = [1234567890123, 1234667890123]  # ns
+    assert cloud_folder.read_times([Path(f"{it}.pcd") for it in since_boot]) == since_boot
 
 
 def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ MANY = "1,2,3\n" * (BLOCK_BYTES // 3)
     ("content", "found"),
     [
         *((f"#\n{WHOLE.replace(f'{name},', '')}", f"2: no column {name}; ") for name in COLUMNS),
-        (f"nsec,time_ms{WHOLE[5:]}", "1: no column stamp; add it"),
+        (f"nsec,time_h{WHOLE[5:]}", "1: no column stamp; add it"),
         (WHOLE.replace("yaw", "yaw [deg]"), r"1: no column yaw, but 'yaw \[deg\]': units are s, m"),
         (WHOLE.replace(",", " [mm],"), r"1: no column stamp, but 'stamp \[mm\]': units are s, m"),
         (f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n", r"3: no column r0; .*`poses`"),
