@@ -289,25 +289,27 @@ class CloudFolder(Log):
         return tell_clouds(clouds, self.path, self.notes)
 
     def _read(self) -> Iterator[Cloud]:
-        lost = 0
+        lost, cut = list[str](), list[str]()
         for file, stamp_ns in zip(self._files, self.moments.stamp_ns, strict=True):
+            name = str(file.relative_to(self.path))
             try:
                 with refuse_unreadable(file):
                     points = read_cloud(file)
                 cloud = make_cloud(points.columns, (stamp_ns, FRAME), TOPIC, stamp_ns)
             except LogError as error:
-                self.notes.add_damage(f"{file.name} {error.found}; it is left out")
-                lost += 1
+                lost.append(f"{name} {error.found}; it is left out")
                 continue
             there = len(cloud.points)
             if there < points.announced:
-                found = f"{file.name} is cut short: {there:,} of {points.announced:,} points"
-                self.notes.add_damage(f"{found} are there and used")
+                found = f"{name} is cut short: {there:,} of {points.announced:,} points"
+                cut.append(f"{found} are there and used")
             yield cloud
-        if lost == len(self._files):
-            first = next(note.text for note in self.notes if note.damage)
-            found = f"none of {count(lost, 'cloud')} can be read"
-            raise LogError(found, where=self.path, fix=f"mend them: {first}")
+        if len(lost) == len(self._files):
+            found = f"none of {count(len(lost), 'cloud')} can be read"
+            raise LogError(found, where=self.path, fix=f"mend them: {lost[0]}")
+        for each in filter(None, (lost, cut)):
+            others = f"; so it is with {count(len(each) - 1, 'other')}" * (len(each) > 1)
+            self.notes.add_damage(each[0] + others)
 
 
 class CloudFolderReader:
@@ -323,13 +325,21 @@ class CloudFolderReader:
 
 
 def list_clouds(folder: Path) -> list[Path]:
-    """List the files of clouds in a folder, in the order of their names: 10 stands behind 9."""
-    files = (each for each in folder.iterdir() if not each.name.startswith("."))
-    return sorted((each for each in files if each.suffix.lower() in READERS), key=_make_key)
+    """List the files of clouds in a folder, in the order of their names: 10 stands behind 9.
+
+    If it has none, they are in the folders in it that hold one each, as hdl_graph_slam dumps them.
+    """
+    for pattern in ("*", "*/*"):
+        files = [each for each in folder.glob(pattern) if each.suffix.lower() in READERS]
+        files = [each for each in files if not each.name.startswith(".")]
+        if files:
+            is_dump = len(files) == len({each.parent for each in files}) > 1
+            return sorted(files, key=_make_key) if is_dump or pattern == "*" else []
+    return []
 
 
 def _make_key(path: Path) -> list[tuple[int, str]]:
-    parts = _DIGITS.split(path.name)
+    parts = _DIGITS.split(str(path))
     return [(int(part) if part.isdecimal() else -1, part) for part in parts]
 
 
