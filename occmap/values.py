@@ -232,6 +232,10 @@ def settle_times(
     return list(names), guess_unit(stamps) if unit == SECONDS else unit, ""
 
 
+ECHOED = re.compile(r"\d+,\d{1,9},(?:[^\W\d][^,]*)?,([^\W\d][^,]*,)?")
+"""How a line of `ros2 topic echo --csv` begins: a time, a frame, and perhaps another one"""
+
+
 def tell_missing(names: Sequence[str], columns: Iterable[str]) -> str:
     """Say which columns are missing, and which of them is there in a unit that is not expected."""
     called = "|".join(re.escape(it) for name in names for it in (name, *COLUMN_NAMES.get(name, ())))
@@ -289,7 +293,8 @@ OTHER_FILES = {
     ),
     rb"ply\r?\n|# \.PCD|VERSION \.7": (
         "a single cloud of points",
-        "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`",
+        "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`; of "
+        "LIO-SAM, record /lio_sam/mapping/odometry: it writes poses as such a cloud",
     ),
     b"VERTEX|EDGE|PARAMS_|FIX ": (
         "a pose graph, whose poses have no times",

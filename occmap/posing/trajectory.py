@@ -55,11 +55,13 @@ class Table(NamedTuple):
     """How the lines of a file hold poses."""
 
     columns: Sequence[str]
-    """Their names; of EuRoC others may follow"""
+    """Their names"""
     separator: str | None
     """Any white space, if it is None"""
     unit: int = values.SECONDS
     """Of times, as `values.UNITS` has it"""
+    goes_on: bool = False
+    """Others may follow"""
 
     def split(self, text: str) -> list[str]:
         """Split a line into its values. Between ; and tabs, a comma in a number is a dot."""
@@ -76,7 +78,7 @@ class Table(NamedTuple):
             There are fewer or more values, or one is no number.
         """
         fields, expected = self.split(text), len(self.columns)
-        if len(fields) < expected or (len(fields) > expected and self != EUROC):
+        if len(fields) < expected or (len(fields) > expected and not self.goes_on):
             raise ValueError(f"{len(fields)} values where {expected} belong")
         texts = dict(zip(self.columns, fields, strict=False))
         if "stamp_nsec" in texts:
@@ -87,7 +89,9 @@ class Table(NamedTuple):
 
 
 TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
-EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS)
+EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS, True)
+COUNTERS = re.compile(r"\d+\s+\d+\s+\d+")
+"""What stands above a matrix, which is four lines, in a .log of Open3D"""
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)[./]|p_(?:\w+_)?|t)([xyz])(?:_m)?$")
@@ -131,56 +135,69 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
 def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Float64]:
     """Read the times (ns), where there are any, and poses (N, 7); a first line tells the format."""
     lines, headings = _read_rows(path)
+    if len(lines) > 4 and COUNTERS.fullmatch(lines[0][1]):
+        fives = [lines[at : at + 5] for at in range(0, len(lines), 5)]
+        lines = [(each[0][0], " ".join(text for _, text in each[1:])) for each in fives]
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
     if not has_header and _is_matrix(begin):
         return _read_matrices(path, lines, notes)
     form = next(_parse_lines(path, lines[:1], partial(_find_format, headings)), TUM)
-    lines = lines[has_header:]
-    sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
-    columns, unit, note = values.settle_times(form.columns, form.unit, sample)
-    notes += [f"{path}: {note}"] * bool(note)
-    settled = form._replace(columns=tuple(columns), unit=unit)
-    rows = list(_parse_lines(path, lines, settled.parse))
-    if not rows:
-        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
-    times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
-    if poses.shape[1] < 7:
-        doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
-        notes += [f"{path}: {doubt}"] * bool(doubt)
-        poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
-        turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
-        poses = np.array(turned)
-    usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
-    is_without_header = len(usable) and (form is TUM or form is EUROC)
-    if is_without_header and (header := _find_order(path, form, usable[:, 3:])):
-        notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
-    if len(usable) and _are_of_camera(usable):
+    times, poses = _read_table(path, lines[has_header:], form, notes)
+    usable = np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)
+    if usable.any() and (form is TUM or form is EUROC):
+        _refuse_no_rotation(path, poses[usable, 3:])
+        if order := _find_order(form, poses[usable, 3:]):
+            poses[:, 3:] = poses[:, order]
+            place = "first" if form is TUM else "last"
+            odd = "the poses turn as no robot does with quaternions in the usual order"
+            notes.append(f"{path}: {odd}, so their w is taken to be {place}")
+    if usable.any() and _are_of_camera(poses[usable]):
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
         poses = _turn_from_camera(poses)
     return times, poses
 
 
-def _find_order(path: Path, form: Table, quaternions: Float64) -> str:
-    """Find the header for quaternions (N, 4) that turn as no robot does; "" where they do.
+def _read_table(
+    path: Path, lines: Sequence[NumberedLine], form: Table, notes: list[str]
+) -> tuple[Sequence[int], Float64]:
+    """Read the times (ns) and poses (N, 7) of lines that are no matrices."""
+    sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
+    columns, unit, note = values.settle_times(form.columns, form.unit, sample)
+    form = form._replace(columns=columns, unit=unit)
+    rows = list(_parse_lines(path, lines, form.parse))
+    if not rows:
+        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
+    times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
+    doubt = ""
+    if poses.shape[1] < 7:
+        doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
+        poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
+        turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
+        poses = np.array(turned)
+    notes += [f"{path}: {text}" for text in (note, doubt) if text]
+    return times, poses
 
-    If TUM takes their w for x, they turn about x alone, and if EuRoC takes z and w for y and z, by
-    half a turn.
 
-    Raises
-    ------
-    LogError
-        They are no rotations.
-    """
+def _refuse_no_rotation(path: Path, quaternions: Float64) -> None:
+    """Refuse quaternions (N, 4) that are no rotations; others may have any length, but one."""
     lengths = np.linalg.norm(quaternions, axis=1)
     if np.median(np.abs(lengths / np.median(lengths) - 1)) > 0.05:
         fix = f"a header must say what the columns are; {SHAPES}"
         raise LogError("no quaternion stands behind x, y and z", where=path, fix=fix)
+
+
+def _find_order(form: Table, quaternions: Float64) -> tuple[int, ...]:
+    """Find which columns of poses are the quaternion, if (N, 4) turn as no robot does; () if not.
+
+    If TUM takes their w for x, they turn about x alone, and if EuRoC takes z and w for y and z, by
+    half a turn.
+    """
     x, y, z, w = np.abs(quaternions).max(axis=0)
     if form is TUM:
         turns = np.ptp(quaternions[:, 0]) > 0.1
-        return "stamp x y z qw qx qy qz" if turns and max(y, z) < 0.01 else ""
-    return "stamp,x,y,z,qx,qy,qz,qw" if min(y, z) > 0.1 and max(x, w) < 0.01 else ""
+        return (4, 5, 6, 3) if turns and max(y, z) < 0.01 else ()
+    return (6, 3, 4, 5) if min(y, z) > 0.1 and max(x, w) < 0.01 else ()
 
 
 def _are_of_camera(poses: Float64) -> bool:
@@ -281,11 +298,16 @@ def _find_format(headings: Sequence[str], text: str) -> Table:
     """
     if not NUMBER.match(text):
         return _read_header(text)
+    if any("IMAGE_ID" in each for each in headings):
+        raise ValueError("poses of COLMAP, which have no scale and no times")
     for heading in headings:
         with suppress(ValueError):
             form = _read_header(heading)
             form.parse(text)  # raises: it names other columns
             return form
+    if echoed := values.ECHOED.match(text):
+        frames = ("frame", "child") if echoed[1] else ("frame",)
+        return Table(("stamp", "stamp_nsec", *frames, *TUM.columns[1:]), ",", goes_on=True)
     if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC.columns) - 1:
         return EUROC
     if set(text).intersection(",;"):
@@ -307,7 +329,7 @@ def _read_header(text: str) -> Table:
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    return Table(tuple(names), separator, unit)
+    return Table(names, separator, unit)
 
 
 def _split_matrix(text: str) -> list[str]:
@@ -317,7 +339,7 @@ def _split_matrix(text: str) -> list[str]:
 def _is_matrix(text: str) -> bool:
     """Whether a line holds a matrix, by its length, and by what turns in it where that is known."""
     size = len(_split_matrix(text))
-    if size not in MATRICES:
+    if size not in MATRICES or values.ECHOED.match(text):
         return False
     with suppress(ValueError):
         turn = np.reshape(_parse_matrix(size, text)[1], (3, 4))[:, :3]

@@ -27,7 +27,15 @@ from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanBatch
-from occmap.values import BINARY_WITHIN, NO_TEXT, find_separator, name_other, shorten, split_header
+from occmap.values import (
+    BINARY_WITHIN,
+    ECHOED,
+    NO_TEXT,
+    find_separator,
+    name_other,
+    shorten,
+    split_header,
+)
 
 GZIP_MAGIC = b"\x1f\x8b"
 
@@ -120,6 +128,8 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
         found = f"a text file of no known log format: it starts with {first_line!r}"
         names, _ = split_header(first_line, find_separator(first_line))
         fix = "if it holds poses alone, give it with `poses`" * {"x", "y"}.issubset(names)
+        if ECHOED.match(first_line):
+            fix = "if `ros2 topic echo --csv` wrote it: record a bag, or give poses by `poses`"
     elif content is not raw:
         found, fix = name_other(probe.path, raw)
     else:
