@@ -111,6 +111,7 @@ def parse_number(text: str) -> float:
 BEYOND_A_TURN = 7.0
 JUMP_SHARE = 0.01
 """Headings that are radians stay within a turn, or count on without a jump of half a turn"""
+DEGREES = "angles are radians; are these degrees?"
 WRAP_DEG = 340.0
 """Headings that are degrees jump by more, up to a turn, from 180 to -180 or from 360 to 0"""
 
@@ -128,8 +129,7 @@ def suspect_degrees(yaw: ArrayLike, seconds: float = 0.0) -> str:
     wraps = (steps > WRAP_DEG) & (steps <= 360)
     jumps = wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE
     is_mad = 1 < seconds < steps.sum() / 6  # no robot turns once a second all the time
-    doubt = "the yaws turn faster than any robot does: angles are radians; are these degrees?"
-    return doubt if jumps or is_mad else ""
+    return f"the yaws turn faster than any robot does: {DEGREES}" if jumps or is_mad else ""
 
 
 def as_text(value: Any) -> str:
@@ -233,7 +233,7 @@ def settle_times(
 
 
 ECHOED = re.compile(r"\d+,\d{1,9},(?:[^\W\d][^,]*)?,([^\W\d][^,]*,)?")
-"""How a line of `ros2 topic echo --csv` begins: a time, a frame, and perhaps another one"""
+"""How a line begins that `ros2 topic echo` writes as CSV: a time, a frame, perhaps another frame"""
 
 
 def tell_missing(names: Sequence[str], columns: Iterable[str]) -> str:

@@ -129,7 +129,7 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
         names, _ = split_header(first_line, find_separator(first_line))
         fix = "if it holds poses alone, give it with `poses`" * {"x", "y"}.issubset(names)
         if ECHOED.match(first_line):
-            fix = "if `ros2 topic echo --csv` wrote it: record a bag, or give poses by `poses`"
+            fix = "if `ros2 topic echo` wrote it: record a bag, or give poses by `poses`"
     elif content is not raw:
         found, fix = name_other(probe.path, raw)
     else:

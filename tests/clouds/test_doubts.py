@@ -55,13 +55,19 @@ def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
             assert any("clouds contradict each other" in text for text in told) == is_wrong
 
 
+@pytest.mark.parametrize(
+    ("angle", "doubt"), [(180, "does z point down in the poses"), (-90, "where z is not up in")]
+)
 @pytest.mark.parametrize("command", ["build", "check"])
-def test_poses_whose_z_points_down_are_told(command: str, tmp_path: Path) -> None:
-    poses = write_leaning(tmp_path / "ned.tum", turn(180, 0, 0))
-    for words, is_told in (((), True), (("--level", "180,0"), False)):
+def test_poses_whose_z_is_not_up_are_told(
+    command: str, angle: float, doubt: str, tmp_path: Path
+) -> None:
+    poses = write_leaning(tmp_path / "poses.tum", turn(angle, 0, 0))
+    level = ("--level", f"{-angle},0")
+    for words, is_told in (((), True), (level, False)):
         made = ("-o", tmp_path / "hall.pgm") if command == "build" else ()
         told = occmap(command, HALL, "--poses", poses, *words, *made)
-        assert ("does z point down in the poses" in told.out + told.err) == is_told
+        assert (doubt in told.out + told.err) == is_told
 
 
 def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from occmap.errors import LogError
+from occmap.inspection import inspect
+from occmap.options import BuildOptions
 from occmap.posing.trajectory import read_trajectory
 from occmap.readers import open_log
 from occmap.types import Moments, PoseSample
@@ -150,6 +152,7 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
     log = open_log(write_csv(tmp_path / "log.csv", poses, [1.0]))
     for told in (notes, log.notes):
         assert any("are these degrees?" in note for note in told) == (unit > 1)
+    assert bool(inspect([log.path], BuildOptions()).command) == (unit == 1)
 
 
 def test_quaternions_in_another_order_are_told_and_taken(tmp_path: Path) -> None:
