@@ -28,12 +28,13 @@ TRAJECTORY_FRAME = "map"
 """The frame that the poses of a file are taken to be in: no format names one"""
 QUATERNION = ("qx", "qy", "qz", "qw")
 ANGLES = ("roll", "pitch", "yaw")
+CELLS = tuple(f"cell {at}" for at in range(12))
+MATRICES = {12: CELLS, 13: ("stamp", *CELLS), 16: (*CELLS, "", "", "", "")}
+"""By the numbers in a line of KITTI, also with a time in front, or with the fourth row"""
 SHAPES = (
     "expected lines `stamp x y z qx qy qz qw`, the header stamp,x,y,yaw and such lines, or those "
     "of EuRoC or KITTI"
 )
-MATRICES = (12, 13, 16)
-"""Numbers in a line of KITTI, also with a time in front, or with the fourth row"""
 TIMES = "times.txt"
 
 OF_CAMERA = "those of a camera (z is ahead, y down)"
@@ -47,8 +48,8 @@ MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
 
-Row: TypeAlias = tuple[int, list[float]]
-"""A time (ns), the place, and the quaternion, or roll, pitch and yaw"""
+Row: TypeAlias = tuple[int | None, list[float]]
+"""A time (ns), the place, and the quaternion, or roll, pitch and yaw; or what a matrix holds"""
 
 
 class Table(NamedTuple):
@@ -62,6 +63,11 @@ class Table(NamedTuple):
     """Of times, as `values.UNITS` has it"""
     goes_on: bool = False
     """Others may follow"""
+
+    @property
+    def is_of_matrices(self) -> bool:
+        """Whether a line is the first three rows of a matrix, or all four."""
+        return CELLS[0] in self.columns
 
     def split(self, text: str) -> list[str]:
         """Split a line into its values. Between ; and tabs, a comma in a number is a dot."""
@@ -83,9 +89,10 @@ class Table(NamedTuple):
         texts = dict(zip(self.columns, fields, strict=False))
         if "stamp_nsec" in texts:
             texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
-        rotation = QUATERNION if "qw" in texts else ANGLES
-        numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
-        return values.parse_time(texts["stamp"], self.unit), numbers
+        names = "x", "y", "z", *(QUATERNION if "qw" in texts else ANGLES)
+        names = CELLS if self.is_of_matrices else names
+        numbers = [values.parse_number(texts.get(name, "0")) for name in names]
+        return values.parse_time(texts["stamp"], self.unit) if "stamp" in texts else None, numbers
 
 
 TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
@@ -140,10 +147,10 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
         lines = [(each[0][0], " ".join(text for _, text in each[1:])) for each in fives]
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
-    if not has_header and _is_matrix(begin):
-        return _read_matrices(path, lines, notes)
     form = next(_parse_lines(path, lines[:1], partial(_find_format, headings)), TUM)
     times, poses = _read_table(path, lines[has_header:], form, notes)
+    if form.is_of_matrices:
+        return times, _make_poses(path, poses.reshape(-1, 3, 4), notes)
     usable = np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)
     if usable.any() and (form is TUM or form is EUROC):
         _refuse_no_rotation(path, poses[usable, 3:])
@@ -160,23 +167,23 @@ def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Flo
 
 def _read_table(
     path: Path, lines: Sequence[NumberedLine], form: Table, notes: list[str]
-) -> tuple[Sequence[int], Float64]:
-    """Read the times (ns) and poses (N, 7) of lines that are no matrices."""
+) -> tuple[list[int] | None, Float64]:
+    """Read the times (ns) where there are any, and poses (N, 7) or matrices (N, 12)."""
     sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
     columns, unit, note = values.settle_times(form.columns, form.unit, sample)
     form = form._replace(columns=columns, unit=unit)
     rows = list(_parse_lines(path, lines, form.parse))
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
-    times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
-    doubt = ""
+    times = [stamp_ns for stamp_ns, _ in rows if stamp_ns is not None]
+    poses, doubt = np.array([numbers for _, numbers in rows]), ""
     if poses.shape[1] < 7:
         doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
         poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
         turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
         poses = np.array(turned)
     notes += [f"{path}: {text}" for text in (note, doubt) if text]
-    return times, poses
+    return times or None, poses
 
 
 def _refuse_no_rotation(path: Path, quaternions: Float64) -> None:
@@ -219,26 +226,21 @@ def _turn_from_camera(poses: Float64) -> Float64:
     return np.column_stack([place, axis, poses[:, 6]])
 
 
-def _read_matrices(
-    path: Path, lines: Sequence[NumberedLine], notes: list[str]
-) -> tuple[Sequence[int] | None, Float64]:
-    """Read KITTI's poses, and the times (ns) of those that have them.
+def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
+    """Make poses (N, 7) of the upper rows (N, 3, 4) of matrices.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
     are told by where they lead: on the ground only such poses go far along z.
     """
-    size = len(_split_matrix(lines[0][1]))
-    stamps, numbers = zip(*_parse_lines(path, lines, partial(_parse_matrix, size)), strict=True)
-    rows = np.array(numbers).reshape(-1, 3, 4)
-    finite = rows[np.isfinite(rows).all(axis=(1, 2))]
-    y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
+    is_finite = np.isfinite(rows).all(axis=(1, 2))
+    y, z = (np.ptp(rows[is_finite, axis, 3]) if is_finite.any() else 0.0 for axis in (1, 2))
     notes.append(
         f"{path}: its poses go {y:.3g} m along y and {z:.3g} m along z, so they are taken as "
         + (OF_CAMERA if z > y else "those of a robot (x is ahead, z up)")
     )
-    rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
+    rows[~is_finite] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
-    return None if None in stamps else stamps, _turn_from_camera(poses) if z > y else poses
+    return _turn_from_camera(poses) if z > y else poses
 
 
 def _read_times(path: Path) -> list[int]:
@@ -305,9 +307,18 @@ def _find_format(headings: Sequence[str], text: str) -> Table:
             form = _read_header(heading)
             form.parse(text)  # raises: it names other columns
             return form
+    return _guess_format(text)
+
+
+def _guess_format(text: str) -> Table:
+    """Tell by a line how those hold poses whose columns nothing names; raises ValueError."""
     if echoed := values.ECHOED.match(text):
         frames = ("frame", "child") if echoed[1] else ("frame",)
         return Table(("stamp", "stamp_nsec", *frames, *TUM.columns[1:]), ",", goes_on=True)
+    if columns := MATRICES.get(len(text.replace(",", " ").split())):
+        form = Table(columns, values.find_separator(text))
+        if _is_matrix(form, text):
+            return form
     if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC.columns) - 1:
         return EUROC
     if set(text).intersection(",;"):
@@ -332,26 +343,10 @@ def _read_header(text: str) -> Table:
     return Table(names, separator, unit)
 
 
-def _split_matrix(text: str) -> list[str]:
-    return text.replace(",", " ").split()
-
-
-def _is_matrix(text: str) -> bool:
-    """Whether a line holds a matrix, by its length, and by what turns in it where that is known."""
-    size = len(_split_matrix(text))
-    if size not in MATRICES or values.ECHOED.match(text):
-        return False
+def _is_matrix(form: Table, text: str) -> bool:
+    """Whether a line holds a matrix, by what turns in it where that is known."""
     with suppress(ValueError):
-        turn = np.reshape(_parse_matrix(size, text)[1], (3, 4))[:, :3]
+        turn = np.reshape(form.parse(text)[1], (3, 4))[:, :3]
         is_known = bool(np.isfinite(turn).all())
         return not is_known or np.allclose(turn @ turn.T, np.eye(3), atol=0.05)
     return True
-
-
-def _parse_matrix(size: int, text: str) -> tuple[int | None, list[float]]:
-    words = _split_matrix(text)
-    if len(words) != size:
-        raise ValueError(f"{len(words)} values where {size} belong")
-    is_timed = size == 13
-    stamp_ns = values.parse_time(words[0]) if is_timed else None
-    return stamp_ns, list(map(values.parse_number, words[is_timed:][:12]))
