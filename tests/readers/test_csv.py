@@ -267,12 +267,8 @@ def test_what_is_written_is_read(
 @pytest.mark.parametrize(
     "content",
     [
-        HEADER,
-        "\ufeff# comment\n\n" + HEADER,
-        "r0,r1,r2",
-        "# angle_min: 0\nstamp,r0\n1,2.5\n",
-        "angle_min,angle_increment,range_max,r0,r1",
-        '"stamp","angle_min","angle_increment"',
+        *(HEADER, "\ufeff# comment\n\n" + HEADER, "r0,r1,r2", "# angle_min: 0\nstamp,r0\n1,2.5\n"),
+        *("angle_min,angle_increment,range_max,r0,r1", '"stamp","angle_min","angle_increment"'),
         "# text\n" + ",".join(f"r{beam}" for beam in range(2000)),
         CONSTANTS + "# " + "long comment " * 400,
     ],
@@ -285,19 +281,11 @@ def test_recognises_csv_by_content(content: str) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"# a comment only\n",
-        b"name,age,town\nx,1,y\n",
-        b"stamp,name\n",
-        b"timestamp,x,y,yaw\n1,2,3,0\n",
-        b"stamp,r0\n1,2.5\n",
-        b"stamp,r0\nangle_min: 1\n",
-        b"%time,field.header.seq,field.header.stamp,field.ranges0\n",
-        b"The stamp, the x, the y.\n",
-        b"FLASER 180 1.5 1.5\n",
-        b"stamp,x,y,yaw\0\0",
-        b'"' + b"a" * 4095,
-        bytes(range(1, 256)),
+        *(b"", b"# a comment only\n", b"name,age,town\nx,1,y\n", b"stamp,name\n"),
+        *(b"timestamp,x,y,yaw\n1,2,3,0\n", b"stamp,r0\n1,2.5\n", b"stamp,r0\nangle_min: 1\n"),
+        *(b"%time,field.header.seq,field.header.stamp,field.ranges0\n", b"stamp,x,y,yaw\0\0"),
+        *(b"The stamp, the x, the y.\n", b"FLASER 180 1.5 1.5\n"),
+        *(b'"' + b"a" * 4095, bytes(range(1, 256))),
     ],
 )
 def test_does_not_claim_what_is_not_its_csv(content: bytes) -> None:
