@@ -47,29 +47,55 @@ def as_stamp(value: Any) -> int:
     return int(value)
 
 
-UNITS = {12: 6, 13: 6, 15: 3, 16: 3, 17: 0, 18: 0}
+UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
+"""Of time, by the power of ten that makes nanoseconds of them"""
+SECONDS, NANOSECONDS = UNITS["s"], UNITS["ns"]
+_BY_SIZE = {12: 6, 15: 3, 17: 0, 18: 0}
 """By the power of ten of a whole number that is too large for seconds, which fit 64 bits only up to
-10^10: those of its unit in nanoseconds. Such are the times from 2001 to 5138 in milliseconds and in
+10^10: those of its unit in nanoseconds. Such are the times from 2001 to 2286 in milliseconds and in
 microseconds, and those in nanoseconds since 1973."""
+FAR_APART_NS = 30 * 10**9
+"""Scans and poses that follow one another are not; by the wrong unit they are a thousand times as
+far apart as they are, or more."""
 
 
-def parse_seconds(text: str) -> int:
-    """Convert seconds, as text, to nanoseconds exactly; a float would round to 0.2 us.
+def parse_time(text: str, unit: int = SECONDS) -> int:
+    """Convert a time, as text, to nanoseconds exactly; a float would round to 0.2 us.
 
-    What can only be a whole number of milliseconds, microseconds or nanoseconds is taken as such.
+    Of seconds, what can only be whole milliseconds, microseconds or nanoseconds is taken as such.
 
     Raises
     ------
     ValueError
-        The text is not a number, or its nanoseconds do not fit 64 bits.
+        The text is not a number, or not whole where it should be nanoseconds, or these do not fit
+        64 bits.
     """
     with suppress(ArithmeticError):  # what decimal raises for words and for NaN
         number = Decimal(text)
-        is_whole = number > 10**12 and number % 1 == 0
-        nanoseconds = number.scaleb(UNITS.get(number.adjusted(), 9) if is_whole else 9)
-        if abs(nanoseconds) < 2**63:
+        scale = unit
+        if unit == SECONDS and number > 10**12 and number % 1 == 0:
+            scale = _BY_SIZE.get(number.adjusted(), unit)
+        nanoseconds = number.scaleb(scale)
+        if abs(nanoseconds) < 2**63 and (unit or number % 1 == 0):
             return round(nanoseconds)
-    raise ValueError(f"{shorten(text)} is not a time in seconds")
+    name = "nanoseconds" if unit == NANOSECONDS else "seconds"
+    raise ValueError(f"{shorten(text)} is not a time in {name}")
+
+
+def guess_unit(times: Sequence[str]) -> int:
+    """Tell the unit of times that follow one another, where none is stated: seconds or nanoseconds.
+
+    Whole numbers that are too large for seconds are nanoseconds since a computer was started, if
+    they are no times since 1970 in any unit, or would lie far apart.
+    """
+    if not times or not all(each.isdecimal() and len(each) > SECONDS + 1 for each in times):
+        return SECONDS
+    try:
+        steps = np.diff([parse_time(each) for each in times])
+    except ValueError:
+        return NANOSECONDS
+    is_far = len(steps) > 0 and np.median(np.abs(steps)) > FAR_APART_NS
+    return NANOSECONDS if is_far else SECONDS
 
 
 def parse_number(text: str) -> float:
@@ -82,17 +108,10 @@ def parse_number(text: str) -> float:
         raise ValueError(f"{shorten(text)} where a number belongs") from None
 
 
-def parse_nanoseconds(text: str) -> int:
-    """Convert whole nanoseconds, as text; raises ValueError where they do not fit 64 bits."""
-    with suppress(ValueError):
-        if abs(nanoseconds := int(text)) < 2**63:
-            return nanoseconds
-    raise ValueError(f"{shorten(text)} is not a time in nanoseconds")
-
-
 BEYOND_A_TURN = 7.0
 JUMP_SHARE = 0.01
 """Headings that are radians stay within a turn, or count on without a jump of half a turn"""
+DEGREES = "angles are radians; are these degrees?"
 WRAP_DEG = 340.0
 """Headings that are degrees jump by more, up to a turn, from 180 to -180 or from 360 to 0"""
 
@@ -110,8 +129,7 @@ def suspect_degrees(yaw: ArrayLike, seconds: float = 0.0) -> str:
     wraps = (steps > WRAP_DEG) & (steps <= 360)
     jumps = wraps.any() or np.mean(steps > np.pi) > JUMP_SHARE
     is_mad = 1 < seconds < steps.sum() / 6  # no robot turns once a second all the time
-    doubt = "the yaws turn faster than any robot does: angles are radians; are these degrees?"
-    return doubt if jumps or is_mad else ""
+    return f"the yaws turn faster than any robot does: {DEGREES}" if jumps or is_mad else ""
 
 
 def as_text(value: Any) -> str:
@@ -147,17 +165,27 @@ def shorten(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
+STAMPS = {
+    f"{name}{suffix}": unit
+    for suffix, unit in {"": SECONDS, **{f"_{name}": unit for name, unit in UNITS.items()}}.items()
+    for name in ("stamp", "timestamp", "time", "t", "__time")
+} | {"field.header.stamp": NANOSECONDS, "%time": NANOSECONDS}
+"""What programs call the column of times, and in which unit it is; the first of these counts"""
 COLUMN_NAMES = {
-    "stamp": ("timestamp", "time", "t", "timestamp_s", "time_s", "__time"),
-    "stamp_ns": ("field.header.stamp", "%time", "timestamp_ns", "time_ns", "t_ns"),
+    "stamp": tuple(STAMPS),
     "yaw": ("theta", "heading", "field.theta"),
     "frame": ("field.header.frame_id", "header.frame_id"),
 }
 """What other programs call a column; those of `rostopic echo -p` begin with `field.`"""
+RECEIPTS = {"time": SECONDS, "%time": NANOSECONDS}
+"""The times of receipt, as bagpy and `rostopic echo -p` call them, beside the stamps of headers"""
+SAMPLED_ROWS = 100
+"""By so many rows it is told what the times of a table are"""
 _TIME = re.compile(r"^(?:.*\bstamp[./])?(n?)(?:ano)?(sec)s?$")
 """What ROS calls the two columns of a time: whole seconds, and nanoseconds to be added"""
+_TIME_UNIT = re.compile(r"\s*[\[(]([mun]s)[\])]$")
 _UNIT = re.compile(r"\s*[\[(](?:s|m|rad)?[\])]$")
-"""A unit behind the name of a column, where it is the one that is expected"""
+"""A unit behind the name of a column, where it is one of time, or the one that is expected"""
 
 
 def find_separator(row: str) -> str | None:
@@ -166,24 +194,46 @@ def find_separator(row: str) -> str | None:
     return separator if separator in row else None
 
 
-def split_header(text: str, separator: str | None) -> tuple[list[str], bool]:
+def split_header(text: str, separator: str | None) -> tuple[list[str], int]:
     """Split a header row into the names of its columns, as occmap has them where it knows them.
 
-    Also say whether the time, which is `stamp`, is in nanoseconds. Of a time in two columns `stamp`
-    is the seconds, and `stamp_nsec` the rest.
+    Also give the unit of the time, which is `stamp`. Of a time in two columns `stamp` is the
+    seconds, and `stamp_nsec` the rest.
     """
     cells = [cell.strip(' \t"').lower() for cell in text.split(separator)]
-    names = [_UNIT.sub("", re.sub(r"\s*[\[(]ns[\])]$", "_ns", cell)) for cell in cells]
+    names = [_UNIT.sub("", _TIME_UNIT.sub(r"_\1", cell)) for cell in cells]
     halves = [_TIME.sub(r"\1\2", name) for name in names]
     if {"sec", "nsec"}.issubset(halves) and "stamp" not in names:
         names[halves.index("sec")], names[halves.index("nsec")] = "stamp", "stamp_nsec"
+    unit = next((unit for name, unit in STAMPS.items() if name in names), SECONDS)
     for name, others in COLUMN_NAMES.items():
         found = next((other for other in others if other in names), "")
-        if found and name.removesuffix("_ns") not in names:
+        if found and name not in names:
             names[names.index(found)] = name
-    names = [name.removeprefix("field.") for name in names]
-    is_ns = "stamp" not in names and "stamp_ns" in names
-    return ["stamp" if is_ns and name == "stamp_ns" else name for name in names], is_ns
+    return [name.removeprefix("field.") for name in names], unit
+
+
+def settle_times(
+    names: Sequence[str], unit: int, rows: Iterable[Sequence[str]]
+) -> tuple[list[str], int, str]:
+    """Settle by some rows of a table which of its columns is `stamp`, and in which unit.
+
+    Where the stamps of headers were never set, the times of receipt count, and a note says so.
+    """
+    sample = [dict(zip(names, map(str.strip, row), strict=False)) for row in rows]
+    stamps = [row.get("stamp", "") for row in sample]
+    is_zero = all(stamp and not stamp.strip("0.") for stamp in stamps)
+    is_set = not is_zero or any(row.get("stamp_nsec", "").strip("0") for row in sample)
+    receipt = next((name for name in RECEIPTS if name in names), "")
+    if receipt and sample and not is_set:
+        renamed = {"stamp": "", "stamp_nsec": "", receipt: "stamp"}
+        note = "the stamps of headers are all zero: the times of receipt count"
+        return [renamed.get(name, name) for name in names], RECEIPTS[receipt], note
+    return list(names), guess_unit(stamps) if unit == SECONDS else unit, ""
+
+
+ECHOED = re.compile(r"\d+,\d{1,9},(?:[^\W\d][^,]*)?,([^\W\d][^,]*,)?")
+"""How a line begins that `ros2 topic echo` writes as CSV: a time, a frame, perhaps another frame"""
 
 
 def tell_missing(names: Sequence[str], columns: Iterable[str]) -> str:
@@ -243,7 +293,8 @@ OTHER_FILES = {
     ),
     rb"ply\r?\n|# \.PCD|VERSION \.7": (
         "a single cloud of points",
-        "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`",
+        "a map needs the clouds of single scans, in a folder, and their poses: `poses=FILE`; of "
+        "LIO-SAM, record /lio_sam/mapping/odometry: it writes poses as such a cloud",
     ),
     b"VERTEX|EDGE|PARAMS_|FIX ": (
         "a pose graph, whose poses have no times",

@@ -300,7 +300,8 @@ def list_storeys(stood: Int64) -> Iterator[str]:
     if over:
         yield (
             f"the sensor went over its own way, more than {STOREY_MM / 1000:g} m above it, in "
-            f"{over} places: map each storey by itself, with `start_s` and `end_s`"
+            f"{over} places: if z is up in the poses, map each storey by itself, with `start_s` "
+            "and `end_s`"
         )
 
 

@@ -187,6 +187,8 @@ STEADY_M = 0.06
 LOOKED_AT = 2000
 """Points of a cloud that tilts are measured by, about"""
 TILT_ROUNDS = 6
+SHOWS_TILT, FEWEST_ALONE = 100, 10
+"""Points of the floor that show how their cloud is tilted, and clouds that show how all sway"""
 
 
 class Tilts(NamedTuple):
@@ -198,6 +200,8 @@ class Tilts(NamedTuple):
     """(3,) in the map (rad): if the poses' own up is wrong"""
     is_mount: bool
     """Whether the first explains them better"""
+    sway: float
+    """By what half of the clouds are tilted or more, each in its own way (rad)"""
 
 
 def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
@@ -229,7 +233,13 @@ def measure_tilts(clouds: Sequence[PosedScans], ground: Ground) -> Tilts | None:
         return None
     fits = [fit_robustly(levers, above) for levers in (in_sensor, in_map)]
     (sensor, left), (upright, left_by_map) = fits
-    return Tilts(-sensor, -upright, left <= left_by_map)
+    alone = [
+        fit_robustly(levers, above)[0] - upright
+        for above, _, levers in rows
+        if np.count_nonzero(np.abs(above) < FLOOR_M) >= SHOWS_TILT
+    ]
+    sway = float(np.median(np.linalg.norm(alone, axis=1))) if len(alone) >= FEWEST_ALONE else 0.0
+    return Tilts(-sensor, -upright, left <= left_by_map, sway)
 
 
 def find_levers(

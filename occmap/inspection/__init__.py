@@ -33,6 +33,7 @@ from occmap.scans.mounts import Posing, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.types import PosedScans
+from occmap.values import DEGREES
 
 SHARE_OF_NOTE = 0.05
 """More scans of a topic without a pose than this share are worth a warning."""
@@ -155,6 +156,7 @@ def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
     found = list(dict.fromkeys(list_advised(log)))
     advised = dict(found)
     is_lost = any(text for text, remedy in log.concerns if remedy is None and ASK_TUNE not in text)
+    is_lost |= any(DEGREES in note for note in log.notes)
     if is_lost or len(advised) < len(found):
         return None
     return ("tune" if any(ASK_TUNE in text for text, _ in log.concerns) else "build"), advised

@@ -270,6 +270,8 @@ LEAST_TILT_DEG = 0.5
 """Poses are off by less, at times."""
 MOST_TILT_DEG = 10.0
 """More is no small error, and linear no more."""
+MOST_SWAY_DEG = 1.5
+"""Clouds that are tilted by a degree are laid flat"""
 
 
 def enclose_clouds(drive: Drive, ground: Ground) -> CellBox | None:
@@ -354,13 +356,17 @@ keeps its range less well than a beam does (m)"""
 
 
 def find_leaning(clouds: Clouds, ground: Ground, options: BuildOptions) -> Iterator[Concern]:
-    """Say if the poses' up is wrong by a small angle."""
+    """Say if the poses' up is wrong by a small angle, or sways."""
     # What is left of a drift looks alike.
     tilts = None if options.posing.height_drift else measure_tilts(clouds, ground)
     angle = math.degrees(np.linalg.norm(tilts.upright)) if tilts and not tilts.is_mount else 0.0
     if LEAST_TILT_DEG < angle < MOST_TILT_DEG:
         found = f"the floor is tilted by about {angle:.1f} deg against the poses"
         yield Concern(f"{found}: their up is wrong, which is mended up to a degree")
+    elif tilts and (sway := math.degrees(tilts.sway)) > MOST_SWAY_DEG:
+        found = f"the floor of half of the clouds is tilted by {sway:.1f} deg or more"
+        why = "the poses' up sways, and floor may be called occupied: give poses of SLAM in 3D"
+        yield Concern(f"{found}, each in its own way: {why}")
 
 
 def list_conflicts(clouds: Clouds, ground: Ground, options: BuildOptions) -> list[str]:

@@ -276,6 +276,8 @@ class Poser:
             if not self.courses[topic, frame].is_of_clouds:
                 for tilt in courses.list_tilts(Stance.measure(track), max_range):
                     yield topic, tilt
+            elif axes := courses.warn_of_axes(track):
+                yield topic, axes
             # Of several sensors on one robot, one tells it.
             way = self.chains.get(frame)
             if not jumped and (jumped := courses.warn_of_jumps(way, track, begin_ns)):

@@ -434,6 +434,28 @@ class Stance(NamedTuple):
         )
 
 
+UPRIGHT = 0.5
+"""A way over ground leads in a plane whose normal has more than this of z"""
+FLAT = 0.2
+"""As thick as that, of its lesser width, is what counts as a plane"""
+
+
+def warn_of_axes(track: Track) -> Concern | None:
+    """Say if the way of a sensor lies in a plane that stands upright, as in poses without z up."""
+    if len(track) < 3:
+        return None
+    variance, axes = np.linalg.eigh(np.cov(track.position.T))
+    x, y, z = np.rint(tracks.rotate_by(track.quaternion)[:, :, 2].mean(axis=0)).tolist()
+    is_flat = variance[0] < FLAT**2 * variance[1]
+    if z or not is_flat or variance[1] < 1 or abs(axes[2, 0]) > UPRIGHT:
+        return None
+    found = "its way lies in a plane that stands upright, as where z is not up in the poses"
+    if not (x or y):
+        return Concern(f"{found}; turn them to those of a robot: x ahead, y left", None)
+    level = f"{90 * y:.0f},{-90 * x:.0f}"
+    return Concern(f"{found}; `level=({level})` lays it flat", {"level": level})
+
+
 def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:
     """Say how far the scan plane of a sensor is tilted, and where it meets the floor.
 

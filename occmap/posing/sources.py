@@ -205,6 +205,10 @@ def _find_trajectory(
     found = held if recording else "no such file, and no such topic of poses"
     there = f"topics of poses: {join_names(sorted({edge.topic for edge in poses}))}"
     fix = there if poses else "`poses` takes a trajectory file, or a topic of a log"
+    if recording is None and Path(name).is_dir():
+        inside = sorted(each.name for each in Path(name).glob("*.*"))
+        found = f"a folder that is not a recording: it holds {join_names(inside)}"
+        fix = f"give a file of it, such as `poses={Path(name) / next(iter(inside), 'FILE')}`"
     raise PoseError(found, where=name, fix=fix)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -28,12 +28,13 @@ TRAJECTORY_FRAME = "map"
 """The frame that the poses of a file are taken to be in: no format names one"""
 QUATERNION = ("qx", "qy", "qz", "qw")
 ANGLES = ("roll", "pitch", "yaw")
+CELLS = tuple(f"cell {at}" for at in range(12))
+MATRICES = {12: CELLS, 13: ("stamp", *CELLS), 16: (*CELLS, "", "", "", "")}
+"""By the numbers in a line of KITTI, also with a time in front, or with the fourth row"""
 SHAPES = (
     "expected lines `stamp x y z qx qy qz qw`, the header stamp,x,y,yaw and such lines, or those "
     "of EuRoC or KITTI"
 )
-MATRICES = (12, 13, 16)
-"""Numbers in a line of KITTI, also with a time in front, or with the fourth row"""
 TIMES = "times.txt"
 
 OF_CAMERA = "those of a camera (z is ahead, y down)"
@@ -47,39 +48,57 @@ MAX_LINE = 4096
 """The longest line: longer ones are not poses, and a file without line ends may not fill memory."""
 
 
-Row: TypeAlias = tuple[int, list[float]]
-"""A time (ns), the place, and the quaternion, or roll, pitch and yaw"""
+Row: TypeAlias = tuple[int | None, list[float]]
+"""A time (ns), the place, and the quaternion, or roll, pitch and yaw; or what a matrix holds"""
 
 
-def _parse_pose(
-    columns: Sequence[str], separator: str | None, parse_stamp: Callable[[str], int], text: str
-) -> Row:
-    """Parse a line of these columns, with any white space between where `separator` is None.
+class Table(NamedTuple):
+    """How the lines of a file hold poses."""
 
-    Optional columns that are absent are 0. Between ; and tabs, a comma in a number is a dot.
+    columns: Sequence[str]
+    """Their names"""
+    separator: str | None
+    """Any white space, if it is None"""
+    unit: int = values.SECONDS
+    """Of times, as `values.UNITS` has it"""
+    goes_on: bool = False
+    """Others may follow"""
 
-    Raises
-    ------
-    ValueError
-        There are fewer or more values, or one is no number.
-    """
-    if separator in {";", "\t"}:
-        text = text.replace(",", ".")
-    fields, expected = text.split(separator), len(columns)
-    if len(fields) < expected or (len(fields) > expected and columns is not EUROC_COLUMNS):
-        raise ValueError(f"{len(fields)} values where {expected} belong")
-    texts = dict(zip(columns, fields, strict=False))
-    if "stamp_nsec" in texts:
-        texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
-    rotation = QUATERNION if "qw" in texts else ANGLES
-    numbers = [values.parse_number(texts.get(name, "0")) for name in ("x", "y", "z", *rotation)]
-    return parse_stamp(texts["stamp"]), numbers
+    @property
+    def is_of_matrices(self) -> bool:
+        """Whether a line is the first three rows of a matrix, or all four."""
+        return CELLS[0] in self.columns
+
+    def split(self, text: str) -> list[str]:
+        """Split a line into its values. Between ; and tabs, a comma in a number is a dot."""
+        if self.separator in {";", "\t"}:
+            text = text.replace(",", ".")
+        return text.split(self.separator)
+
+    def parse(self, text: str) -> Row:
+        """Parse a line. Optional columns that are absent are 0.
+
+        Raises
+        ------
+        ValueError
+            There are fewer or more values, or one is no number.
+        """
+        fields, expected = self.split(text), len(self.columns)
+        if len(fields) < expected or (len(fields) > expected and not self.goes_on):
+            raise ValueError(f"{len(fields)} values where {expected} belong")
+        texts = dict(zip(self.columns, fields, strict=False))
+        if "stamp_nsec" in texts:
+            texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
+        names = "x", "y", "z", *(QUATERNION if "qw" in texts else ANGLES)
+        names = CELLS if self.is_of_matrices else names
+        numbers = [values.parse_number(texts.get(name, "0")) for name in names]
+        return values.parse_time(texts["stamp"], self.unit) if "stamp" in texts else None, numbers
 
 
-TUM = partial(_parse_pose, ("stamp", "x", "y", "z", *QUATERNION), None, values.parse_seconds)
-EUROC_COLUMNS = ("stamp", "x", "y", "z", "qw", "qx", "qy", "qz")
-"""Others may follow."""
-EUROC = partial(_parse_pose, EUROC_COLUMNS, ",", values.parse_nanoseconds)
+TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
+EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS, True)
+COUNTERS = re.compile(r"\d+\s+\d+\s+\d+")
+"""What stands above a matrix, which is four lines, in a .log of Open3D"""
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)[./]|p_(?:\w+_)?|t)([xyz])(?:_m)?$")
@@ -123,52 +142,69 @@ def read_trajectory(path: Path, notes: list[str], moments: Moments | None = None
 def _read_poses(path: Path, notes: list[str]) -> tuple[Sequence[int] | None, Float64]:
     """Read the times (ns), where there are any, and poses (N, 7); a first line tells the format."""
     lines, headings = _read_rows(path)
+    if len(lines) > 4 and COUNTERS.fullmatch(lines[0][1]):
+        fives = [lines[at : at + 5] for at in range(0, len(lines), 5)]
+        lines = [(each[0][0], " ".join(text for _, text in each[1:])) for each in fives]
     begin = lines[0][1] if lines else ""
     has_header = not NUMBER.match(begin)
-    if not has_header and _is_matrix(begin):
-        return _read_matrices(path, lines, notes)
-    rows: list[Row] = []
-    for parse in _parse_lines(path, lines[:1], partial(_find_format, headings)):
-        rows += _parse_lines(path, lines[has_header:], parse)
-    if not rows:
-        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
-    times, poses = [stamp_ns for stamp_ns, _ in rows], np.array([numbers for _, numbers in rows])
-    if poses.shape[1] < 7:
-        doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
-        notes += [f"{path}: {doubt}"] * bool(doubt)
-        poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
-        turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
-        poses = np.array(turned)
-    usable = poses[np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)]
-    is_without_header = len(usable) and parse in {TUM, EUROC}
-    if is_without_header and (header := _find_order(path, parse, usable[:, 3:])):
-        notes.append(f"{path}: the poses turn as no robot does: try the header `{header}`")
-    if len(usable) and _are_of_camera(usable):
+    form = next(_parse_lines(path, lines[:1], partial(_find_format, headings)), TUM)
+    times, poses = _read_table(path, lines[has_header:], form, notes)
+    if form.is_of_matrices:
+        return times, _make_poses(path, poses.reshape(-1, 3, 4), notes)
+    usable = np.isfinite(poses).all(axis=1) & poses[:, 3:].any(axis=1)
+    if usable.any() and (form is TUM or form is EUROC):
+        _refuse_no_rotation(path, poses[usable, 3:])
+        if order := _find_order(form, poses[usable, 3:]):
+            poses[:, 3:] = poses[:, order]
+            place = "first" if form is TUM else "last"
+            odd = "the poses turn as no robot does with quaternions in the usual order"
+            notes.append(f"{path}: {odd}, so their w is taken to be {place}")
+    if usable.any() and _are_of_camera(poses[usable]):
         notes.append(f"{path}: its poses turn about y, so they are taken as {OF_CAMERA}")
         poses = _turn_from_camera(poses)
     return times, poses
 
 
-def _find_order(path: Path, parse: object, quaternions: Float64) -> str:
-    """Find the header for quaternions (N, 4) that turn as no robot does; "" where they do.
+def _read_table(
+    path: Path, lines: Sequence[NumberedLine], form: Table, notes: list[str]
+) -> tuple[list[int] | None, Float64]:
+    """Read the times (ns) where there are any, and poses (N, 7) or matrices (N, 12)."""
+    sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
+    columns, unit, note = values.settle_times(form.columns, form.unit, sample)
+    form = form._replace(columns=columns, unit=unit)
+    rows = list(_parse_lines(path, lines, form.parse))
+    if not rows:
+        raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
+    times = [stamp_ns for stamp_ns, _ in rows if stamp_ns is not None]
+    poses, doubt = np.array([numbers for _, numbers in rows]), ""
+    if poses.shape[1] < 7:
+        doubt = values.suspect_degrees(poses[:, 5], (max(times) - min(times)) / 1e9)
+        poses[~np.isfinite(poses)] = np.nan  # an infinite angle has no sine
+        turned = [Pose.from_xyzrpy(row[:3], row[3:]) for row in map(tuple, poses.tolist())]
+        poses = np.array(turned)
+    notes += [f"{path}: {text}" for text in (note, doubt) if text]
+    return times or None, poses
 
-    If TUM takes their w for x, they turn about x alone, and if EuRoC takes z and w for y and z, by
-    half a turn.
 
-    Raises
-    ------
-    LogError
-        They are no rotations.
-    """
+def _refuse_no_rotation(path: Path, quaternions: Float64) -> None:
+    """Refuse quaternions (N, 4) that are no rotations; others may have any length, but one."""
     lengths = np.linalg.norm(quaternions, axis=1)
     if np.median(np.abs(lengths / np.median(lengths) - 1)) > 0.05:
         fix = f"a header must say what the columns are; {SHAPES}"
         raise LogError("no quaternion stands behind x, y and z", where=path, fix=fix)
+
+
+def _find_order(form: Table, quaternions: Float64) -> tuple[int, ...]:
+    """Find which columns of poses are the quaternion, if (N, 4) turn as no robot does; () if not.
+
+    If TUM takes their w for x, they turn about x alone, and if EuRoC takes z and w for y and z, by
+    half a turn.
+    """
     x, y, z, w = np.abs(quaternions).max(axis=0)
-    if parse is TUM:
+    if form is TUM:
         turns = np.ptp(quaternions[:, 0]) > 0.1
-        return "stamp x y z qw qx qy qz" if turns and max(y, z) < 0.01 else ""
-    return "stamp,x,y,z,qx,qy,qz,qw" if min(y, z) > 0.1 and max(x, w) < 0.01 else ""
+        return (4, 5, 6, 3) if turns and max(y, z) < 0.01 else ()
+    return (6, 3, 4, 5) if min(y, z) > 0.1 and max(x, w) < 0.01 else ()
 
 
 def _are_of_camera(poses: Float64) -> bool:
@@ -190,26 +226,21 @@ def _turn_from_camera(poses: Float64) -> Float64:
     return np.column_stack([place, axis, poses[:, 6]])
 
 
-def _read_matrices(
-    path: Path, lines: Sequence[NumberedLine], notes: list[str]
-) -> tuple[Sequence[int] | None, Float64]:
-    """Read KITTI's poses, and the times (ns) of those that have them.
+def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
+    """Make poses (N, 7) of the upper rows (N, 3, 4) of matrices.
 
     Those of a camera, whose z is ahead and whose y is down, are turned to the axes of a robot. They
     are told by where they lead: on the ground only such poses go far along z.
     """
-    size = len(_split_matrix(lines[0][1]))
-    stamps, numbers = zip(*_parse_lines(path, lines, partial(_parse_matrix, size)), strict=True)
-    rows = np.array(numbers).reshape(-1, 3, 4)
-    finite = rows[np.isfinite(rows).all(axis=(1, 2))]
-    y, z = (np.ptp(finite[:, axis, 3]) if len(finite) else 0.0 for axis in (1, 2))
+    is_finite = np.isfinite(rows).all(axis=(1, 2))
+    y, z = (np.ptp(rows[is_finite, axis, 3]) if is_finite.any() else 0.0 for axis in (1, 2))
     notes.append(
         f"{path}: its poses go {y:.3g} m along y and {z:.3g} m along z, so they are taken as "
         + (OF_CAMERA if z > y else "those of a robot (x is ahead, z up)")
     )
-    rows[~np.isfinite(rows).all(axis=(1, 2))] = np.nan
+    rows[~is_finite] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
-    return None if None in stamps else stamps, _turn_from_camera(poses) if z > y else poses
+    return _turn_from_camera(poses) if z > y else poses
 
 
 def _read_times(path: Path) -> list[int]:
@@ -218,7 +249,7 @@ def _read_times(path: Path) -> list[int]:
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
     fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_seconds, fix))
+    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_time, fix))
 
 
 def _read_rows(path: Path) -> tuple[list[NumberedLine], list[str]]:
@@ -259,8 +290,8 @@ def _parse_lines(
             raise LogError(f"{error}{whole}", where=f"{path}:{number}", fix=fix) from None
 
 
-def _find_format(headings: Sequence[str], text: str) -> Callable[[str], Row]:
-    """Tell by its first line how the lines of a file are parsed; raises ValueError.
+def _find_format(headings: Sequence[str], text: str) -> Table:
+    """Tell by its first line how the lines of a file hold poses; raises ValueError.
 
     Parameters
     ----------
@@ -269,25 +300,39 @@ def _find_format(headings: Sequence[str], text: str) -> Callable[[str], Row]:
     """
     if not NUMBER.match(text):
         return _read_header(text)
+    if any("IMAGE_ID" in each for each in headings):
+        raise ValueError("poses of COLMAP, which have no scale and no times")
     for heading in headings:
         with suppress(ValueError):
-            parse = _read_header(heading)
-            parse(text)  # raises: it names other columns
-            return parse
-    if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC_COLUMNS) - 1:
+            form = _read_header(heading)
+            form.parse(text)  # raises: it names other columns
+            return form
+    return _guess_format(text)
+
+
+def _guess_format(text: str) -> Table:
+    """Tell by a line how those hold poses whose columns nothing names; raises ValueError."""
+    if echoed := values.ECHOED.match(text):
+        frames = ("frame", "child") if echoed[1] else ("frame",)
+        return Table(("stamp", "stamp_nsec", *frames, *TUM.columns[1:]), ",", goes_on=True)
+    if columns := MATRICES.get(len(text.replace(",", " ").split())):
+        form = Table(columns, values.find_separator(text))
+        if _is_matrix(form, text):
+            return form
+    if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC.columns) - 1:
         return EUROC
     if set(text).intersection(",;"):
         raise ValueError("no header says what the columns are")
     return TUM
 
 
-def _read_header(text: str) -> Callable[[str], Row]:
-    """Tell by a header how the lines below are parsed; raises ValueError.
+def _read_header(text: str) -> Table:
+    """Tell by a header how the lines below hold poses; raises ValueError.
 
     Columns that do not belong to a pose are passed over.
     """
     separator = values.find_separator(text)
-    columns, is_ns = values.split_header(text, separator)
+    columns, unit = values.split_header(text, separator)
     names = [TURN.sub(r"q\1", PLACE.sub(r"\1", name)) for name in columns]
     angles = QUATERNION if set(QUATERNION).intersection(names) else ("yaw",)
     missing = {"stamp", "x", "y", *angles}.difference(names)
@@ -295,30 +340,13 @@ def _read_header(text: str) -> Callable[[str], Row]:
         raise ValueError(f"the header has {values.tell_missing(sorted(missing), columns)}")
     if len(set(names)) < len(names):
         raise ValueError("the header names a column twice")
-    parse = values.parse_nanoseconds if is_ns else values.parse_seconds
-    return partial(_parse_pose, names, separator, parse)
+    return Table(names, separator, unit)
 
 
-def _split_matrix(text: str) -> list[str]:
-    return text.replace(",", " ").split()
-
-
-def _is_matrix(text: str) -> bool:
-    """Whether a line holds a matrix, by its length, and by what turns in it where that is known."""
-    size = len(_split_matrix(text))
-    if size not in MATRICES:
-        return False
+def _is_matrix(form: Table, text: str) -> bool:
+    """Whether a line holds a matrix, by what turns in it where that is known."""
     with suppress(ValueError):
-        turn = np.reshape(_parse_matrix(size, text)[1], (3, 4))[:, :3]
+        turn = np.reshape(form.parse(text)[1], (3, 4))[:, :3]
         is_known = bool(np.isfinite(turn).all())
         return not is_known or np.allclose(turn @ turn.T, np.eye(3), atol=0.05)
     return True
-
-
-def _parse_matrix(size: int, text: str) -> tuple[int | None, list[float]]:
-    words = _split_matrix(text)
-    if len(words) != size:
-        raise ValueError(f"{len(words)} values where {size} belong")
-    is_timed = size == 13
-    stamp_ns = values.parse_seconds(words[0]) if is_timed else None
-    return stamp_ns, list(map(values.parse_number, words[is_timed:][:12]))

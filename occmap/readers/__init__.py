@@ -21,13 +21,13 @@ from glob import has_magic
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
+from occmap import values
 from occmap.choices import option
 from occmap.errors import DamageError, LogError, name_log, refuse_unreadable
 from occmap.plugins import OWN, list_plugins, load_plugin, load_plugins
 from occmap.report import Note as Note
 from occmap.report import NoteList as NoteList
 from occmap.types import Cloud, Moments, PoseBatch, PoseSample, Recorded, Scan, ScanBatch
-from occmap.values import BINARY_WITHIN, NO_TEXT, find_separator, name_other, shorten, split_header
 
 GZIP_MAGIC = b"\x1f\x8b"
 
@@ -113,15 +113,17 @@ def explain_unknown(probe: Probe, otherwise: str) -> LogError:
         found = "the file is empty"
     elif not content:
         found = "a gzip file with nothing in it that can be read"
-    elif (other := name_other(probe.path, content))[0]:
+    elif (other := values.name_other(probe.path, content))[0]:
         found, fix = other
-    elif content.isascii() and not NO_TEXT.search(content[:BINARY_WITHIN]):
+    elif content.isascii() and not values.NO_TEXT.search(content[: values.BINARY_WITHIN]):
         first_line = content.decode("ascii").splitlines()[0][:60]
         found = f"a text file of no known log format: it starts with {first_line!r}"
-        names, _ = split_header(first_line, find_separator(first_line))
+        names, _ = values.split_header(first_line, values.find_separator(first_line))
         fix = "if it holds poses alone, give it with `poses`" * {"x", "y"}.issubset(names)
+        if values.ECHOED.match(first_line):
+            fix = "if `ros2 topic echo` wrote it: record a bag, or give poses by `poses`"
     elif content is not raw:
-        found, fix = name_other(probe.path, raw)
+        found, fix = values.name_other(probe.path, raw)
     else:
         found = f"not a known log format: it starts with the bytes {raw[:8].hex(' ')}"
     return LogError(found, where=probe.path, fix=fix or otherwise)
@@ -269,10 +271,14 @@ class PluginLog(Log):
             given = getattr(self._log, f"stacked_{what}", one_by_one)(*topics)
             name = kinds[0].__name__
             if not isinstance(given, Iterable):
-                raise DamageError(f"its reader gives {shorten(given)} where some {name} belongs")
+                raise DamageError(
+                    f"its reader gives {values.shorten(given)} where some {name} belongs"
+                )
             for each in given:
                 if not isinstance(each, kinds):
-                    raise DamageError(f"its reader gives {shorten(each)} where a {name} belongs")
+                    raise DamageError(
+                        f"its reader gives {values.shorten(each)} where a {name} belongs"
+                    )
                 yield each
 
 
@@ -334,6 +340,6 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
         return log
     needed = "path", "notes", "streams", "poses", "scans"
     if lacks := [name for name in needed if not hasattr(log, name)]:
-        found = f"the reader {reader.name} gives {shorten(log)}, which has no {lacks[0]}"
+        found = f"the reader {reader.name} gives {values.shorten(log)}, which has no {lacks[0]}"
         raise LogError(found, where=path, fix="a reader's `open` returns a `Log`: mend the plugin")
     return PluginLog(log)

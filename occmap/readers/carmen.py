@@ -34,7 +34,7 @@ from occmap.readers.decimals import unquote
 from occmap.readers.text_log import POSE_NAMES, Block, Line, Pattern, TextLog
 from occmap.report import count
 from occmap.types import IDENTITY, PoseBatch, PoseSample, Scan, ScanBatch
-from occmap.values import as_float32, parse_number, parse_seconds
+from occmap.values import SECONDS, as_float32, parse_number, parse_time
 
 FRONT, REAR = "front_laser", "rear_laser"
 
@@ -109,7 +109,7 @@ def lacks_time(words: Sequence[bytes], kind: LineType) -> bool:
     with suppress(ValueError):
         find_lists(words, kind, is_timed=True)
         for word in (words[-3], words[-1]):
-            parse_seconds(unquote(word))
+            parse_time(unquote(word))
         return False
     with suppress(ValueError):
         find_lists(words, kind, is_timed=False)
@@ -206,7 +206,7 @@ class CarmenLog(TextLog):
         columns = dict(zip(POSE_NAMES, range(behind, behind + 3), strict=True))
         if is_timed:
             columns |= {"stamp": -3, "record": -1}
-            kinds[[-3, -1]] = decimals.SECONDS
+            kinds[[-3, -1]] = decimals.TIME + SECONDS
         if kind.before:
             kinds[[_ANGLE_MIN, _INCREMENT, _RANGE_MAX]] = decimals.SAME
         ranges = lists[0] if lists else slice(0, 0)

@@ -9,7 +9,8 @@ http://paulbourke.net/dataformats/ply/. Every `read_` function takes the bytes o
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -23,7 +24,7 @@ from occmap.readers import Log, NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
 from occmap.report import count
 from occmap.types import Cloud, Moments, UInt8
-from occmap.values import as_stamp, shorten
+from occmap.values import guess_unit, parse_time, shorten
 
 
 class Points(NamedTuple):
@@ -251,8 +252,7 @@ TOPIC, FRAME = "clouds", "lidar"
 SPACING_NS = 1_500_000_000
 """Between clouds whose times are not known: where one of them has no pose, the gap is longer than
 any that poses are interpolated over by default."""
-_SECONDS = re.compile(r"(?<!\d)(\d{9,10})[._](\d{1,9})$")
-_WHOLE = re.compile(r"(?<!\d)(\d{13}|\d{16}|\d{19})$")
+_TIME = re.compile(r"(?<!\d)(?:(\d{9,10})[._](\d{1,9})|(\d{13}|\d{16}|\d{19}))$")
 """How names end that state a time: in s, or as a whole number of ms, us or ns"""
 _DIGITS = re.compile(r"(\d+)")
 
@@ -265,15 +265,15 @@ class CloudFolder(Log):
     def __init__(self, path: Path) -> None:
         self.path, self.notes = path, NoteList()
         self._files = list_clouds(path)
-        times = [read_time(each) for each in self._files]
-        known = [time for time in times if time is not None]
-        is_timed = len(known) == len(times) and len(set(known)) == len(times)
+        clouds = len(self._files)
+        times = read_times(self._files)
+        is_timed = len(set(times)) == clouds
         if is_timed:
-            self._files = [self._files[at] for at in np.argsort(known, kind="stable").tolist()]
-        counted = range(0, SPACING_NS * len(times), SPACING_NS)
-        self.moments = Moments(sorted(known) if is_timed else list(counted), is_timed)
+            self._files = [self._files[at] for at in np.argsort(times, kind="stable").tolist()]
+        counted = range(0, SPACING_NS * clouds, SPACING_NS)
+        self.moments = Moments(sorted(times) if is_timed else list(counted), is_timed)
         order = "by the times in their names" if is_timed else "in the order of their names"
-        self.notes.add(f"{count(len(times), 'cloud')}, taken {order}")
+        self.notes.add(f"{count(clouds, 'cloud')}, taken {order}")
         kinds = ", ".join(sorted({each.suffix.lower() for each in self._files}))
         self.streams = [Stream(TOPIC, kinds, len(self._files), Role.CLOUD)]
 
@@ -289,25 +289,27 @@ class CloudFolder(Log):
         return tell_clouds(clouds, self.path, self.notes)
 
     def _read(self) -> Iterator[Cloud]:
-        lost = 0
+        lost, cut = list[str](), list[str]()
         for file, stamp_ns in zip(self._files, self.moments.stamp_ns, strict=True):
+            name = str(file.relative_to(self.path))
             try:
                 with refuse_unreadable(file):
                     points = read_cloud(file)
                 cloud = make_cloud(points.columns, (stamp_ns, FRAME), TOPIC, stamp_ns)
             except LogError as error:
-                self.notes.add_damage(f"{file.name} {error.found}; it is left out")
-                lost += 1
+                lost.append(f"{name} {error.found}; it is left out")
                 continue
             there = len(cloud.points)
             if there < points.announced:
-                found = f"{file.name} is cut short: {there:,} of {points.announced:,} points"
-                self.notes.add_damage(f"{found} are there and used")
+                found = f"{name} is cut short: {there:,} of {points.announced:,} points"
+                cut.append(f"{found} are there and used")
             yield cloud
-        if lost == len(self._files):
-            first = next(note.text for note in self.notes if note.damage)
-            found = f"none of {count(lost, 'cloud')} can be read"
-            raise LogError(found, where=self.path, fix=f"mend them: {first}")
+        if len(lost) == len(self._files):
+            found = f"none of {count(len(lost), 'cloud')} can be read"
+            raise LogError(found, where=self.path, fix=f"mend them: {lost[0]}")
+        for each in filter(None, (lost, cut)):
+            others = f"; so it is with {count(len(each) - 1, 'other')}" * (len(each) > 1)
+            self.notes.add_damage(each[0] + others)
 
 
 class CloudFolderReader:
@@ -323,22 +325,32 @@ class CloudFolderReader:
 
 
 def list_clouds(folder: Path) -> list[Path]:
-    """List the files of clouds in a folder, in the order of their names: 10 stands behind 9."""
-    files = (each for each in folder.iterdir() if not each.name.startswith("."))
-    return sorted((each for each in files if each.suffix.lower() in READERS), key=_make_key)
+    """List the files of clouds in a folder, in the order of their names: 10 stands behind 9.
+
+    If it has none, they are in the folders in it that hold one each, as hdl_graph_slam dumps them.
+    """
+    for pattern in ("*", "*/*"):
+        files = [each for each in folder.glob(pattern) if each.suffix.lower() in READERS]
+        files = [each for each in files if not each.name.startswith(".")]
+        if files:
+            is_dump = len(files) == len({each.parent for each in files}) > 1
+            return sorted(files, key=_make_key) if is_dump or pattern == "*" else []
+    return []
 
 
 def _make_key(path: Path) -> list[tuple[int, str]]:
-    parts = _DIGITS.split(path.name)
+    parts = _DIGITS.split(str(path))
     return [(int(part) if part.isdecimal() else -1, part) for part in parts]
 
 
-def read_time(path: Path) -> int | None:
-    """Read the time that stands in a file's name, in ns; None where none does."""
-    stem = path.stem.removesuffix(".pcd")  # nuScenes calls them .pcd.bin
-    if found := _SECONDS.search(stem):
-        seconds, rest = found.groups()
-        return int(seconds) * 1_000_000_000 + int(rest.ljust(9, "0"))
-    if found := _WHOLE.search(stem):
-        return as_stamp(int(found[1].ljust(19, "0")))
-    return None
+def read_times(paths: Sequence[Path]) -> list[int]:
+    """Read the times that stand in the names of files, in ns; none where some name has none."""
+    stems = [path.stem.removesuffix(".pcd") for path in paths]  # nuScenes calls them .pcd.bin
+    found = [each for each in map(_TIME.search, stems) if each]
+    if len(found) < len(paths):
+        return []
+    times = [f"{each[1]}.{each[2]}" if each[1] else each[3] for each in found]
+    unit = guess_unit(times)
+    with suppress(ValueError):  # beyond 64 bits
+        return [parse_time(each, unit) for each in times]
+    return []

@@ -31,8 +31,8 @@ FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
-    "stamp": decimals.SECONDS,
-    "stamp_nsec": decimals.NANOSECONDS,
+    "stamp": decimals.TIME + values.SECONDS,
+    "stamp_nsec": decimals.TIME + values.NANOSECONDS,
 }
 """What differs between the scans of one laser, as ranges do"""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *MEASURED))
@@ -46,13 +46,13 @@ _TABLES = {each: bytes.maketrans(f",{each}".encode(), b".,") for each in ";\t"}
 
 
 @lru_cache(maxsize=32)
-def split_names(text: str) -> tuple[Sequence[str], bool]:
+def split_names(text: str) -> tuple[Sequence[str], int]:
     """Split a header row, which may stand behind a #, as `split_header` does.
 
     Cached, since a header of many beams is looked at several times.
     """
-    names, is_ns = values.split_header(text.lstrip("# "), values.find_separator(text) or ",")
-    return tuple(_BEAM.sub(r"r\1", name) for name in names), is_ns
+    names, unit = values.split_header(text.lstrip("# "), values.find_separator(text) or ",")
+    return tuple(_BEAM.sub(r"r\1", name) for name in names), unit
 
 
 def is_header(text: str, stated: Collection[str]) -> bool:
@@ -83,7 +83,7 @@ def read_value(name: str, text: str) -> Any:
     if name == "frame":
         return text.lstrip("/")
     if name == "stamp":
-        return values.parse_seconds(text)
+        return values.parse_time(text)
     try:
         value = values.parse_number(text)
     except ValueError as error:
@@ -133,10 +133,15 @@ class CsvLog(TextLog):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        header, comments = self._find_header()
+        header, comments, sample = self._find_header()
         self._header_line = header.number
-        self.table = _TABLES.get(values.find_separator(header.text) or "")
-        self._names, is_ns = split_names(header.text)
+        separator = values.find_separator(header.text) or ","
+        self.table = _TABLES.get(separator)
+        stated, unit = split_names(header.text)
+        rows = [line.text.split(separator) for line in sample if line.number > header.number]
+        self._names, unit, note = values.settle_times(stated, unit, rows)
+        if note:
+            self.notes.add(note)
         if fault := _find_fault(self._names, {*self._names, *comments}):
             raise LogError(fault[0], where=f"{path}:{header.number}", fix=fault[1])
         self._stated = {*self._names, *comments}
@@ -149,16 +154,16 @@ class CsvLog(TextLog):
         self._columns = {name: at for at, name in enumerate(self._names) if name in NAMES}
         """The cell of each of `NAMES` that is a column"""
         self._kinds = np.array([_find_kind(name) for name in self._names])
-        if is_ns:
-            self._kinds[self._kinds == decimals.SECONDS] = decimals.NANOSECONDS
+        if "stamp" in self._columns:
+            self._kinds[self._columns["stamp"]] = decimals.TIME + unit
         self._places = [f"{name}: " for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
-        rows = sum(some.scans for some in self._survey(self.pick_scans))
-        self.streams = [Stream(TOPIC, "csv", rows, Role.SCAN)]
+        scans = sum(some.scans for some in self._survey(self.pick_scans))
+        self.streams = [Stream(TOPIC, "csv", scans, Role.SCAN)]
 
-    def _find_header(self) -> tuple[Line, dict[str, Line]]:
-        """Find the header, and the comments near it that state constants."""
+    def _find_header(self) -> tuple[Line, dict[str, Line], list[Line]]:
+        """Find the header, the comments near it that state constants, and the first rows."""
         headings: list[Line] = []
         for block in read_blocks(self.path, self.notes):
             rows, more = _sort_lines(block)
@@ -174,7 +179,8 @@ class CsvLog(TextLog):
                 first = block.get_line(rows[0])
                 maybe = (first, *headings)  # numpy comments the header out
                 known = (it for it in maybe if is_header(it.text, constants))
-                return next(known, first), constants
+                sample = map(block.get_line, rows[: values.SAMPLED_ROWS])
+                return next(known, first), constants, list(sample)
         found = "; ".join(["no header row", *(note.text for note in self.notes)])
         raise LogError(found, where=self.path, fix="a header is stamp,...,r0,r1,...")
 

@@ -15,11 +15,12 @@ import numpy as np
 
 from occmap.jit import kernel, step
 from occmap.types import Float32, Float64, Int64, UInt8
-from occmap.values import as_float32, parse_nanoseconds, parse_number, parse_seconds
+from occmap.values import SECONDS, as_float32, parse_number, parse_time
 
-OTHER, SAME, NUMBER, SECONDS, NANOSECONDS, RANGE = range(6)
-"""What a word is: passed over, the same in all lines that are alike, a number, a time, or the range
-of a beam, whose index is added to RANGE"""
+OTHER, SAME, NUMBER, TIME = range(4)
+RANGE = TIME + SECONDS + 1
+"""What a word is: passed over, the same in all lines that are alike, a number, a time, whose unit
+is added to TIME, or the range of a beam, whose index is added to RANGE"""
 MOST_DIGITS = 15
 """Every integer of this many digits is below 2 to the power of 53."""
 MOST_WHOLE_DIGITS = 19
@@ -124,9 +125,7 @@ def parse_words(
 def _parse_word(word: bytes, kind: int) -> float | int:
     """Parse a word that the kernel leaves; cached, as many logs repeat a few in every line."""
     text = unquote(word)
-    if kind in {SECONDS, NANOSECONDS}:
-        return parse_seconds(text) if kind == SECONDS else parse_nanoseconds(text)
-    return parse_number(text or "nan")
+    return parse_time(text, kind - TIME) if TIME <= kind < RANGE else parse_number(text or "nan")
 
 
 def unquote(word: bytes) -> str:
@@ -207,8 +206,8 @@ def _read_word(text: UInt8, word: Word, kind: int, place: tuple[int, int], words
         is_read, words.ranges[row, kind - RANGE] = _to_float(text, word)
     elif kind == NUMBER:
         is_read, words.numbers[col, row] = _to_float(text, word)
-    elif kind in (SECONDS, NANOSECONDS):
-        is_read, words.times[col, row] = _to_time(text, word, 9 if kind == SECONDS else 0)
+    elif kind >= TIME:
+        is_read, words.times[col, row] = _to_time(text, word, kind - TIME)
     elif kind == SAME:
         words.times[col, row] = _hash(text, word)
         is_read = bool(words.times[col, row] == words.times[col, 0])

@@ -245,7 +245,7 @@ def find_inputs(
         unnamed = (each for each in entries if os.path.realpath(each) not in known)
         maybe = [each for each in unnamed if not is_made(each)]
         kept = list(filter(is_recording, maybe))
-        if not kept or is_bag(path, kept):
+        if not kept or is_whole(path, kept):
             logs.append(path)
             continue
         kept.sort(key=lambda each: find_start(each, options))
@@ -272,11 +272,11 @@ def list_entries(path: Path) -> list[Path]:
     return []
 
 
-def is_bag(path: Path, recordings: Collection[Path]) -> bool:
-    """Whether a folder is one bag of ROS 2, and not a folder of several recordings."""
-    from occmap.readers import rosbag  # noqa: PLC0415  late: it brings mcap and apsw
+def is_whole(path: Path, recordings: Collection[Path]) -> bool:
+    """Whether a folder is one recording, of clouds or a bag of ROS 2, and not one of several."""
+    from occmap.readers import cloud_folder, rosbag  # noqa: PLC0415  late: these bring mcap, apsw
 
-    if not path.is_dir() or (path / rosbag.METADATA).exists():
+    if not path.is_dir() or (path / rosbag.METADATA).exists() or cloud_folder.list_clouds(path):
         return path.is_dir()
     files = rosbag.list_storage(path)
     with suppress(LogError):

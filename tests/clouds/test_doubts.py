@@ -9,6 +9,7 @@ import pytest
 from occmap.evidence import count_steady, list_contradictions
 from occmap.inspection.poses import see_around
 from occmap.options import BuildOptions
+from occmap.posing.tracks import rotate_by, to_quaternions
 from tests.cli.runner import ask, occmap
 from tests.clouds.simulation import HALL, Room, drive, find_ground, turn, write_leaning
 from tests.grid.scans import make_grid
@@ -55,13 +56,30 @@ def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
             assert any("clouds contradict each other" in text for text in told) == is_wrong
 
 
+@pytest.mark.parametrize(
+    ("angle", "doubt"), [(180, "does z point down in the poses"), (-90, "where z is not up in")]
+)
 @pytest.mark.parametrize("command", ["build", "check"])
-def test_poses_whose_z_points_down_are_told(command: str, tmp_path: Path) -> None:
-    poses = write_leaning(tmp_path / "ned.tum", turn(180, 0, 0))
-    for words, is_told in (((), True), (("--level", "180,0"), False)):
+def test_poses_whose_z_is_not_up_are_told(
+    command: str, angle: float, doubt: str, tmp_path: Path
+) -> None:
+    poses = write_leaning(tmp_path / "poses.tum", turn(angle, 0, 0))
+    level = ("--level", f"{-angle},0")
+    for words, is_told in (((), True), (level, False)):
         made = ("-o", tmp_path / "hall.pgm") if command == "build" else ()
         told = occmap(command, HALL, "--poses", poses, *words, *made)
-        assert ("does z point down in the poses" in told.out + told.err) == is_told
+        assert (doubt in told.out + told.err) == is_told
+
+
+@pytest.mark.parametrize(("sway_deg", "is_told"), [(0.5, False), (2.5, True)])
+def test_poses_whose_up_sways_are_told(tmp_path: Path, sway_deg: float, is_told: bool) -> None:
+    poses = write_leaning(tmp_path / "poses.tum", np.eye(3))
+    rows = np.loadtxt(poses)
+    sways = [turn(sway_deg * math.sin(at), sway_deg * math.cos(at), 0) for at in range(len(rows))]
+    rows[:, 4:] = to_quaternions(np.array(sways) @ rotate_by(rows[:, 4:]))
+    np.savetxt(poses, rows, fmt="%.9f")
+    warnings = ask("check", HALL, "--poses", poses)["warnings"]
+    assert any("the poses' up sways" in text for text in warnings) == is_told
 
 
 def test_a_number_of_the_model_leaves_the_others_those_for_clouds(tmp_path: Path) -> None:

@@ -1,13 +1,17 @@
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from occmap.errors import LogError
+from occmap.inspection import inspect
+from occmap.options import BuildOptions
 from occmap.posing.trajectory import read_trajectory
 from occmap.readers import open_log
-from occmap.types import PoseSample
+from occmap.types import Moments, PoseSample
 from occmap.values import suspect_degrees
 from tests.csv_logs import write_poses
 from tests.samples import write_csv
@@ -61,20 +65,30 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         ("# t x y qx qy qz qw a b c d e f\n3 1 2 0 0 0 1 7 7 7 7 7 7\n", FLAT),
         ("3000000000,1,2,0,1,0,0,0,7,7,7,7,7\n", FLAT),  # EuRoC's lines may go on
         ("__time,/odom/pose/position/x,/odom/pose/position/y,yaw\n3,1,2,0\n", FLAT),
+        ("3,0,map,1,2,4,0,0,0.6,0.8\n", (1, 2, 4, *TURN)),
+        ("3,0,odom,base_link,1.0,2.0,0.0,0.0,0.0,0.0,1.0,0.1,0.0\n", FLAT),
+        ("time [ms],x,y,yaw\n3000.0,1,2,0\n", FLAT),
+        ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n3,0,0,1,2,0\n", FLAT),
         ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
     ],
-    ids=[
-        *("heading", "columns in any order beside others", "comment", "comments", "nanoseconds"),
-        *("whole seconds", "quaternion", "byte order"),
-        *("units", "tabs", "semicolons and decimal commas", "tabs and nanoseconds"),
-        *("names of EuRoC", "Newer College", "bagpy", "two stamps", "half a time"),
-        *("13 columns", "13 numbers", "PlotJuggler", "Argoverse"),
-    ],
+    ids=itertools.count(),
 )
 def test_csv(tmp_path: Path, text: str, pose: Sequence[float]) -> None:
     (sample,) = read(tmp_path, text)
     assert sample.stamp_ns == 3 * 10**9
     assert sample.pose == pytest.approx(pose)
+
+
+@pytest.mark.parametrize("since_boot", [10**10, 960 * 10**9, 1234567890123, 40000 * 10**9])
+def test_nanoseconds_since_the_start_of_a_computer(tmp_path: Path, since_boot: int) -> None:
+    """Whole milliseconds of 13 digits would lie hours apart."""
+    stamps = [since_boot, since_boot + 10**8 + 1]
+    samples = read(tmp_path, "".join(f"{stamp} 1 2 4 0 0 0.6 0.8\n" for stamp in stamps))
+    assert [sample.stamp_ns for sample in samples] == stamps
+    rows = "".join(f"{stamp},1\n" for stamp in stamps)
+    (tmp_path / "log.csv").write_text(f"# angle_min: 0\n# angle_increment: 1\nstamp,r0\n{rows}")
+    scans = open_log(tmp_path / "log.csv").scans(["scan"])
+    assert [scan.stamp_ns for scan in scans] == stamps
 
 
 @pytest.mark.parametrize(
@@ -132,22 +146,21 @@ def test_headings_in_degrees_are_told_of_files_and_of_logs(unit: float, tmp_path
     log = open_log(write_csv(tmp_path / "log.csv", poses, [1.0]))
     for told in (notes, log.notes):
         assert any("are these degrees?" in note for note in told) == (unit > 1)
+    assert bool(inspect([log.path], BuildOptions()).command) == (unit == 1)
 
 
-def test_quaternions_that_begin_with_w_are_told_and_read_by_a_header(tmp_path: Path) -> None:
+def test_quaternions_in_another_order_are_told_and_taken(tmp_path: Path) -> None:
     halves = [(math.cos(yaw / 2), math.sin(yaw / 2)) for yaw in (0.0, 0.4, 0.8, 1.2)]
     path, notes = tmp_path / "poses.txt", list[str]()
     first = [f"{at} 0 0 0 {w} 0 0 {z}\n" for at, (w, z) in enumerate(halves)]
     last = [f"{at} 0 0 0 0 0 {z} {w}\n" for at, (w, z) in enumerate(halves)]
     header = "timestamp tx ty tz qw qx qy qz\n"
-    for lines in (last, [header, *first], [f"# {header}", *first], first):
-        assert not notes
-        path.write_text("".join(lines))
-        read_trajectory(path, notes)
-    path.write_text("".join(last).replace(" ", ","))  # which is read as EuRoC
-    read_trajectory(path, notes)
-    assert "try the header `stamp x y z qw qx qy qz`" in notes[0]
-    assert "try the header `stamp,x,y,z,qx,qy,qz,qw`" in notes[1]
+    of_euroc = "".join(last).replace(" ", ",")  # which has w first
+    for text in ("".join(last), header + "".join(first), "".join(first), of_euroc):
+        path.write_text(text)
+        turns = read_trajectory(path, notes).pose[:, 3:]
+        assert turns == pytest.approx(np.array([(0, 0, z, w) for w, z in halves]))
+    assert [note.split()[-1] for note in notes] == ["first", "last"]
 
 
 def test_of_a_camera_poses_of_any_format_are_in_a_robots_axes(tmp_path: Path) -> None:
@@ -164,7 +177,7 @@ def test_of_a_camera_poses_of_any_format_are_in_a_robots_axes(tmp_path: Path) ->
         ("1 2 3\n", 1, "3 values where 8 belong"),
         ("# TUM\n1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1 7\n", 3, "9 values where 8 belong"),
         ("1 0 0 0 0 0 here 1\n", 1, "'here' where a number belongs"),
-        ("130503110217 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
+        ("1e10 0 0 0 0 0 0 1\n", 1, "is not a time in seconds"),
         ("1.5,1,2,0\n", 1, "no header says what the columns are"),
         ("stamp,x,y,yaw [deg]\n1,2,3,0\n", 1, "has no column yaw, but 'yaw [deg]': units are"),
         ("time;x;y;theta(deg)\n1;2;3;0\n", 1, "has no column yaw, but 'theta(deg)': units are"),
@@ -175,6 +188,7 @@ def test_of_a_camera_poses_of_any_format_are_in_a_robots_axes(tmp_path: Path) ->
         ("stamp,x,y,yaw\n1,2,3,0\n\n2,,3,0\n", 4, "'' where a number belongs"),
         ("stamp,x,y,yaw\n1,2,3\n", 2, "3 values where 4 belong"),
         ("9" * 100_000, 1, "1 values where 8 belong"),
+        ("# IMAGE_ID, QW, QX\n1 1 0 0 0 1 2 3 1 a.png\n", 2, "poses of COLMAP, which have no sc"),
         ("12,1,2,3\n", 1, "no header says what the columns are"),
         (f"{EUROC}\n1.5,1,2,3,1,0,0,0\n", 2, "'1.5' is not a time in nanoseconds"),
         ("99999999999999999999,1,2,3,1,0,0,0\n", 1, "is not a time in nanoseconds"),
@@ -270,6 +284,14 @@ def test_kitti_of_a_robot_and_of_a_camera_is_in_a_robots_axes(
     sign = math.copysign(1, second.pose.qw)
     assert second.pose[:3] == pytest.approx(place)
     assert [sign * part for part in second.pose[3:]] == pytest.approx([0, 0, turn, HALF])
+
+
+def test_a_log_of_open3d_has_a_matrix_in_four_lines(tmp_path: Path) -> None:
+    rows = "0 0 1\n1 0 0 {}\n0 1 0 5\n0 0 1 0\n0 0 0 1\n"
+    path, moments = tmp_path / "poses.log", Moments([7, 8], is_timed=False)
+    path.write_text(rows.format(4) + rows.format(6))
+    poses = read_trajectory(path, [], moments)
+    assert poses.pose[:, :2].tolist() == [[4, 5], [6, 5]]
 
 
 def test_a_matrix_may_have_its_time_in_front(tmp_path: Path) -> None:

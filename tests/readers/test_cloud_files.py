@@ -16,8 +16,9 @@ from occmap.options import BuildOptions
 from occmap.pipeline import build
 from occmap.posing import DropReason, PosingOptions
 from occmap.posing.trajectory import read_trajectory
-from occmap.readers import Role, cloud_folder, open_log
+from occmap.readers import ReaderOptions, Role, cloud_folder, open_log
 from occmap.readers.cloud_folder import SPACING_NS, CloudFolder, read_bin, read_cloud, read_pcd
+from occmap.scans.logs import find_inputs
 from occmap.types import Cloud, Float32, Moments, Pose, PoseSample
 
 POINTS = [(1.0, -2.0, 0.5), (3.25, 4.0, -1.5), (0.0, 0.0, 0.0)]
@@ -171,8 +172,9 @@ def test_what_cannot_be_opened_or_is_impossibly_large_is_left_out_and_named(tmp_
     sizes, notes = read_damaged(tmp_path)
 
     assert sizes == [5]
-    assert [note.split()[0] for note in notes] == ["2.npy", "3.npy"]
-    assert all("left out" in note for note in notes)
+    (note,) = notes
+    assert note.startswith("2.npy ")
+    assert note.endswith("; it is left out; so it is with 1 other")
 
 
 def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path: Path) -> None:
@@ -183,8 +185,17 @@ def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path
     sizes, notes = read_damaged(tmp_path)
 
     assert sizes == [2, 2, 1]
-    assert [note.split()[0] for note in notes] == ["1.pcd", "2.pcd", "3.ply"]
-    assert all("of 3 points" in note for note in notes)
+    (note,) = notes
+    assert note.startswith("1.pcd is cut short: 2 of 3 points")
+    assert note.endswith(" 2 others")
+
+
+def test_folders_that_hold_a_cloud_each_are_one_recording(tmp_path: Path) -> None:
+    for number in (10, 9, 100):
+        (tmp_path / f"{number}").mkdir()
+        np.save(tmp_path / f"{number}/cloud.npy", np.full((1, 3), number, np.float32))
+    assert [cloud.points[0, 0] for cloud in read(tmp_path)] == [9, 10, 100]
+    assert find_inputs([tmp_path], ReaderOptions()) == ([tmp_path], [])
 
 
 def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
@@ -204,11 +215,13 @@ def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Pa
         ("cloud_1700000000_000000007.ply", 1_700_000_000 * SECOND + 7),
         ("1700000000000000007.bin", 1_700_000_000 * SECOND + 7),
         ("n015__LIDAR_TOP__1533151603547590.pcd.bin", 1_533_151_603_547_590_000),
-        ("000123.bin", None),
     ],
 )
-def test_times_in_names(name: str, stamp_ns: int | None) -> None:
-    assert cloud_folder.read_time(Path(name)) == stamp_ns
+def test_times_in_names(name: str, stamp_ns: int) -> None:
+    assert cloud_folder.read_times([Path(name)]) == [stamp_ns]
+    assert not cloud_folder.read_times([Path(name), Path("000123.bin")])
+    since_boot = [1234567890123, 1234667890123]  # ns
+    assert cloud_folder.read_times([Path(f"{it}.pcd") for it in since_boot]) == since_boot
 
 
 def test_files_of_nuscenes_have_five_floats_a_point(tmp_path: Path) -> None:

@@ -74,11 +74,7 @@ FULL = Scan(
         .replace("17", "1799999999.5,17"),
         WHOLE.replace("stamp", "stamp,nsec").replace("89,", "89,7,"),
     ],
-    ids=[
-        *("plain", "crlf", "bom", "blanks", "quotes", "other order", "gzip", "semicolons", "tabs"),
-        *("decimal commas", "numpy's header", "other names", "units"),
-        *("named nanoseconds", "nanoseconds", "rostopic's time", "bagpy's header", "half a time"),
-    ],
+    ids=itertools.count(),
 )
 def test_a_full_row(tmp_path: Path, content: str | bytes) -> None:
     log = open_csv(tmp_path, content)
@@ -162,7 +158,7 @@ MANY = "1,2,3\n" * (BLOCK_BYTES // 3)
     ("content", "found"),
     [
         *((f"#\n{WHOLE.replace(f'{name},', '')}", f"2: no column {name}; ") for name in COLUMNS),
-        (f"nsec,time_ms{WHOLE[5:]}", "1: no column stamp; add it"),
+        (f"nsec,time_h{WHOLE[5:]}", "1: no column stamp; add it"),
         (WHOLE.replace("yaw", "yaw [deg]"), r"1: no column yaw, but 'yaw \[deg\]': units are s, m"),
         (WHOLE.replace(",", " [mm],"), r"1: no column stamp, but 'stamp \[mm\]': units are s, m"),
         (f"{CONSTANTS}stamp,x,y,yaw\n1,2,3,0\n", r"3: no column r0; .*`poses`"),
@@ -271,12 +267,8 @@ def test_what_is_written_is_read(
 @pytest.mark.parametrize(
     "content",
     [
-        HEADER,
-        "\ufeff# comment\n\n" + HEADER,
-        "r0,r1,r2",
-        "# angle_min: 0\nstamp,r0\n1,2.5\n",
-        "angle_min,angle_increment,range_max,r0,r1",
-        '"stamp","angle_min","angle_increment"',
+        *(HEADER, "\ufeff# comment\n\n" + HEADER, "r0,r1,r2", "# angle_min: 0\nstamp,r0\n1,2.5\n"),
+        *("angle_min,angle_increment,range_max,r0,r1", '"stamp","angle_min","angle_increment"'),
         "# text\n" + ",".join(f"r{beam}" for beam in range(2000)),
         CONSTANTS + "# " + "long comment " * 400,
     ],
@@ -289,19 +281,11 @@ def test_recognises_csv_by_content(content: str) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"",
-        b"# a comment only\n",
-        b"name,age,town\nx,1,y\n",
-        b"stamp,name\n",
-        b"timestamp,x,y,yaw\n1,2,3,0\n",
-        b"stamp,r0\n1,2.5\n",
-        b"stamp,r0\nangle_min: 1\n",
-        b"%time,field.header.seq,field.header.stamp,field.ranges0\n",
-        b"The stamp, the x, the y.\n",
-        b"FLASER 180 1.5 1.5\n",
-        b"stamp,x,y,yaw\0\0",
-        b'"' + b"a" * 4095,
-        bytes(range(1, 256)),
+        *(b"", b"# a comment only\n", b"name,age,town\nx,1,y\n", b"stamp,name\n"),
+        *(b"timestamp,x,y,yaw\n1,2,3,0\n", b"stamp,r0\n1,2.5\n", b"stamp,r0\nangle_min: 1\n"),
+        *(b"%time,field.header.seq,field.header.stamp,field.ranges0\n", b"stamp,x,y,yaw\0\0"),
+        *(b"The stamp, the x, the y.\n", b"FLASER 180 1.5 1.5\n"),
+        *(b'"' + b"a" * 4095, bytes(range(1, 256))),
     ],
 )
 def test_does_not_claim_what_is_not_its_csv(content: bytes) -> None:

@@ -10,12 +10,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from occmap import values
 from occmap.readers import decimals
-from occmap.readers.decimals import NUMBER, OTHER, RANGE, SAME, SECONDS, parse_words
+from occmap.readers.decimals import NUMBER, OTHER, RANGE, SAME, TIME, parse_words
 from occmap.readers.text_log import make_block
 from occmap.types import Float64
-from occmap.values import as_float32, parse_seconds
+from occmap.values import as_float32, parse_time
 
+SECONDS = TIME + values.SECONDS
 WHOLE = st.text("0123456789", max_size=9)
 WRITTEN = st.builds("{}{}.{}".format, st.sampled_from(["", "-", "+"]), WHOLE, WHOLE)
 FLOATS = st.floats()
@@ -159,11 +161,11 @@ def test_times_of_many_lines_are_those_of_each(stamps: list[tuple[Decimal, int]]
     words = [f"{Decimal(seconds):.{places}f}" for seconds, places in stamps]
     whole = [str(int(Decimal(seconds) * 10**8)) for seconds, _ in stamps]
     lines = [f"{word} x {each}".encode() for word, each in zip(words, whole, strict=True)]
-    read, faults = parse(lines, b" ", [SECONDS, OTHER, decimals.NANOSECONDS])
+    read, faults = parse(lines, b" ", [SECONDS, OTHER, TIME])
     for row, (word, each) in enumerate(zip(words, whole, strict=True)):
         expected = None
         with suppress(ValueError):
-            expected = parse_seconds(word)
+            expected = parse_time(word)
         if row in faults:
             assert expected is None
         else:
