@@ -54,9 +54,9 @@ _BY_SIZE = {12: 6, 15: 3, 17: 0, 18: 0}
 """By the power of ten of a whole number that is too large for seconds, which fit 64 bits only up to
 10^10: those of its unit in nanoseconds. Such are the times from 2001 to 2286 in milliseconds and in
 microseconds, and those in nanoseconds since 1973."""
-FAR_APART_NS = 30 * 10**9
-"""Scans and poses that follow one another are not; by the wrong unit they are a thousand times as
-far apart as they are, or more."""
+FAR_APART_NS = 1000 * 10**9
+"""Scans and poses that follow one another are not, but those of a clock in ns are, which is taken
+for one in ms, if they are more than a millisecond apart."""
 
 
 def parse_time(text: str, unit: int = SECONDS) -> int:
@@ -71,12 +71,11 @@ def parse_time(text: str, unit: int = SECONDS) -> int:
         64 bits.
     """
     with suppress(ArithmeticError):  # what decimal raises for words and for NaN
-        number = Decimal(text)
-        scale = unit
+        number, scale = Decimal(text), unit
         if unit == SECONDS and number > 10**12 and number % 1 == 0:
             scale = _BY_SIZE.get(number.adjusted(), unit)
         nanoseconds = number.scaleb(scale)
-        if abs(nanoseconds) < 2**63 and (unit or number % 1 == 0):
+        if abs(nanoseconds) <= 2**63 - 1 and (unit or number % 1 == 0):
             return round(nanoseconds)
     name = "nanoseconds" if unit == NANOSECONDS else "seconds"
     raise ValueError(f"{shorten(text)} is not a time in {name}")
@@ -94,7 +93,7 @@ def guess_unit(times: Sequence[str]) -> int:
         steps = np.diff([parse_time(each) for each in times])
     except ValueError:
         return NANOSECONDS
-    is_far = len(steps) > 0 and np.median(np.abs(steps)) > FAR_APART_NS
+    is_far = len(steps) > 0 and np.median(np.abs(steps)) >= FAR_APART_NS
     return NANOSECONDS if is_far else SECONDS
 
 
@@ -213,6 +212,13 @@ def split_header(text: str, separator: str | None) -> tuple[list[str], int]:
     return [name.removeprefix("field.") for name in names], unit
 
 
+def _are_times(texts: Sequence[str]) -> bool:
+    """Whether all are times, and not all the same one."""
+    with suppress(ValueError):
+        return len({parse_time(each) for each in texts}) >= min(len(texts), 2)
+    return False
+
+
 def settle_times(
     names: Sequence[str], unit: int, rows: Iterable[Sequence[str]]
 ) -> tuple[list[str], int, str]:
@@ -225,14 +231,15 @@ def settle_times(
     is_zero = all(stamp and not stamp.strip("0.") for stamp in stamps)
     is_set = not is_zero or any(row.get("stamp_nsec", "").strip("0") for row in sample)
     receipt = next((name for name in RECEIPTS if name in names), "")
-    if receipt and sample and not is_set:
+    if sample and not is_set and _are_times([row.get(receipt, "") for row in sample]):
         renamed = {"stamp": "", "stamp_nsec": "", receipt: "stamp"}
         note = "the stamps of headers are all zero: the times of receipt count"
         return [renamed.get(name, name) for name in names], RECEIPTS[receipt], note
     return list(names), guess_unit(stamps) if unit == SECONDS else unit, ""
 
 
-ECHOED = re.compile(r"\d+,\d{1,9},(?:[^\W\d][^,]*)?,([^\W\d][^,]*,)?")
+FRAME_NAME = r"(?!(?:nan|inf)\b)[^\W\d][^,]*"
+ECHOED = re.compile(rf"\d+,\d{{1,9}},(?:{FRAME_NAME})?,({FRAME_NAME},)?")
 """How a line begins that `ros2 topic echo` writes as CSV: a time, a frame, perhaps another frame"""
 
 

@@ -452,8 +452,8 @@ def warn_of_axes(track: Track) -> Concern | None:
     found = "its way lies in a plane that stands upright, as where z is not up in the poses"
     if not (x or y):
         return Concern(f"{found}; turn them to those of a robot: x ahead, y left", None)
-    level = f"{90 * y:.0f},{-90 * x:.0f}"
-    return Concern(f"{found}; `level=({level})` lays it flat", {"level": level})
+    level = f"{90 * y + 0.0:.0f},{-90 * x + 0.0:.0f}"
+    return Concern(f"{found}; if it is not, `level=({level})` lays it flat", {"level": level})
 
 
 def list_tilts(stance: Stance, max_range: float) -> Iterator[Concern]:

@@ -71,6 +71,8 @@ class Table(NamedTuple):
 
     def split(self, text: str) -> list[str]:
         """Split a line into its values. Between ; and tabs, a comma in a number is a dot."""
+        if self.is_of_matrices:
+            return text.replace(",", " ").split()
         if self.separator in {";", "\t"}:
             text = text.replace(",", ".")
         return text.split(self.separator)
@@ -172,6 +174,10 @@ def _read_table(
     sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
     columns, unit, note = values.settle_times(form.columns, form.unit, sample)
     form = form._replace(columns=columns, unit=unit)
+    echoed = lines if form.goes_on and "frame" in columns else ()
+    if len({tuple(re.findall(f",({values.FRAME_NAME})", text)) for _, text in echoed}) > 1:
+        fix = "keep the lines of one transform, or record a bag"
+        raise LogError("transforms between several frames", where=path, fix=fix)
     rows = list(_parse_lines(path, lines, form.parse))
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)
@@ -202,8 +208,8 @@ def _find_order(form: Table, quaternions: Float64) -> tuple[int, ...]:
     """
     x, y, z, w = np.abs(quaternions).max(axis=0)
     if form is TUM:
-        turns = np.ptp(quaternions[:, 0]) > 0.1
-        return (4, 5, 6, 3) if turns and max(y, z) < 0.01 else ()
+        is_w = np.ptp(quaternions[:, 0]) > 0.1 and np.median(np.abs(quaternions[:, 0])) > 0.5**0.5
+        return (4, 5, 6, 3) if is_w and max(y, z) < 0.01 else ()
     return (6, 3, 4, 5) if min(y, z) > 0.1 and max(x, w) < 0.01 else ()
 
 
@@ -248,8 +254,9 @@ def _read_times(path: Path) -> list[int]:
     beside = path.parent / TIMES
     if not beside.is_file():
         raise LogError("poses without times", where=path, fix=f"put KITTI's {TIMES} beside it")
-    fix = "a time in seconds stands in each line"
-    return list(_parse_lines(beside, _read_rows(beside)[0], values.parse_time, fix))
+    fix, lines = "a time in seconds stands in each line", _read_rows(beside)[0]
+    unit = values.guess_unit([text for _, text in lines[: values.SAMPLED_ROWS]])
+    return list(_parse_lines(beside, lines, partial(values.parse_time, unit=unit), fix))
 
 
 def _read_rows(path: Path) -> tuple[list[NumberedLine], list[str]]:
@@ -316,7 +323,7 @@ def _guess_format(text: str) -> Table:
         frames = ("frame", "child") if echoed[1] else ("frame",)
         return Table(("stamp", "stamp_nsec", *frames, *TUM.columns[1:]), ",", goes_on=True)
     if columns := MATRICES.get(len(text.replace(",", " ").split())):
-        form = Table(columns, values.find_separator(text))
+        form = Table(columns, None)
         if _is_matrix(form, text):
             return form
     if re.match(r"-?\d+\s*,", text) and text.count(",") >= len(EUROC.columns) - 1:

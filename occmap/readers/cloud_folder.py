@@ -22,7 +22,7 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.jit import kernel
 from occmap.readers import Log, NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
-from occmap.report import count
+from occmap.report import count, join_names
 from occmap.types import Cloud, Moments, UInt8
 from occmap.values import guess_unit, parse_time, shorten
 
@@ -289,7 +289,7 @@ class CloudFolder(Log):
         return tell_clouds(clouds, self.path, self.notes)
 
     def _read(self) -> Iterator[Cloud]:
-        lost, cut = list[str](), list[str]()
+        lost, cut = dict[str, str](), dict[str, str]()
         for file, stamp_ns in zip(self._files, self.moments.stamp_ns, strict=True):
             name = str(file.relative_to(self.path))
             try:
@@ -297,19 +297,21 @@ class CloudFolder(Log):
                     points = read_cloud(file)
                 cloud = make_cloud(points.columns, (stamp_ns, FRAME), TOPIC, stamp_ns)
             except LogError as error:
-                lost.append(f"{name} {error.found}; it is left out")
+                lost[name] = f"{error.found}; it is left out"
                 continue
             there = len(cloud.points)
             if there < points.announced:
-                found = f"{name} is cut short: {there:,} of {points.announced:,} points"
-                cut.append(f"{found} are there and used")
+                found = f"is cut short: {there:,} of {points.announced:,} points"
+                cut[name] = f"{found} are there and used"
             yield cloud
         if len(lost) == len(self._files):
             found = f"none of {count(len(lost), 'cloud')} can be read"
-            raise LogError(found, where=self.path, fix=f"mend them: {lost[0]}")
-        for each in filter(None, (lost, cut)):
-            others = f"; so it is with {count(len(each) - 1, 'other')}" * (len(each) > 1)
-            self.notes.add_damage(each[0] + others)
+            fix = f"mend them: {' '.join(next(iter(lost.items())))}"
+            raise LogError(found, where=self.path, fix=fix)
+        for kind, each in (("left out", lost), ("cut short", cut)):
+            for name, found in list(each.items())[:1]:
+                others = f"; also {kind}: {join_names(list(each)[1:])}" * (len(each) > 1)
+                self.notes.add_damage(f"{name} {found}{others}")
 
 
 class CloudFolderReader:

@@ -276,8 +276,10 @@ def is_whole(path: Path, recordings: Collection[Path]) -> bool:
     """Whether a folder is one recording, of clouds or a bag of ROS 2, and not one of several."""
     from occmap.readers import cloud_folder, rosbag  # noqa: PLC0415  late: these bring mcap, apsw
 
-    if not path.is_dir() or (path / rosbag.METADATA).exists() or cloud_folder.list_clouds(path):
+    if not path.is_dir() or (path / rosbag.METADATA).exists():
         return path.is_dir()
+    if set(recordings) <= {cloud.parent for cloud in cloud_folder.list_clouds(path)}:
+        return True
     files = rosbag.list_storage(path)
     with suppress(LogError):
         rosbag.refuse_mixed(path, files)

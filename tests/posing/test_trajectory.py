@@ -68,6 +68,7 @@ FLAT = (1, 2, 0, 0, 0, 0, 1)
         ("3,0,map,1,2,4,0,0,0.6,0.8\n", (1, 2, 4, *TURN)),
         ("3,0,odom,base_link,1.0,2.0,0.0,0.0,0.0,0.0,1.0,0.1,0.0\n", FLAT),
         ("time [ms],x,y,yaw\n3000.0,1,2,0\n", FLAT),
+        ("stamp,time,x,y,yaw\n0,3,1,2,0\n", FLAT),
         ("Time,header.stamp.secs,header.stamp.nsecs,x,y,yaw\n3,0,0,1,2,0\n", FLAT),
         ("t_ns,qw,qx,qy,qz,tx_m,ty_m,tz_m\n3000000000,0.8,0,0,0.6,1,2,4\n", (1, 2, 4, *TURN)),
     ],
@@ -208,6 +209,11 @@ def test_a_bad_line_is_named(tmp_path: Path, text: str, line: int, found: str) -
 def test_columns_that_hold_no_quaternion_are_refused(tmp_path: Path, line: str) -> None:
     with pytest.raises(LogError, match="no quaternion stands behind"):
         read(tmp_path, line.format(1) + line.format(3))
+
+
+def test_transforms_between_several_frames_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="between several frames"):
+        read(tmp_path, "3,0,a,b,1,2,0,0,0,0,1\n3,0,b,c,1,2,0,0,0,0,1\n")
 
 
 def test_quaternions_of_another_length_are_rotations(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_what_cannot_be_opened_or_is_impossibly_large_is_left_out_and_named(tmp_
     assert sizes == [5]
     (note,) = notes
     assert note.startswith("2.npy ")
-    assert note.endswith("; it is left out; so it is with 1 other")
+    assert note.endswith("; it is left out; also left out: 3.npy")
 
 
 def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_of_a_file_that_is_cut_short_the_points_that_are_there_are_used(tmp_path
     assert sizes == [2, 2, 1]
     (note,) = notes
     assert note.startswith("1.pcd is cut short: 2 of 3 points")
-    assert note.endswith(" 2 others")
+    assert note.endswith("; also cut short: 2.pcd, 3.ply")
 
 
 def test_folders_that_hold_a_cloud_each_are_one_recording(tmp_path: Path) -> None:
@@ -195,7 +195,9 @@ def test_folders_that_hold_a_cloud_each_are_one_recording(tmp_path: Path) -> Non
         (tmp_path / f"{number}").mkdir()
         np.save(tmp_path / f"{number}/cloud.npy", np.full((1, 3), number, np.float32))
     assert [cloud.points[0, 0] for cloud in read(tmp_path)] == [9, 10, 100]
-    assert find_inputs([tmp_path], ReaderOptions()) == ([tmp_path], [])
+    assert find_inputs([tmp_path], ReaderOptions())[0] == [tmp_path]
+    (tmp_path / "drive.csv").write_text("stamp,angle_min,angle_increment,r0\n1,0,1,2\n")
+    assert tmp_path / "drive.csv" in find_inputs([tmp_path], ReaderOptions())[0]
 
 
 def test_files_are_taken_in_the_order_of_the_numbers_in_their_names(tmp_path: Path) -> None:
