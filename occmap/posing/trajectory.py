@@ -91,8 +91,8 @@ class Table(NamedTuple):
         texts = dict(zip(self.columns, fields, strict=False))
         if "stamp_nsec" in texts:
             texts["stamp"] = f"{texts['stamp']}.{texts['stamp_nsec'].strip():0>9}"
-        names = "x", "y", "z", *(QUATERNION if "qw" in texts else ANGLES)
-        names = CELLS if self.is_of_matrices else names
+        rotation = QUATERNION if "qw" in texts else ANGLES
+        names = CELLS if self.is_of_matrices else ("x", "y", "z", *rotation)
         numbers = [values.parse_number(texts.get(name, "0")) for name in names]
         return values.parse_time(texts["stamp"], self.unit) if "stamp" in texts else None, numbers
 

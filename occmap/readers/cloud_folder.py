@@ -309,9 +309,10 @@ class CloudFolder(Log):
             fix = f"mend them: {' '.join(next(iter(lost.items())))}"
             raise LogError(found, where=self.path, fix=fix)
         for kind, each in (("left out", lost), ("cut short", cut)):
-            for name, found in list(each.items())[:1]:
-                others = f"; also {kind}: {join_names(list(each)[1:])}" * (len(each) > 1)
-                self.notes.add_damage(f"{name} {found}{others}")
+            if each:
+                first, *others = each
+                also = f"; also {kind}: {join_names(others)}" if others else ""
+                self.notes.add_damage(f"{first} {each[first]}{also}")
 
 
 class CloudFolderReader:
