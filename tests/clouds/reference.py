@@ -108,12 +108,6 @@ class SlowEngine:
             self.cells[cell] = find_height(self.ground, x, y)
         return self.cells[cell]
 
-    def measure_height(self, place: Float64) -> float:
-        """How high a place is above the ground of its cell (mm); 0 where that has none."""
-        x, y = (round(each * 5120) // 256 for each in place[:2].tolist())
-        ground = self.find_ground((y, x))
-        return 0.0 if ground is None else float(place[2] * 1000 - ground)
-
     def is_face(self, x: float, y: float, level: int, low: float) -> bool:
         """Whether a point (m, mm) stands on ground up to three columns away."""
         row, col = math.floor(y / 0.15), math.floor(x / 0.15)
@@ -200,24 +194,40 @@ class SlowEngine:
         position = posed.position - [0, 0, np.clip(lift, -50, 50) / 1000]
         return replace(posed, position=position, rotation=shear @ posed.rotation)
 
+    def pass_over(self, cell: Cell, height: float, away: float, seen: list[Seen]) -> float:
+        """How high above the ground of a cell, so far away, the lowest beam of a bearing is (mm).
+
+        Of its points those count that lie in the same ring of a metre or farther away.
+        """
+        ring, ground = min(away // METRE, 63), self.find_ground(cell)
+        reach = [each.slope for each in seen if each.apart**0.5 // METRE >= ring]
+        beam = height * 1000 + min(reach, default=math.inf) * away
+        return math.inf if ground is None else beam - ground
+
     def add(self, posed: PosedScans) -> None:
         """Observe one cloud whose points share a pose."""
         posed = self.lay(posed)
         hits, floor = self.look(posed)
         near, far = group(hits), group(floor)
-        missed = {each.cell for each in floor if not is_beneath(each, near[each.sector])}
+        free = {each.cell for each in floor if not is_beneath(each, near[each.sector])}
         start = tuple(round(each * 5120) // 256 for each in posed.position[0, 1::-1].tolist())
+        low, high, robot = set[Cell](), set[Cell](), self.options.max_height * 1000
         for sector in near.keys() | far.keys():
+            seen = near[sector] + far[sector]
             ends = [(each.apart, each.cell) for each in near[sector]]
-            apart, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
+            _, end = min(ends or [(-each.apart, each.cell) for each in far[sector]])
             line = bresenham((start[0], start[1]), end)[:-1]
-            nearest = min(each.apart for each in near[sector] + far[sector])
-            tall, robot = self.measure_height(posed.position[0]), self.options.max_height * 1000
-            over = (tall - robot) / tall if tall > robot else 0.0
-            begin = math.ceil(over * math.sqrt(nearest / abs(apart)) * len(line))
-            missed.update(cell for cell in line[begin:] if self.find_ground(cell) is not None)
+            looks = [(each.cell, math.sqrt(each.apart)) for each in near[sector]]
+            away = math.dist(start, end) / max(len(line), 1) * 256
+            looks += [(cell, number * away) for number, cell in enumerate(line)]
+            for cell, apart in looks:
+                above = self.pass_over(cell, posed.position[0, 2], apart, seen)
+                if above < robot:
+                    (low if above < robot * 5 / 8 else high).add(cell)
         hit = {each.cell for each in hits}
         for cell in hit:
-            self.hits[cell] += weigh(cell, (start[0], start[1]))
-        for cell in missed - hit:
+            self.hits[cell] += weigh(cell, (start[0], start[1])) if cell in low else 1
+        for cell in (low | free) - hit:
             self.misses[cell] += weigh(cell, (start[0], start[1]))
+        for cell in high - low - free - hit:
+            self.misses[cell] += 1

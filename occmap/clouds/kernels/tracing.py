@@ -10,10 +10,25 @@ from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.clouds.kernels.laying import Columns, ground_at
 from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Float64, Int16, Int32, Int64, UInt8
+from occmap.types import (
+    BLOCK_BITS,
+    COLUMN_MM,
+    NO_GROUND,
+    Float32,
+    Float64,
+    Int16,
+    Int32,
+    Int64,
+    UInt8,
+)
 
-MISS, HIT, UNKNOWN = 1, 2, 4
-"""Bits of a cell in one cloud; the last one stays where there is no ground."""
+LOW, HIT, UNKNOWN, HIGH = 1, 2, 4, 8
+"""Bits of a cell in one cloud: what looks at it is a beam `LOW` over its ground, or a `HIGH` one;
+`UNKNOWN`, which stays, is that it has no ground."""
+FAR_WEIGHT = NEAR_WEIGHT // 4
+"""What a cloud weighs in cells far away, and in those that only high beams look at"""
+LOW_SHARE = 5 / 8
+"""Beams that pass over a cell higher than this share of the robot's height say little of it"""
 SECTORS_OF_QUARTER = 180
 SECTORS = 4 * SECTORS_OF_QUARTER
 """Bearings of the map: equal widths in x / (|x| + |y|), half a degree on average."""
@@ -36,6 +51,9 @@ PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
 have met the wall on the other side, but at most 12 beyond the floor, to 20 before that"""
 RIM = 4 / 3
 """So many steps before the end of the floor is its rim: poses that are off blur it"""
+RING_M, RINGS = 1.0, 64
+"""How wide the rings around the sensor are, by which beams are told that end nearer than a cell;
+the last one is all that is farther away"""
 CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
@@ -155,8 +173,11 @@ class Aside(NamedTuple):
     right: Int32
     up: Int32
     """Lattice units from the sensor; both 0 beyond the distances that count"""
+    apart: Float64
+    """How far away it is (lattice units)"""
     sector: Int32
     """The bearing"""
+    ring: Int32
     level: Int32
     """Height in the map (mm), or `FAR`"""
     clear: Float64
@@ -174,10 +195,11 @@ class Room(NamedTuple):
     """(2, `SECTORS`) in which cells: rows from the sensor's times 2^32, and columns"""
     steep: Float64
     """(`SECTORS`,) how steeply the hit is seen"""
-    first: Int64
-    """(`SECTORS`,) how far the nearest floor or hit is"""
+    lowest: Float32
+    """(`RINGS`, `SECTORS`) slope of the lowest beam that ends there (mm for each lattice unit)"""
     floor: Int32
-    """(N,) the cell of each floor point, which waits for all hits"""
+    """(N,) the cell of each floor point, which waits for all hits, and from the end on that of each
+    hit by a high beam, under which a low one may pass"""
     floor_apart: Int64
     floor_steep: Float64
     floor_bearing: Int16
@@ -188,13 +210,14 @@ class Room(NamedTuple):
 
 def make_room(points: int, cells: int) -> Room:
     """Make room for clouds of so many points, and for so many cells."""
-    right, up, sector, level = np.empty((4, SOME), np.int32)
-    some = Aside(np.empty((3, SOME)), right, up, sector, level, np.empty(SOME))
+    right, up, sector, ring, level = np.empty((5, SOME), np.int32)
+    far, clear = np.empty((2, SOME))
+    some = Aside(np.empty((3, SOME)), right, up, far, sector, ring, level, clear)
     apart, ends = np.empty((2, 2, SECTORS), np.int64)
     seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
     bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
-    steep, first = np.empty(SECTORS), np.empty(SECTORS, np.int64)
-    return Room(some, apart, ends, steep, first, *seen, bearing, touched)
+    steep, lowest = np.empty(SECTORS), np.empty((RINGS, SECTORS), np.float32)
+    return Room(some, apart, ends, steep, lowest, *seen, bearing, touched)
 
 
 @kernel
@@ -202,6 +225,7 @@ def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: f
     """Find out what points are seen from their sensor; one loop that processors run in lanes."""
     least, most = band.nearest * band.nearest, band.farthest * band.farthest
     at_x, at_y = np.rint(origin[0] * scale), np.rint(origin[1] * scale)
+    rings = 1 / (RING_M * scale)
     for i in range(size):
         x, y, z = some.place[0, i], some.place[1, i], some.place[2, i]
         away_x, away_y = x - origin[0], y - origin[1]
@@ -212,7 +236,9 @@ def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: f
         # No quotient of whole numbers as small as these is rounded to a whole one.
         part = np.floor(right * SECTORS_OF_QUARTER / max(abs(right) + abs(up), 1.0))
         sector = SECTORS_OF_QUARTER - part if up >= 0 else 3 * SECTORS_OF_QUARTER + part
-        some.right[i], some.up[i] = np.int32(right), np.int32(up)
+        apart = np.sqrt(right * right + up * up)
+        some.right[i], some.up[i], some.apart[i] = np.int32(right), np.int32(up), apart
+        some.ring[i] = np.int32(min(apart * rings, RINGS - 1.0))
         some.sector[i] = np.int32(sector if sector < SECTORS else 0.0)
         some.level[i] = np.int32(np.rint(z * 1000) if is_used else FAR)
         some.clear[i] = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
@@ -225,44 +251,50 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
     col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
     under = find_floor(canvas, row, col, -HIGHEST)
-    tall = cloud.origin[2] * 1000 - under if under != -HIGHEST else 0.0
-    over = 1 - band.high / max(tall, float(band.high))
-    many, floors = find_ends(cloud, band, canvas, room, under)
+    many, floors, highs = find_ends(cloud, band, canvas, room, under)
     many = free_floor(canvas, room, floors, many)
-    many = clear_bearings((row, col), over, canvas, room, many)
+    look_under(cloud.origin[2] * 1000, band.high, canvas, room, highs)
+    many = clear_bearings((row, col), cloud.origin[2] * 1000, band.high, canvas, room, many)
     count_looks((row, col), canvas, room.touched, many)
 
 
 @step
 def free_floor(canvas: Canvas, room: Room, floors: int, many: int) -> int:
-    """Mark the cells of floor points that are free, and find where each bearing is first met.
-
-    Returns how many cells are touched.
-    """
-    state, apart, first = canvas.state, room.apart, room.first
-    for bearing in range(SECTORS):
-        first[bearing] = apart[OBSTACLE, bearing]
+    """Mark the cells of floor points that are free; return how many cells are touched."""
+    state, apart = canvas.state, room.apart
     for i in range(floors):
         at, bearing, far = room.floor[i], room.floor_bearing[i], room.floor_apart[i]
-        first[bearing] = min(first[bearing], far)
         # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
         is_behind = far > apart[OBSTACLE, bearing]
         is_beneath = is_behind and room.floor_steep[i] < room.steep[bearing]
         if state[at] == 0 and not is_beneath:
             room.touched[many] = at
             many += 1
-            state[at] = MISS
+            state[at] = LOW
     return many
 
 
 @step
-def clear_bearings(
-    start: tuple[int, int], over: float, canvas: Canvas, room: Room, many: int
-) -> int:
-    """Mark the cells up to the end of each bearing; return how many are touched.
+def look_under(level: float, high: int, canvas: Canvas, room: Room, highs: int) -> None:
+    """Find the lowest beam that reaches each ring, and whether low ones pass under high hits."""
+    lowest, rings = room.lowest, canvas.resolution / (UNITS_PER_CELL * RING_M)
+    for ring in range(RINGS - 2, -1, -1):
+        for bearing in range(SECTORS):
+            lowest[ring, bearing] = min(lowest[ring, bearing], lowest[ring + 1, bearing])
+    for i in range(1, highs + 1):
+        at, apart = room.floor[-i], np.sqrt(float(room.floor_apart[-i]))
+        slope = lowest[min(int(apart * rings), RINGS - 1), room.floor_bearing[-i]]
+        above = level + slope * apart - canvas.base[at >> 2 * BLOCK_BITS] - canvas.ground[at]
+        canvas.state[at] |= LOW if above < LOW_SHARE * high else 0
 
-    Beams that pass above the robot say nothing of what is below them, which is the share `over` of
-    a bearing's lowest beam.
+
+@step
+def clear_bearings(
+    start: tuple[int, int], level: float, high: int, canvas: Canvas, room: Room, many: int
+) -> int:
+    """Mark the cells up to the end of each bearing, seen from a height (mm).
+
+    Returns how many are touched.
     """
     for bearing in range(SECTORS):
         kind = OBSTACLE if room.apart[OBSTACLE, bearing] < NOTHING else GROUND
@@ -270,8 +302,8 @@ def clear_bearings(
         if far < NOTHING:
             up = (end + HALF_END) >> END_BITS
             right = end - (up << END_BITS)
-            share = over * np.sqrt(room.first[bearing] / abs(far)) if over else 0.0
-            many = clear_line(start, (up, right), share, canvas, room.touched, many)
+            beams = level, high, room.lowest[:, bearing]
+            many = clear_line(start, (up, right), beams, canvas, room.touched, many)
     return many
 
 
@@ -284,7 +316,8 @@ def count_looks(start: tuple[int, int], canvas: Canvas, touched: Int32, many: in
         tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
         row, col = locate(canvas.tiles, at)
         up, right = row - start[0], col - start[1]
-        weight = NEAR_WEIGHT if up * up + right * right < near * near else 1
+        is_near = up * up + right * right < near * near
+        weight = NEAR_WEIGHT if is_near and state[at] & LOW else FAR_WEIGHT
         layer = 2 * tile + (0 if state[at] & HIT else 1)
         canvas.counts[layer * CELLS + inside] += weight
         state[at] = 0
@@ -365,10 +398,13 @@ def mark_drops(
             continue
         room.touched[many] = at
         many += state[at] == 0
-        state[at] = HIT
+        state[at] |= HIT | LOW
         far = right * right + up * up
         end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
-        note_end(room, OBSTACLE, some.sector[i], far, rise / np.sqrt(float(far)), end)
+        apart = np.sqrt(float(far))
+        note_end(room, OBSTACLE, some.sector[i], far, rise / apart, end)
+        ring = min(int(apart / (RING_M * scale)), RINGS - 1)
+        note_beam(room, ring, some.sector[i], rise / apart)
     return many
 
 
@@ -399,19 +435,26 @@ def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: i
         room.apart[kind, bearing], room.ends[kind, bearing] = key, end
 
 
+@step
+def note_beam(room: Room, ring: int, bearing: int, slope: float) -> None:
+    """Keep the lowest beam that ends in a ring."""
+    room.lowest[ring, bearing] = min(room.lowest[ring, bearing], slope)
+
+
 @kernel
-def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) -> tuple[int, int]:
+def find_ends(
+    cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int
+) -> tuple[int, int, int]:
     """Mark the cells of hits, and find what the beams of each bearing end at.
 
-    Returns how many cells are touched, and how many points are floor.
+    Returns how many cells are touched, and how many points are floor, and hits of high beams.
     """
     some, right, up, level = room.some, room.some.right, room.some.up, room.some.level
     origin, state, ground, counts = cloud.origin, canvas.state, canvas.ground, canvas.points
     scale = UNITS_PER_CELL / canvas.resolution
     at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
-    for i in range(2 * SECTORS):
-        room.apart[i // SECTORS, i % SECTORS] = NOTHING
-    many, floors = 0, 0
+    room.apart[:], room.lowest[:] = NOTHING, np.inf
+    many, floors, highs = 0, 0, 0
     for start in range(0, cloud.points.size // 3, SOME):
         size = place_points(cloud, start, some.place)
         measure_points(some, size, origin, band, scale)
@@ -435,40 +478,55 @@ def find_ends(cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int) 
                 continue
             far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
             rise = level[i] - (0 if kind else above) - origin[2] * 1000
-            slope = rise / np.sqrt(far)
+            slope = rise / some.apart[i]
             if kind:
                 room.touched[many] = at
                 many += state[at] == 0
-                state[at] = HIT
+                is_high = above >= LOW_SHARE * band.high
+                state[at] |= HIT if is_high else HIT | LOW
+                if is_high:
+                    highs += 1
+                    room.floor[-highs], room.floor_apart[-highs] = at, far
+                    room.floor_bearing[-highs] = some.sector[i]
             else:
                 room.floor[floors], room.floor_apart[floors] = at, far
                 room.floor_bearing[floors], room.floor_steep[floors] = some.sector[i], slope
                 floors += 1
             end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
             note_end(room, kind, some.sector[i], far, slope, end)
+            note_beam(room, some.ring[i], some.sector[i], slope)
         if deep:
             many = mark_drops(size, under, origin, canvas, room, many)
-    return many, floors
+    return many, floors, highs
 
 
 @kernel
 def clear_line(
     start: tuple[int, int],
     away: tuple[int, int],
-    share: float,
+    beams: tuple[float, int, Float32],
     canvas: Canvas,
     touched: Int32,
     many: int,
 ) -> int:
-    """Mark the cells of Bresenham's line, from a share of it on, before its last one.
+    """Mark the cells of Bresenham's line before its last one.
 
-    Returns how many are touched.
+    Parameters
+    ----------
+    beams
+        How high the sensor is (mm), how high above the ground they say nothing (mm), and the slope
+        of the lowest one that reaches each ring (mm for each lattice unit).
+
+    Returns
+    -------
+    How many cells are touched.
     """
-    state, (row, col), (up, right) = canvas.state, start, away
+    state, (row, col), (up, right), (level, high, slopes) = canvas.state, start, away, beams
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
-    is_steep = abs(up) == steps
-    rest, done, begin = steps, 0, int(np.ceil(share * steps))
+    is_steep, rest, done = abs(up) == steps, steps, 0
+    pace = np.sqrt(float(up * up + right * right)) / max(steps, 1)
+    rings = pace * canvas.resolution / RING_M
     while done < steps:
         # Up to the tile's border it takes steps along the longer side, and fewer along the other.
         rows = INSIDE - (row & INSIDE) if row_way > 0 else row & INSIDE
@@ -478,22 +536,22 @@ def clear_line(
         if fewer:
             left = min(left, (2 * steps * (aside + 1) - rest + 2 * fewer - 1) // (2 * fewer))
         at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
-        row_pace, col_pace = row_way << BLOCK_BITS, col_way
-        pace, sideways = (row_pace, col_pace) if is_steep else (col_pace, row_pace)
-        skipped = min(max(begin - done, 0), left) if at >= 0 else left
-        turned = (rest + 2 * fewer * skipped) // (2 * steps) if skipped else 0
-        going = rest + 2 * fewer * skipped - 2 * steps * turned
-        at += pace * skipped + sideways * turned
-        for _ in range(left - skipped):
+        row_step, col_step = row_way << BLOCK_BITS, col_way
+        ahead_step, aside_step = (row_step, col_step) if is_steep else (col_step, row_step)
+        going, sensor = rest, level - (canvas.base[at >> 2 * BLOCK_BITS] if at >= 0 else 0)
+        for k in range(done, done + left if at >= 0 else done):
+            ring = min(int(k * rings), RINGS - 1)
+            above = sensor + slopes[ring] * (k * pace * UNITS_PER_CELL) - canvas.ground[at]
+            says = 0 if above >= high else LOW if above < LOW_SHARE * high else HIGH
             # The room behind the last place is free; a cell without ground is never 0.
             touched[many] = at
-            many += state[at] == 0
-            state[at] |= MISS
+            many += says != 0 and state[at] == 0
+            state[at] |= says
             # Halves are rounded away from the first cell.
             going += 2 * fewer
             turns = going >= 2 * steps
             going -= 2 * steps if turns else 0
-            at += pace + (sideways if turns else 0)
+            at += ahead_step + (aside_step if turns else 0)
         done += left
         rest += 2 * fewer * left - 2 * steps * moved
         row += row_way * (left if is_steep else moved)
