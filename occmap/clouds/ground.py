@@ -22,7 +22,7 @@ DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 in the map already: often where the robot stands."""
 BESIDE, BY, UNDER = (7, 20, 40), 27, 2
 """Columns beside the path that the ground grows from, that the robot passes by, and that it stands
-on; ground is looked for farther away only where nearer columns hold too few points"""
+on; ground is looked for farther away only where too few of the nearer columns have any"""
 FEWEST_SEEDS = 100
 AS_HIGH_MM = 50
 """Sensors whose heights above the ground differ by no more count as one."""
@@ -390,7 +390,7 @@ def measure_seat(
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
     for beside in BESIDE:
         depths = look_beside(columns, path, (beside, 0, 0), band, scratch)
-        if depths.sum() >= FEWEST_SEEDS:
+        if np.count_nonzero(scratch.height != NO_GROUND) >= FEWEST_SEEDS:
             break
     if given_m is not None:
         return Seat(sensors, path, round(given_m * 1000), 150, beside)
