@@ -4,10 +4,8 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from occmap.cells import CellBox, Ground, view_tiles
 from occmap.clouds import CloudOptions
@@ -15,17 +13,18 @@ from occmap.clouds.kernels import tracing
 from occmap.clouds.kernels.growth import BLOCK, Blocks
 from occmap.clouds.kernels.heights import SOME, Cloud, find_reach, list_clouds
 from occmap.clouds.kernels.laying import SHORTEST_M, Columns, lay_cloud, lay_columns
-from occmap.clouds.kernels.tracing import COUNTS, Band, Canvas
+from occmap.clouds.kernels.tracing import COUNTS, NOBODY_LOOKED, Band, Canvas
 from occmap.grid import Lattice, refuse_long
 from occmap.grid.engine import Engine
 from occmap.grid.kernels.units import NEAR_WEIGHT
 from occmap.grid.tiles import MAX_CELLS, TILE, EvidenceKind, TileGrid, refuse_large
 from occmap.sensor import ReturnOptions
-from occmap.types import COLUMN_MM, Float64, Int32, Int64, PosedScans
+from occmap.types import COLUMN_MM, Int32, Int64, PosedScans
 
 SLACK_M = 0.096
 """The clearance grows from where poses that are off put the floor this high: 8 m by default."""
-FIRST_TILES = 64
+MANY_TILES = 1 << 12
+"""A sheet has room for so many, which is memory only once they are written to"""
 TILE_BYTES = TILE * TILE * 11
 """What a tile takes: two counts, the ground, and what a cloud says of each cell"""
 POINT_KINDS = ("ground", "obstacle", "above", "below", "too far", "no return")
@@ -33,47 +32,51 @@ POINT_KINDS = ("ground", "obstacle", "above", "below", "too far", "no return")
 
 
 class Sheet:
-    """A canvas of one thread: it grows by the tiles that clouds reach and that have ground."""
+    """A canvas of one thread: the tiles that clouds of late reached and that have ground."""
 
     def __init__(self, lattice: Lattice, columns: Columns, box: CellBox) -> None:
-        self.lattice = lattice
-        table, corner = np.full(box.shape, -2, np.int32), np.array(box[:2], np.int64)
-        tiles = Blocks(table, corner, np.zeros((FIRST_TILES, 2), np.int64))
-        of_tiles, of_cells = FIRST_TILES, FIRST_TILES * TILE * TILE
-        base, ground = np.zeros(of_tiles, np.int32), np.zeros(of_cells, np.int16)
-        state, counts = np.zeros(of_cells, np.uint8), np.zeros(2 * of_cells, np.int32)
-        used, points = np.zeros(1, np.int64), np.zeros(COUNTS, np.int64)
-        layers = base, ground, state, counts
-        self.canvas = Canvas(columns, tiles, *layers, used, points, lattice.resolution)
+        """Make one for tiles of a box, which counts tiles."""
+        self.box, self._lattice, self._columns = box, lattice, columns
+        self.points = np.zeros(COUNTS, np.int64)
+        """How many points were of each kind"""
         self.number = 0
         """The slice of time of what it holds"""
         self.room = tracing.make_room(0, 0)
+        self.clear(MANY_TILES)
+
+    def clear(self, tiles: int) -> None:
+        """Begin anew, with room for so many tiles."""
+        table = np.full(self.box.shape, NOBODY_LOOKED, np.int32)
+        blocks = Blocks(table, np.array(self.box[:2], np.int64), np.zeros((tiles, 2), np.int64))
+        base, cells = np.zeros(tiles, np.int32), tiles * TILE * TILE
+        ground, state = np.zeros(cells, np.int16), np.zeros(cells, np.uint8)
+        counts, used = np.zeros(2 * cells, np.int32), np.zeros(1, np.int64)
+        layers = base, ground, state, counts, used, self.points
+        self.canvas = Canvas(self._columns, blocks, *layers, self._lattice.resolution)
 
     @property
     def used(self) -> int:
         """How many tiles it has."""
         return int(self.canvas.used[0])
 
-    def reach(self, origins: Float64, metres: float) -> None:
-        """Lay out the tiles up to so far from places (N, 3)."""
-        box = self.lattice.enclose(origins[:, :2], metres).align(TILE).shrink(TILE)
-        table, corner, _ = self.canvas.tiles
-        low = np.maximum(np.array(box[:2]) - corner, 0)
-        high = np.minimum(np.array(box[2:]) - corner, table.shape) - 1
-        inside, heights = np.concatenate([low, high]), np.empty(TILE * TILE, np.int32)
-        while not tracing.lay_ground(self.canvas, inside, heights):
-            names = "base", "ground", "state", "counts"
-            layers: dict[str, Any] = {name: double(getattr(self.canvas, name)) for name in names}
-            tiles = self.canvas.tiles._replace(places=double(self.canvas.tiles.places))
-            self.canvas = self.canvas._replace(tiles=tiles, **layers)
+    def reach(self, clouds: Sequence[Cloud], farthest: float) -> CellBox:
+        """The box of tiles around some sensors, up to so far away or up to the farthest point."""
+        origins = np.array([cloud.origin[:2] for cloud in clouds])
+        metres = min(max(map(find_farthest, clouds)), farthest)
+        return self.box.clip(self._lattice.enclose(origins, metres).align(TILE).shrink(TILE))
 
-    def observe(self, clouds: Sequence[Cloud], band: Band) -> None:
-        """Observe the cells of some clouds."""
-        farthest = min(max(map(find_farthest, clouds)), band.farthest)
-        self.reach(np.array([cloud.origin for cloud in clouds]), farthest)
+    def has_room(self, box: CellBox) -> bool:
+        """Whether it has room for the tiles of a box that are not laid out yet."""
+        table = self.canvas.tiles.table[box.within(self.box)]
+        missing = int(np.count_nonzero(table == NOBODY_LOOKED))
+        return self.used + missing <= len(self.canvas.base)
+
+    def observe(self, clouds: Sequence[Cloud], band: Band, box: CellBox) -> None:
+        """Observe the cells of some clouds, which reach the tiles of a box."""
+        inside = np.array(box.move(-self.box.row, -self.box.col))
+        tracing.lay_ground(self.canvas, inside, np.empty(TILE * TILE, np.int32))
         points = max(len(cloud.points) // 3 for cloud in clouds)
-        beams = tracing.SECTORS * 2 * (int(farthest / self.lattice.resolution) + 2)
-        cells = min(points + beams, self.used * TILE * TILE)
+        cells = min(box.cells, self.used) * TILE * TILE
         most_points, most_cells = len(self.room.floor), len(self.room.touched) - 1
         if most_points < points or most_cells < cells:
             self.room = tracing.make_room(max(points, most_points), max(cells, most_cells))
@@ -124,11 +127,6 @@ class Extent:
         return self._lattice.enclose(np.stack([low, high])) if low[0] <= high[0] else None
 
 
-def double(layer: NDArray[Any]) -> NDArray[Any]:
-    """Make room for twice as many tiles in a layer of a canvas."""
-    return np.concatenate([layer, np.zeros_like(layer)])
-
-
 class CloudEngine(Engine):
     """Adds up what clouds observe over the ground.
 
@@ -170,7 +168,12 @@ class CloudEngine(Engine):
             if sheet.number != number:
                 self._empty(sheet)
                 sheet.number = number
-            sheet.observe([clouds[i] for i in some], self._band)
+            of_slice = [clouds[i] for i in some]
+            box = sheet.reach(of_slice, self._band.farthest)
+            if not sheet.has_room(box):
+                self._empty(sheet)
+                sheet.clear(max(MANY_TILES, box.cells))
+            sheet.observe(of_slice, self._band, box)
         with self._lock:
             self._idle.append(sheet)
 
@@ -194,7 +197,7 @@ class CloudEngine(Engine):
     @property
     def points(self) -> dict[str, int]:
         """As of `Engine`."""
-        counts = sum((sheet.canvas.points for sheet in self._idle), np.zeros(COUNTS, np.int64))
+        counts = sum((sheet.points for sheet in self._idle), np.zeros(COUNTS, np.int64))
         return dict(zip(POINT_KINDS, counts.tolist(), strict=True))
 
     @property

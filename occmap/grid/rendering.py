@@ -3,11 +3,12 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import NoReturn
 
 import numpy as np
 
-from occmap.cells import Box, CellBox
+from occmap.cells import Box, CellBox, Key
 from occmap.choices import check_bounds, make_box_form, option
 from occmap.errors import MapError, require
 from occmap.grid import FARTHEST_UNIT, Lattice
@@ -34,6 +35,12 @@ class SpreadHits(TileGrid):
         spread = beside[:, 1:-1] + self.share * (beside[:, :-2] + beside[:, 2:])
         return spread, misses[1:-1, 1:-1]
 
+    def bound(self, key: Key) -> CellBox | None:
+        """The smallest box around the cells that a tile speaks for."""
+        seen, (row, col) = super().bound(key), key
+        hit = CellBox.around(self.tiles[key][0] != 0, row * TILE, col * TILE)
+        return seen.join(hit.grow(1)) if seen and hit else seen
+
 
 def find_bounds(tiles: TileGrid) -> CellBox:
     """The smallest box around all observed cells.
@@ -59,14 +66,10 @@ def measure_bounds(tiles: TileGrid) -> CellBox | None:
     if not tiles.tiles:
         return None
     rows, cols = ({min(places), max(places)} for places in zip(*tiles.tiles, strict=True))
-    box: CellBox | None = None
-    for row, col in tiles.tiles:
-        if row in rows or col in cols:  # only these can lie on the edge of the map
-            around = CellBox.at(row, col).scale(TILE).grow(1)  # as far as a hit speaks
-            seen = tiles.observed(*tiles.read(around))
-            if part := CellBox.around(seen, around.row, around.col):
-                box = part if box is None else box.join(part)
-    return box
+    # Only these can lie on the edge of the map.
+    edge = [key for key in tiles.tiles if key[0] in rows or key[1] in cols]
+    found = list(filter(None, map(tiles.bound, edge)))
+    return reduce(CellBox.join, found) if found else None
 
 
 def paint_cells(

@@ -113,6 +113,11 @@ class TileGrid:
             return np.asarray((first != 0) | (second != 0))
         return np.asarray(second != 0)
 
+    def bound(self, key: Key) -> CellBox | None:
+        """The smallest box around the observed cells of a tile; None: it has none."""
+        row, col = key
+        return CellBox.around(self.observed(*self.tiles[key]), row * TILE, col * TILE)
+
     def gather(self, box: CellBox, dtype: DTypeLike = np.int64) -> NDArray[Any]:
         """(2, H, W): what the tiles hold of the cells of a box; 0 where there is no tile."""
         whole = box.align(TILE)

@@ -54,6 +54,7 @@ RIM = 4 / 3
 RING_M, RINGS = 1.0, 64
 """How wide the rings around the sensor are, by which beams are told that end nearer than a cell;
 the last one is all that is farther away"""
+NOBODY_LOOKED = -2
 CELLS, INSIDE, HIGHEST = BLOCK * BLOCK, BLOCK - 1, 1 << 30
 """Cells of a tile; the mask of a row or column inside one; higher than all ground"""
 
@@ -64,7 +65,7 @@ class Canvas(NamedTuple):
     columns: Columns
     tiles: Blocks
     """Where cells lie in flat arrays, tile by tile, as columns do in blocks; the number of a tile
-    is -1 where it is without ground, and -2 where nobody looked"""
+    is -1 where it is without ground, and `NOBODY_LOOKED` where that is not known"""
     base: Int32
     """(T,) height of the tile (mm)"""
     ground: Int16
@@ -82,21 +83,21 @@ class Canvas(NamedTuple):
 
 
 @kernel
-def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
-    """Give the tiles of a box that have ground a place; return whether there is one for all.
+def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> None:
+    """Give the tiles of a box that have ground a place, of which there must be enough.
 
     Parameters
     ----------
     box
-        (4,) first row and column, last row and column of tiles, from the canvas' corner.
+        (4,) the rows and columns of tiles from which and to which it goes, from the canvas' corner.
     heights
         (4096,) to work with.
     """
     (table, corner, places), resolution = canvas.tiles, canvas.resolution
     blocks = canvas.columns.blocks
-    for up in range(box[0], box[2] + 1):
-        for right in range(box[1], box[3] + 1):
-            if table[up, right] != -2:
+    for up in range(box[0], box[2]):
+        for right in range(box[1], box[3]):
+            if table[up, right] != NOBODY_LOOKED:
                 continue
             lowest, tile = HIGHEST, canvas.used[0]
             for i in range(CELLS):
@@ -109,8 +110,6 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
             if lowest == HIGHEST:
                 table[up, right] = -1
                 continue
-            if tile == len(canvas.base):
-                return False
             canvas.used[0] += 1
             table[up, right], canvas.base[tile] = tile, lowest
             places[tile, 0], places[tile, 1] = corner[0] + up, corner[1] + right
@@ -119,7 +118,6 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> bool:
                     canvas.state[tile * CELLS + i] = UNKNOWN
                 else:
                     canvas.ground[tile * CELLS + i] = min(heights[i] - lowest, 32767)
-    return True
 
 
 class Band(NamedTuple):
