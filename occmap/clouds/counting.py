@@ -55,7 +55,7 @@ class Counted(NamedTuple):
     @property
     def sharpness(self) -> float:
         """How few bins of heights the points fill: a floor that lies well fills few."""
-        many = self.table.counts[self.table.keys != heights.EMPTY].astype(np.float64)
+        many = self.table.counts[: int(self.table.used[0])].astype(np.float64)
         return float((many**2).sum() / max(many.sum(), 1.0))
 
 
@@ -87,7 +87,7 @@ class Counter:
             start, points = 0, len(cloud.points) // 3
             laid = lay_cloud(cloud, self._floor) if self._floor else cloud
             while (start := heights.count_heights(laid, table, start, place, listed)) < points:
-                table = grow_table(table, 4 * len(table.keys))
+                table = grow_table(table, 2 * len(table.places))
             path.append(cloud.origin)
             if draw(stamp_ns) * self._clouds < UPRIGHT_CLOUDS:
                 sample.append(sample_points(cloud))
@@ -133,9 +133,9 @@ def join_counted(parts: Iterable[Counted]) -> Counted:
 
 
 def make_table(size: int) -> Histogram:
-    """Make an empty table; its size is a power of two."""
-    keys = np.full(size, heights.EMPTY, np.int64)
-    return Histogram(keys, np.zeros((size, heights.BINS), np.int32), np.zeros(1, np.int64))
+    """Make an empty table for half as many pieces as its size, which is a power of two."""
+    places, used = np.full((size, 2), heights.EMPTY, np.int64), np.zeros(1, np.int64)
+    return Histogram(places, np.zeros((size // 2, heights.BINS), np.int32), used)
 
 
 def grow_table(table: Histogram, size: int) -> Histogram:
@@ -147,10 +147,10 @@ def grow_table(table: Histogram, size: int) -> Histogram:
 
 def add_tables(tables: Iterable[Histogram]) -> Histogram:
     """Add up tables."""
-    first, *others = [*tables] or [make_table(1)]
+    first, *others = [*tables] or [make_table(2)]
     for other in others:
         size = 1 << (2 * int(first.used[0] + other.used[0])).bit_length()
-        first = grow_table(first, max(size, len(first.keys)))
+        first = grow_table(first, max(size, len(first.places)))
         heights.add_histogram(other, first)
     return first
 

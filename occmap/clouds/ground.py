@@ -198,8 +198,8 @@ def fill_around(blocks: Blocks, height: Int32) -> None:
     if plane is not None:
         beyond = height == NO_GROUND
         fill(blocks, height, LEVEL_FILLED - FILLED)
-        beyond &= height != NO_GROUND
-        height[beyond] = plane[beyond]
+        at = np.flatnonzero(beyond & (height != NO_GROUND))
+        height[at] = plane.find_heights(blocks, at)
 
 
 def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
@@ -255,18 +255,42 @@ def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
     return Peaks(first, many, height, np.concatenate([peaks.weight, weight]))
 
 
-def fit_plane(blocks: Blocks, height: Int32) -> Int32 | None:
-    """Fit a plane to measured ground (C,); give its heights (C,; mm), or None where it has none.
+class Plane(NamedTuple):
+    """A floor of one level."""
+
+    start: Int64
+    """(2, 1) row and column of a place on it"""
+    level: float
+    """How high it is there (mm)"""
+    right: float
+    up: float
+    """By how much it rises (mm) to the next column and to the next row"""
+
+    def find_heights(self, blocks: Blocks, at: Int64) -> Int32:
+        """Find how high it is in some columns of blocks (N,; mm)."""
+        up, right = list_places(blocks, at) - self.start
+        return np.asarray(np.rint(self.level + self.right * right + self.up * up).astype(np.int32))
+
+
+def list_places(blocks: Blocks, at: Int64) -> Int64:
+    """(2, N) the rows and columns of some columns, by where they lie in flat arrays."""
+    inside = np.stack([at >> BLOCK_BITS, at]) % BLOCK
+    return np.asarray(blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK + inside)
+
+
+def fit_plane(blocks: Blocks, height: Int32) -> Plane | None:
+    """Fit a plane to measured ground (C,); give None where it has none.
 
     Sums are of integers, so that their order does not count.
     """
     at = np.flatnonzero(height != NO_GROUND)
     if len(at) < LEAST_LEVEL:
         return None
-    corners, inside = blocks.places.T[..., None] * BLOCK, np.indices((BLOCK, BLOCK))
-    row, col = (corners + inside.reshape(2, 1, -1)).reshape(2, -1)
-    terms = np.stack([np.ones_like(row), col - col[at[0]], row - row[at[0]]], axis=1)
-    known, level_mm, used = terms[at], height[at].astype(np.int64), np.ones(len(at), np.bool_)
+    places = list_places(blocks, at)
+    start = places[:, :1]
+    up, right = places - start
+    known = np.stack([np.ones_like(up), right, up], axis=1)
+    level_mm, used = height[at].astype(np.int64), np.ones(len(at), np.bool_)
     for _ in range(ROUNDS):
         some = known[used]
         sums = some.T @ some
@@ -277,7 +301,7 @@ def fit_plane(blocks: Blocks, height: Int32) -> Int32 | None:
         used = off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3)
     if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
         return None
-    return np.asarray(np.rint(terms @ plane).astype(np.int32))
+    return Plane(start, *plane.tolist())
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:
@@ -307,9 +331,9 @@ def list_storeys(stood: Int64) -> Iterator[str]:
 
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
-    kept = np.flatnonzero(table.keys != heights.EMPTY)
-    kept = kept[np.argsort(table.keys[kept])]  # column by column, and in each from the lowest piece
-    keys, counts = table.keys[kept], table.counts[kept]
+    keys, at = table.places[table.places[:, 0] != heights.EMPTY].T
+    order = np.argsort(keys)  # column by column, and in each from the lowest piece
+    keys, counts = keys[order], table.counts[at[order]]
     is_next = np.diff(keys >> heights.PIECE_BITS, prepend=-1) != 0
     places = unpack_columns(keys[is_next], path)
     many = np.zeros(len(places), np.int32)

@@ -229,7 +229,9 @@ def test_a_floor_of_one_level_goes_on_by_its_plane() -> None:
     slope: Float64 = 2 * COL - ROW - 700
     plane = ground.fit_plane(*lay_slope(slope + np.where(COL + ROW < 6, 150.0, 0.0)))
     assert plane is not None
-    np.testing.assert_allclose(plane.reshape(64, 64), slope, atol=1)
+    np.testing.assert_allclose(
+        plane.find_heights(BLOCKS, np.arange(64 * 64)).reshape(64, 64), slope, atol=1
+    )
 
 
 def test_what_is_no_plane_does_not_go_on() -> None:

@@ -53,12 +53,13 @@ class Cloud(NamedTuple):
 class Histogram(NamedTuple):
     """Counts of map heights: a hash table of pieces of columns with open addressing."""
 
-    keys: Int64
-    """(K,) `EMPTY` or a packed row, column and piece; K is a power of two"""
+    places: Int64
+    """(K, 2) `EMPTY` or a packed row, column and piece, and where it is counted; K is a power of
+    two"""
     counts: Int32
-    """(K, 16) points in each bin"""
+    """(K / 2, 16) points in each bin, piece by piece as they were met"""
     used: Int64
-    """(1,) how many keys are not empty"""
+    """(1,) how many pieces there are"""
 
 
 class Pieces(NamedTuple):
@@ -80,14 +81,19 @@ def pack(row: int, col: int, piece: int) -> int:
 
 
 @step
-def find_place(keys: Int64, key: int) -> int:
-    """Where a key is in the table, or where it belongs."""
-    mask = keys.size - 1
+def find_piece(table: Histogram, key: int) -> int:
+    """Where the piece with a key is counted, maybe from now on."""
+    places, used = table.places, table.used
+    mask = places.size // 2 - 1
     # Folded, since a product's lower bits know nothing of a factor's upper ones: of the row.
     place = (((key ^ (key >> 31)) * -7046029254386353131) >> 32) & mask
-    while keys[place] != EMPTY and keys[place] != key:
+    while places[place, 0] != EMPTY and places[place, 0] != key:
         place = (place + 1) & mask
-    return place
+    if places[place, 0] == EMPTY:
+        places[place, 0], places[place, 1] = key, used[0]
+        used[0] += 1
+    at: int = places[place, 1]
+    return at
 
 
 @step
@@ -135,20 +141,16 @@ def count_heights(cloud: Cloud, table: Histogram, start: int, place: Float64, li
     place, listed
         (3, `SOME`) and (2, `SOME`) to work with.
     """
-    keys, counts, used = table
     while 3 * start < cloud.points.size:
-        if 2 * (used[0] + SOME) > keys.size:
+        if table.used[0] + SOME > table.counts.size // BINS:
             return start
         size = place_points(cloud, start, place)
         many = list_heights(place, size, cloud.origin, listed)
         # Loops of their own, so that a processor waits for many places in memory at once.
         for i in range(many):
-            at = find_place(keys, listed[0, i])
-            used[0] += keys[at] == EMPTY
-            keys[at] = listed[0, i]
-            listed[0, i] = at
+            listed[0, i] = find_piece(table, listed[0, i])
         for i in range(many):
-            counts[listed[0, i], listed[1, i]] += 1
+            table.counts[listed[0, i], listed[1, i]] += 1
         start += size
     return start
 
@@ -180,13 +182,12 @@ def list_heights(place: Float64, size: int, origin: Float64, listed: Int64) -> i
 @kernel
 def add_histogram(other: Histogram, table: Histogram) -> None:
     """Add pieces of columns to a table that has room for all of them."""
-    for i in range(other.keys.size):
-        if other.keys[i] != EMPTY:
-            place = find_place(table.keys, other.keys[i])
-            table.used[0] += table.keys[place] == EMPTY
-            table.keys[place] = other.keys[i]
+    for i in range(other.places.size // 2):
+        key, at = other.places[i]
+        if key != EMPTY:
+            here = find_piece(table, key)
             for j in range(BINS):
-                table.counts[place, j] += other.counts[i, j]
+                table.counts[here, j] += other.counts[at, j]
 
 
 @kernel
