@@ -323,8 +323,12 @@ class CloudFolderReader:
     open = CloudFolder
 
     def recognises(self, probe: Probe) -> bool:
-        """Whether a folder holds clouds, and nothing of a bag."""
-        return probe.path.is_dir() and bool(list_clouds(probe.path))
+        """Whether a folder holds clouds, and is no bag of ROS 2 beside which somebody put some."""
+        if not probe.path.is_dir() or not list_clouds(probe.path):
+            return False
+        from occmap.readers.rosbag import METADATA, list_storage  # noqa: PLC0415  late: brings apsw
+
+        return not ((probe.path / METADATA).exists() and list_storage(probe.path))
 
 
 def list_clouds(folder: Path) -> list[Path]:
