@@ -346,8 +346,8 @@ def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFinding
     log, options = drive.log, drive.options
     scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)
-    doubts += ((topic, warn_of_misfit(mended)) for topic, mended in mounts)
+    mounts = ((it.topic, it.mount) for it in scans if it.mount and it.mount.better)
+    doubts += ((topic, warn_of_misfit(it.better, it.better_agreement)) for topic, it in mounts)
     if any(it.better and it.better.name in poses.OTHER_POSES for it in scans):
         # What would mend the poses given does not go with others.
         doubts = [(topic, Concern(concern.text)) for topic, concern in doubts]
