@@ -123,11 +123,12 @@ def describe_misuse(error: click.ClickException) -> UsageError:
     if context is None:
         return UsageError(found)
     if isinstance(error, click.NoSuchOption):
-        from occmap.options import FLAGS  # noqa: PLC0415  late: it brings NumPy
-
-        if error.option_name in FLAGS.values():  # rather than what is spelled like it
-            here = f"`{context.command_path}` has no {error.option_name}"
-            found = f"{here}, which is an option of `occmap build`"
+        for name in COMMANDS:  # rather than what is spelled like it
+            other = cli.get_command(context, name)
+            if other and any(error.option_name in param.opts for param in other.params):
+                here = f"`{context.command_path}` has no {error.option_name}"
+                found = f"{here}, which is an option of `occmap {name}`"
+                break
     help_lines = map(str.strip, (context.command.help or "").splitlines())
     examples = [line for line in help_lines if line.startswith(context.command_path)]
     if examples and isinstance(error, click.MissingParameter):

@@ -72,8 +72,8 @@ def build_command(console: Console, /, words: tuple[str, ...], **values: Any) ->
 
     The first word may say how a scan becomes observations of cells: each beam by itself (beam); a
     whole scan as one region (polygon); or each beam and, between neighbours that meet one surface,
-    what lies between them (surface). Without it: surface. A log that is called `beam` is written
-    ./beam.
+    what lies between them (surface). Without it: surface. Clouds have one update only. A log that
+    is called `beam` is written ./beam.
 
       occmap build drive.mcap -o map.pgm
       occmap build polygon intel.log.gz -o intel.pgm -o intel.png --resolution 0.1

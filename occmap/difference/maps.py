@@ -122,10 +122,11 @@ def load_grey(path: Path, _thresholds: WriteOptions) -> ClassMap:
     stating = path.with_suffix(".yaml") if is_image else path
     if not stating.is_file():
         raise MapError(f"there is no {stating.name} beside it", where=path, fix="give the YAML")
-    meta = parse_meta(stating, read_yaml(stating))
+    with refuse_unreadable(stating, MapError), stating.open("rb") as file:
+        content = file.read(YAML_BYTES)
+    meta = parse_meta(stating, parse_yaml(stating, content))
     image = path if is_image else path.parent / meta.image
-    with stating.open("rb") as file:
-        lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)$", file.read(YAML_BYTES), re.M)
+    lines = re.findall(rb"^# (evidence|align): ([-+.0-9a-f]+)$", content, re.M)
     said = {name.decode(): text.decode() for name, text in lines}
     pixels = read_image(image)
     classes, notes = classify(pixels, meta), list[str]()
@@ -192,8 +193,8 @@ class Meta:
     place: Place | None = None
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file of names and values; a value is text, a list or again names and values.
+def parse_yaml(path: Path, content: bytes) -> dict[str, Any]:
+    """Parse YAML of names and values; a value is text, a list or again names and values.
 
     No value is converted, however long it is, and an alias is not copied but refers to its value.
 
@@ -206,8 +207,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     from ruamel.yaml.error import MarkedYAMLError, YAMLError  # noqa: PLC0415  late: as above
 
     try:
-        with refuse_unreadable(path, MapError), path.open("rb") as file:
-            text = file.read(YAML_BYTES).decode("utf-8", "surrogateescape")
+        text = content.decode("utf-8", "surrogateescape")
         values = YAML(typ="base", pure=True).load(text.translate(BYTES))
     except (YAMLError, ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]

@@ -40,7 +40,6 @@ SHARE_OF_NOTE = 0.05
 BYTES_PER_CELL = 4 + 1 + 8
 """In memory: log-odds, observed, and two counts of four bytes as evidence."""
 WRONG_TO_CLEAR = "beams without return lead through walls: `no_return=clear` is wrong here"
-ASK_TUNE = "try `occmap tune`"
 
 
 def judge_logs(logs: Sequence[LogFindings], options: BuildOptions) -> Inspection:
@@ -155,11 +154,12 @@ def advise(log: LogFindings) -> tuple[str, dict[str, str]] | None:
     """
     found = list(dict.fromkeys(list_advised(log)))
     advised = dict(found)
-    is_lost = any(text for text, remedy in log.concerns if remedy is None and ASK_TUNE not in text)
+    is_lost = any(concern.remedy is None for concern in log.concerns)
     is_lost |= any(DEGREES in note for note in log.notes)
     if is_lost or len(advised) < len(found):
         return None
-    return ("tune" if any(ASK_TUNE in text for text, _ in log.concerns) else "build"), advised
+    is_tuned = any(concern.command == "tune" for concern in log.concerns)
+    return ("tune" if is_tuned else "build"), advised
 
 
 def list_advised(log: LogFindings) -> Iterator[tuple[str, str]]:
@@ -212,10 +212,10 @@ def list_concerns(
             only = {"topics": others[0].topic}
             left = f"; `topics={others[0].topic}` leaves it out"
             mine = [it if it.remedy is not None else Concern(it.text + left, only) for it in mine]
-        found += [Concern(f"{topic.topic}: {text}", remedy) for text, remedy in mine]
+        found += [it._replace(text=f"{topic.topic}: {it.text}") for it in mine]
     if not any(topic.better for topic in log.scans) and not any(each.remedy for each in found):
         found += list_apart(log.scans, parts, options)
-    return [Concern(f"{log.path}: {text}", remedy) for text, remedy in found]
+    return [it._replace(text=f"{log.path}: {it.text}") for it in found]
 
 
 def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator[Concern]:
@@ -223,12 +223,13 @@ def doubt_poses(topic: ScanFindings, others: Sequence[ScanFindings]) -> Iterator
     doubt = doubt_agreement(topic.agreement, "the hits of a sample of scans")
     if not doubt:
         return
-    mend, remedy = f"{ASK_TUNE}, or another trajectory", None
+    found = f"{doubt}: the poses do not fit the scans"
     if topic.poses.stated:  # at their own times
-        mend = "try another trajectory by `poses=FILE`"
-    elif others and all((other.agreement or 0.0) >= LEAST_AGREEMENT for other in others):
-        remedy = {"topics": topic.topic}
-    yield Concern(f"{doubt}: the poses do not fit the scans; {mend}", remedy)
+        yield Concern(f"{found}; try another trajectory by `poses=FILE`", None)
+        return
+    fit = others and all((other.agreement or 0.0) >= LEAST_AGREEMENT for other in others)
+    remedy = {"topics": topic.topic} if fit else {}
+    yield Concern(f"{found}; try `occmap tune`, or another trajectory", remedy, "tune")
 
 
 def list_apart(
@@ -247,8 +248,8 @@ def list_apart(
     found = f"{together:.0%} of the hits of a sample of all topics lie in occupied cells"
     if share < least - poses.BETTER:
         found += f", {share:.0%} of those of {worst}, and {least:.0%} or more of each other topic"
-        mend = f"are its mount and its clock right? {ASK_TUNE} with `topics={worst}`"
-        yield Concern(f"{found}: {mend}", {"topics": worst})
+        mend = f"are its mount and its clock right? try `occmap tune` with `topics={worst}`"
+        yield Concern(f"{found}: {mend}", {"topics": worst}, "tune")
         return
     found += f", and {share:.0%} or more of those of each alone: do their frames fit each other?"
     mend = "build each alone by `topics`, and `occmap merge` with `fit` finds how they lie"
@@ -345,8 +346,8 @@ def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFinding
     log, options = drive.log, drive.options
     scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    mounts = ((it.topic, it.mount.better) for it in scans if it.mount and it.mount.better)
-    doubts += ((topic, warn_of_misfit(mended)) for topic, mended in mounts)
+    mounts = ((it.topic, it.mount) for it in scans if it.mount and it.mount.better)
+    doubts += ((topic, warn_of_misfit(it.better, it.better_agreement)) for topic, it in mounts)
     if any(it.better and it.better.name in poses.OTHER_POSES for it in scans):
         # What would mend the poses given does not go with others.
         doubts = [(topic, Concern(concern.text)) for topic, concern in doubts]

@@ -262,8 +262,8 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
 def sum_up_mount(drive: Drive, topic: TopicSurvey) -> MountFindings | None:
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     stance = drive.poser.find_stance(topic.stream.topic)
-    better = mounts.find_better_mount(drive.poser, topic.sample.parts, drive.options.returns)
-    return stance and MountFindings(stance.upside_down, stance.tilt, stance.height, better)
+    better = mounts.find_better_mount(drive.poser, topic.sample.parts, drive.options)
+    return stance and MountFindings(stance.upside_down, stance.tilt, stance.height, *better)
 
 
 LEAST_TILT_DEG = 0.5

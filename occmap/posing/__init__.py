@@ -72,6 +72,8 @@ class Concern(NamedTuple):
     remedy: Mapping[str, str] | None = {}
     """Options that mend it, with their values. Empty: the map is of use all the same. None: it is
     not, and no known option makes it so"""
+    command: str = "build"
+    """What to type with these: `tune`, where it may find the reason"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,6 +101,8 @@ TUM = Table(("stamp", "x", "y", "z", *QUATERNION), None)
 EUROC = Table(("stamp", "x", "y", "z", "qw", "qx", "qy", "qz"), ",", values.NANOSECONDS, True)
 COUNTERS = re.compile(r"\d+\s+\d+\s+\d+")
 """What stands above a matrix, which is four lines, in a .log of Open3D"""
+AGAIN = re.compile(rf",(?=\d+,\d{{1,9}},{values.FRAME_NAME},)")
+"""Stands between the transforms of a message, which `ros2 topic echo` writes as one line of CSV"""
 NUMBER = re.compile(r"[-+.\d]|nan|inf")
 """How a line begins that is no header"""
 PLACE = re.compile(r"^(?:.*\b(?:position|translation)[./]|p_(?:\w+_)?|t)([xyz])(?:_m)?$")
@@ -171,13 +173,14 @@ def _read_table(
     path: Path, lines: Sequence[NumberedLine], form: Table, notes: list[str]
 ) -> tuple[list[int] | None, Float64]:
     """Read the times (ns) where there are any, and poses (N, 7) or matrices (N, 12)."""
+    if form.goes_on and "frame" in form.columns:
+        lines = [(number, each) for number, text in lines for each in AGAIN.split(text)]
+        if len({tuple(re.findall(f",({values.FRAME_NAME})", text)) for _, text in lines}) > 1:
+            fix = "keep those of one body, or record a bag"
+            raise LogError("transforms between several frames", where=path, fix=fix)
     sample = (form.split(text) for _, text in lines[: values.SAMPLED_ROWS])
     columns, unit, note = values.settle_times(form.columns, form.unit, sample)
     form = form._replace(columns=columns, unit=unit)
-    echoed = lines if form.goes_on and "frame" in columns else ()
-    if len({tuple(re.findall(f",({values.FRAME_NAME})", text)) for _, text in echoed}) > 1:
-        fix = "keep the lines of one transform, or record a bag"
-        raise LogError("transforms between several frames", where=path, fix=fix)
     rows = list(_parse_lines(path, lines, form.parse))
     if not rows:
         raise LogError("the trajectory holds no poses", where=path, fix=SHAPES)

@@ -31,10 +31,9 @@ FINITE_NAMES = ("angle_min", "angle_increment", "time_increment")
 LIMITS = ("range_min", "range_max")
 MEASURED = {
     **dict.fromkeys((*POSE_NAMES, "time_increment"), decimals.NUMBER),
-    "stamp": decimals.TIME + values.SECONDS,
     "stamp_nsec": decimals.TIME + values.NANOSECONDS,
 }
-"""What differs between the scans of one laser, as ranges do"""
+"""What differs between the scans of one laser, as ranges do, beside the stamp, whose unit varies"""
 NAMES = frozenset((*REQUIRED, *DEFAULTS, *MEASURED))
 """What may stand as a column or in a comment; beams are columns only."""
 _BEAM = re.compile(r"^r(?:anges?)?_?\[?0*(\d+)\]?$")
@@ -153,9 +152,8 @@ class CsvLog(TextLog):
         """The value of each of `NAMES` that has one for all rows"""
         self._columns = {name: at for at, name in enumerate(self._names) if name in NAMES}
         """The cell of each of `NAMES` that is a column"""
-        self._kinds = np.array([_find_kind(name) for name in self._names])
-        if "stamp" in self._columns:
-            self._kinds[self._columns["stamp"]] = decimals.TIME + unit
+        kinds = MEASURED | {"stamp": decimals.TIME + unit}
+        self._kinds = np.array([_find_kind(name, kinds) for name in self._names])
         self._places = [f"{name}: " for name in self._names]
         if unused := [name for name in self._names if name and not is_known(name)]:
             self.notes.add(f"columns that are not used: {', '.join(unused[:MAX_NAMES])}")
@@ -253,11 +251,11 @@ def _sort_lines(block: Block) -> tuple[list[int], list[Line]]:
     return np.flatnonzero(is_row).tolist(), comments
 
 
-def _find_kind(name: str) -> int:
-    """Find what the words of a column are."""
+def _find_kind(name: str, kinds: Mapping[str, int]) -> int:
+    """Find what the words of a column are; `kinds` has those that differ between scans."""
     if _is_beam(name):
         return decimals.RANGE + int(name[1:])
-    return MEASURED.get(name, decimals.SAME if name in NAMES else decimals.OTHER)
+    return kinds.get(name, decimals.SAME if name in NAMES else decimals.OTHER)
 
 
 def _read_constant(path: Path, name: str, line: Line) -> Any:

@@ -82,13 +82,13 @@ def suit_kinds(kinds: Mapping[Role, str], options: BuildOptions) -> BuildOptions
     """
     if Role.CLOUD not in kinds:
         found = "the logs hold no clouds of points"
-        require(options.update is not Update.CLOUD, found, "leave out `update=cloud`")
+        require(options.update is not Update.CLOUD, found, "name no update")
         return options
     found = f"{kinds.get(Role.SCAN)} holds laser scans, {kinds[Role.CLOUD]} clouds of points"
     require(Role.SCAN not in kinds, found, "map one kind at a time: choose with `topics`")
     found = f"{kinds[Role.CLOUD]} holds clouds of points, which"
     is_open = options.update in {DEFAULT_UPDATE, Update.CLOUD}
-    require(is_open, f"{found} the {options.update} update does not take", "name no update")
+    require(is_open, f"{found} the {options.update} update does not take", "they have one only")
     is_radial = isinstance(options.model, RadialModel)
     require(not is_radial, f"{found} a model of beams does not take", "try `model=counting`")
     model = options.model

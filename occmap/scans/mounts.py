@@ -188,31 +188,38 @@ def list_misfits(
         parts = drive.sample()
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
-            if better := find_better_mount(drive.poser, mine, options.returns):
-                yield f"{path}: {topic}: {warn_of_misfit(better).text}"
+            if (better := find_better_mount(drive.poser, mine, options))[0]:
+                yield f"{path}: {topic}: {warn_of_misfit(*better).text}"
 
 
-def find_better_mount(poser: Poser, parts: Sequence[PosedScans], options: ReturnOptions) -> str:
+Better: TypeAlias = tuple[str, float | None]
+"""An option with its value, and the share of hits that agree with it"""
+
+
+def find_better_mount(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Better:
     """Find the option, with its value, by which the scans of a sensor fit clearly better.
 
     Returns
     -------
-    str
+    Better
         Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
     """
-    turn = choose_turn([count_marked(parts, turn, options) for turn in TURNS])
+    turn = choose_turn([count_marked(parts, turn, options.returns) for turn in TURNS])
     if turn is None or turn == IDENTITY:
-        return ""
-    mount = find_mount(poser, parts[0].batch.frame)
-    mended = {} if mount is None else mount.write(turn_mount(mount.pose, turn))
-    return "".join(f"{option}={value}" for option, value in mended.items())
+        return "", None
+    if (mount := find_mount(poser, parts[0].batch.frame)) is None:
+        return "", None
+    ((option, value),) = mount.write(turn_mount(mount.pose, turn)).items()
+    return f"{option}={value}", estimate_agreement([mount_scans(it, turn) for it in parts], options)
 
 
-def warn_of_misfit(better: str) -> Concern:
-    """Say that an option, given with its value, suits the scans better."""
+def warn_of_misfit(better: str, agreement: float | None) -> Concern:
+    """Say that an option, given with its value, suits the scans better, and how well."""
     option, _, value = better.partition("=")
     given = f"({value})" if option == "sensor_pose" else value  # in Python that one is a tuple
     text = f"the scans would fit each other better with `{option}={given}`"
+    if agreement is not None and agreement < SUSPECT:
+        text = f"{text}, by which {agreement:.0%} of the hits agree: the poses may be wrong, too"
     return Concern(text, {option: value})
 
 

@@ -108,7 +108,7 @@ REFUSED = [
     ("compare log.csv -o m.png", 1, "give more scans: every fifth"),
     ("compare drive.csv --max-cells 3 -o m.png", 1, "more than --max-cells 3"),
     ("tune drive.csv --fail-if agreement>2%", 2, "no measure is called 'agreement'"),
-    ("tune drive.csv --model simple", 2, "`occmap tune` has no --model, which is an option of `o"),
+    ("build drive.csv --update beam", 2, "has no --update, which is an option of `occmap compare`"),
     ("tune drive.csv --modell simple", 2, "No such option"),
     ("diff none.pgm a.pgm", 1, "none.pgm: no such file; check the path"),
     ("diff a.pgm a.log", 2, "a.log: the suffix '.log' is not that of a map"),

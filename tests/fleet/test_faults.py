@@ -365,19 +365,15 @@ def test_dask_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         build_by("local", tmp_path)
 
 
-def list_masked() -> set[int]:
-    return set(signal.pthread_sigmask(signal.SIG_BLOCK, []))
-
-
 def test_ctrl_c_waits_for_workers_to_start_and_never_reaches_them() -> None:
     masked = set[int]()
     with pytest.raises(KeyboardInterrupt), hold_signals() as let_go:  # noqa: PT012  one by one
         signal.raise_signal(signal.SIGINT)
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as started:
-            masked = started.submit(list_masked).result()
+            masked = started.submit(signal.pthread_sigmask, signal.SIG_BLOCK, []).result()
         let_go()
     assert {signal.SIGINT, signal.SIGHUP} <= masked
-    assert not {signal.SIGINT, signal.SIGHUP} & list_masked()
+    assert not {signal.SIGINT, signal.SIGHUP} & signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
 def interrupt(fleet: Fleet, options: BuildOptions) -> Path:

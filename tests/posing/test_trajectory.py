@@ -211,9 +211,12 @@ def test_columns_that_hold_no_quaternion_are_refused(tmp_path: Path, line: str) 
         read(tmp_path, line.format(1) + line.format(3))
 
 
-def test_transforms_between_several_frames_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [",", "\n"])
+def test_transforms_are_those_of_one_body(tmp_path: Path, end: str) -> None:
+    first, row = "3,0,a,b,1,2,0,0,0,0,1", "4,0,a,{},1,2,0,0,0,0,1\n"
+    assert len(read(tmp_path, f"{first}{end}{row.format('b')}")) == 2
     with pytest.raises(LogError, match="between several frames"):
-        read(tmp_path, "3,0,a,b,1,2,0,0,0,0,1\n3,0,b,c,1,2,0,0,0,0,1\n")
+        read(tmp_path, f"{first}{end}{row.format('c')}")
 
 
 def test_quaternions_of_another_length_are_rotations(tmp_path: Path) -> None:

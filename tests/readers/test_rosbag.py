@@ -120,6 +120,7 @@ def test_missing_files_that_the_metadata_names_are_named(folder: Path, tmp_path:
 def test_a_file_that_the_metadata_does_not_name_is_told_of(folder: Path) -> None:
     shutil.copy(folder / "drive.db3", folder / "drive_1.db3")
     (folder / "drive.db3.zstd").write_bytes(b"what a player unpacked")
+    (folder / "map.bin").touch()  # does not make it a folder of clouds
 
     (note,) = open_log(folder).notes
 
