@@ -20,10 +20,14 @@ from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Int32, Int64
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
 in the map already: often where the robot stands."""
-BESIDE, BY, UNDER = (7, 20, 40), 27, 2
+BESIDE, BY, UNDER = 7, 27, 2
 """Columns beside the path that the ground grows from, that the robot passes by, and that it stands
-on; ground is looked for farther away only where too few of the nearer columns have any"""
-FEWEST_SEEDS = 100
+on"""
+FEWEST_SEEDS, AROUND = 100, 80
+"""Where fewer columns under the path show anything, the robot hardly moved, or never sees its way.
+What lies near it may be tables: the ground is what lies low in so many columns around."""
+LOWEST_SHARE, APART_MM = 0.25, 300
+"""Such a share of these shows the ground, or another level, so far above or below"""
 AS_HIGH_MM = 50
 """Sensors whose heights above the ground differ by no more count as one."""
 KNOWN_POINTS = 1000
@@ -105,7 +109,8 @@ def derive_ground(
         f"{columns.filled:,} columns of 0.15 m"
     )
     notes = [note] if shown >= LITTLE * columns.filled else [note, LITTLE_FLOOR]
-    return pack_ground(blocks, height, measured), [*notes, *list_storeys(stood)]
+    notes += [*list_storeys(stood), *list_upper(seats)]
+    return pack_ground(blocks, height, measured), notes
 
 
 def list_levels(ground: Ground) -> Int32:
@@ -135,7 +140,9 @@ class Seat(NamedTuple):
     spread: int
     """By how much that differs"""
     beside: int
-    """So far beside the path this was seen (columns)"""
+    """So far beside the path the ground is looked for (columns)"""
+    upper: int = 0
+    """How high they are above another level, which may be the ground (mm); 0: there is none"""
 
 
 def grow(
@@ -154,8 +161,9 @@ def grow(
     blocks, height, grown = columns.blocks, np.empty_like(columns.peaks.first), []
     for _ in range(PASSES):
         found = find_nothing(columns)
-        for _, path, above, spread, beside in seats:
-            look_beside(columns, path, (beside, BY, UNDER), (above - spread, above + spread), found)
+        for _, path, above, spread, beside, _ in seats:
+            band = above - spread, above + spread, growth.STRAY
+            look_beside(columns, path, (beside, BY, UNDER), band, found)
         keep_known(known, found)
         go_on(columns, found)
         if before is not None:
@@ -232,7 +240,11 @@ def find_nothing(columns: Shown) -> Found:
 
 
 def look_beside(
-    columns: Shown, path: Int64, reach: tuple[int, int, int], band: tuple[int, int], found: Found
+    columns: Shown,
+    path: Int64,
+    reach: tuple[int, int, int],
+    band: tuple[int, int, int],
+    found: Found,
 ) -> Int64:
     """Add to the ground what lies so deep below a sensor, beside its path.
 
@@ -329,6 +341,18 @@ def list_storeys(stood: Int64) -> Iterator[str]:
         )
 
 
+def list_upper(seats: Sequence[Seat]) -> Iterator[str]:
+    """Say if the ground may be another level than the one that was taken."""
+    for each in seats:
+        if each.upper:
+            yield (
+                f"the ground is taken to lie {each.height / 1000:.2f} m below the sensor, and what "
+                f"is seen {each.upper / 1000:.2f} m below it to stand there, as tables do: if the "
+                "robot drives on that, or the floor mirrors, give "
+                f"`sensor_height={each.upper / 1000:.2f}`"
+            )
+
+
 def read_columns(table: Histogram, path: Int64, known: Ground | None) -> Shown:
     """Read what was counted of columns around a path (P, 3; mm), and lay them out in blocks."""
     keys, at = table.places[table.places[:, 0] != heights.EMPTY].T
@@ -403,7 +427,9 @@ def list_seats(columns: Shown, paths: Mapping[Sensor, Int64], given_m: float | N
 def measure_seat(
     columns: Shown, paths: Mapping[Sensor, Int64], given_m: float | None
 ) -> Seat | None:
-    """Measure how high sensors are: the median depth of peaks beside their path.
+    """Measure how high sensors are: the median depth of peaks under their path.
+
+    Where there are few, it is the median of the lowest level around.
 
     Returns
     -------
@@ -412,19 +438,26 @@ def measure_seat(
     """
     sensors, path, scratch = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
-    for beside in BESIDE:
-        depths = look_beside(columns, path, (beside, 0, 0), band, scratch)
-        if np.count_nonzero(scratch.height != NO_GROUND) >= FEWEST_SEEDS:
-            break
+    beside, share = BESIDE, 0.5
+    depths = look_beside(columns, path, (UNDER, 0, 0), (*band, growth.STRAY), scratch)
+    if np.count_nonzero(scratch.height != NO_GROUND) < FEWEST_SEEDS:
+        beside, share = AROUND, 1 - LOWEST_SHARE
+        depths = look_beside(columns, path, (AROUND, 0, 0), (*band, 1), scratch)
     if given_m is not None:
         return Seat(sensors, path, round(given_m * 1000), 150, beside)
     if not depths.any():
         return None
-    middle = band[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2
-    seen = np.repeat(middle, depths)
-    depth = int(np.quantile(seen, 0.5, method="inverted_cdf"))  # one that was seen
-    deviation = int(np.quantile(np.abs(seen - depth), 0.5, method="inverted_cdf"))
-    return Seat(sensors, path, depth, int(np.clip(4 * deviation + 60, 100, 450)), beside)
+    seen = np.repeat(band[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2, depths)
+    here = seen[np.abs(seen - find_quantile(seen, share)) <= APART_MM]
+    depth, above = find_quantile(here, 0.5), seen[seen < here.min()]
+    spread = int(np.clip(4 * find_quantile(np.abs(here - depth), 0.5) + 60, 100, 450))
+    upper = find_quantile(above, 0.5) if len(above) >= LOWEST_SHARE * len(seen) else 0
+    return Seat(sensors, path, depth, spread, beside, upper)
+
+
+def find_quantile(seen: Int64, share: float) -> int:
+    """Find the one of some numbers than which such a share is no larger."""
+    return int(np.quantile(seen, share, method="inverted_cdf"))
 
 
 def keep_known(known: Ground | None, found: Found) -> None:

@@ -60,25 +60,31 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     peaks = growth.Peaks(first, many, heights, np.array(weights, np.int32))
     columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
     found = ground.find_nothing(columns)
-    ground.look_beside(columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300), found)
+    ground.look_beside(
+        columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300, growth.STRAY), found
+    )
     assert found.height[0] == height
 
 
-@pytest.mark.parametrize(("width", "height_mm"), [(7, 1000), (25, 600)])
-def test_a_sensor_that_stands_still_is_not_as_high_as_over_a_table(
-    width: int, height_mm: int
+@pytest.mark.parametrize(
+    ("rows", "reach_mm", "height_mm", "upper_mm"),
+    [(3, 10, 1000, 0), (20, 10, 1000, 600), (20, 2500, 600, 0)],
+    ids=["table", "tables", "platform"],
+)
+def test_ground_is_where_the_robot_went_or_what_lies_low_around(
+    rows: int, reach_mm: int, height_mm: int, upper_mm: int
 ) -> None:
-    """Its places are in 4 cubes; 100 columns of a table would be a floor."""
     many, level = np.zeros((2, 64, 64), np.int32)
     many[:10, 20:45] = 1  # the floor, from 3.3 m on
-    many[40:44, 20 : 20 + width], level[40:44] = 1, 400
+    many[31 : 31 + rows, 20:45], level[31:] = 1, 400
     first = np.arange(64 * 64, dtype=np.int32)
     peaks = growth.Peaks(first, many.ravel(), level.ravel(), np.ones_like(first))
     columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
-    place = np.array([[4800 + x, 4800 + y, 1000] for x in (-10, 10) for y in (-10, 10)])
+    place = np.array([[4800 + x, 5200, 1000] for x in range(-reach_mm, reach_mm + 1, 10)])
     seat = ground.measure_seat(columns, {("log", "topic", "lidar"): place}, None)
     assert seat is not None
     assert abs(seat.height - height_mm) < BIN_MM
+    assert abs(seat.upper - upper_mm) < BIN_MM
 
 
 @pytest.mark.parametrize(

@@ -297,7 +297,8 @@ def test_points_in_millimetres_are_refused_and_clouds_of_zeros_not_as_such() -> 
 def test_clouds_in_the_map_may_be_seen_from_where_the_robot_stands() -> None:
     clouds = drive(Room(), clouds=4)
     standing = [replace(it, origin=it.position - [0, 0, 0.61]) for it in clouds]
-    assert find_ground(standing).measured.sum() == find_ground(clouds).measured.sum()
+    seen, expected = (find_ground(some).measured.sum() for some in (standing, clouds))
+    assert seen == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.parametrize(("height_m", "notes"), [(None, 1), (0.6, 1), (0.3, 2)])

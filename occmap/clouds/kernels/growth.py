@@ -110,7 +110,7 @@ def look_beside(
     peaks: Peaks,
     path: Int64,
     reach: tuple[int, int, int],
-    band: tuple[int, int],
+    band: tuple[int, int, int],
     found: Found,
     depths: Int64,
 ) -> None:
@@ -123,13 +123,14 @@ def look_beside(
     reach
         How far beside it columns count, how far the robot passes by, and how far it stands.
     band
-        Least and greatest depth (mm).
+        Least and greatest depth (mm), and how many times the points of a lower peak another one may
+        hold.
     found
         Changed in place.
     depths
         (D,) counts of depths by `BIN_MM`, from the least one on; they are added.
     """
-    (beside, by, under), (least, most) = reach, band
+    (beside, by, under), (least, most, stray) = reach, band
     height, weight, passed = found
     widest = max(beside, by)
     for i in range(len(path)):
@@ -151,7 +152,7 @@ def look_beside(
                 lowest, heaviest, first = -1, 0, peaks.first[at]
                 for k in range(first + peaks.many[at] - 1, first - 1, -1):
                     if least <= path[i, 2] - peaks.height[k] <= most:
-                        if STRAY * peaks.weight[k] >= heaviest:
+                        if stray * peaks.weight[k] >= heaviest:
                             lowest = k
                         heaviest = max(heaviest, peaks.weight[k])
                 if lowest < 0:
