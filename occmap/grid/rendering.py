@@ -35,9 +35,9 @@ class SpreadHits(TileGrid):
         spread = beside[:, 1:-1] + self.share * (beside[:, :-2] + beside[:, 2:])
         return spread, misses[1:-1, 1:-1]
 
-    def bound(self, key: Key) -> CellBox | None:
+    def find_box(self, key: Key) -> CellBox | None:
         """The smallest box around the cells that a tile speaks for."""
-        seen, (row, col) = super().bound(key), key
+        seen, (row, col) = super().find_box(key), key
         hit = CellBox.around(self.tiles[key][0] != 0, row * TILE, col * TILE)
         return seen.join(hit.grow(1)) if seen and hit else seen
 
@@ -68,7 +68,7 @@ def measure_bounds(tiles: TileGrid) -> CellBox | None:
     rows, cols = ({min(places), max(places)} for places in zip(*tiles.tiles, strict=True))
     # Only these can lie on the edge of the map.
     edge = [key for key in tiles.tiles if key[0] in rows or key[1] in cols]
-    found = list(filter(None, map(tiles.bound, edge)))
+    found = list(filter(None, map(tiles.find_box, edge)))
     return reduce(CellBox.join, found) if found else None
 
 

@@ -113,7 +113,7 @@ class TileGrid:
             return np.asarray((first != 0) | (second != 0))
         return np.asarray(second != 0)
 
-    def bound(self, key: Key) -> CellBox | None:
+    def find_box(self, key: Key) -> CellBox | None:
         """The smallest box around the observed cells of a tile; None: it has none."""
         row, col = key
         return CellBox.around(self.observed(*self.tiles[key]), row * TILE, col * TILE)
