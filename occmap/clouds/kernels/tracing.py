@@ -34,7 +34,7 @@ SECTORS = 4 * SECTORS_OF_QUARTER
 """Bearings of the map: equal widths in x / (|x| + |y|), half a degree on average."""
 GROUND, OBSTACLE, ABOVE, BELOW, TOO_FAR, NO_RETURN = range(6)
 """Places in the counts of points."""
-COUNTS = 6
+COUNTS = DOUBTFUL = 6
 DEEP = 1.5
 """What lies so many times the clearance below the floor shows a drop"""
 NEAR_M = 8.0
@@ -51,6 +51,8 @@ PACE, WALL, AHEAD, BACK = 0.5, 3, 12, 20
 have met the wall on the other side, but at most 12 beyond the floor, to 20 before that"""
 RIM = 4 / 3
 """So many steps before the end of the floor is its rim: poses that are off blur it"""
+TOUCHED, FLOORS, HIGHS = range(3)
+"""Places in the numbers of what a cloud left in its room"""
 RING_M, RINGS = 1.0, 64
 """How wide the rings around the sensor are, by which beams are told that end nearer than a cell;
 the last one is all that is farther away"""
@@ -204,6 +206,9 @@ class Room(NamedTuple):
     """(N,) each: how far it is, and how and where it is seen"""
     touched: Int32
     """(M,) room for the places of cells, and one more"""
+    used: Int64
+    """(3,) how many are `TOUCHED`, and how many points are `FLOORS` and `HIGHS`: hits by high
+    beams"""
 
 
 def make_room(points: int, cells: int) -> Room:
@@ -215,15 +220,58 @@ def make_room(points: int, cells: int) -> Room:
     seen = np.empty(points, np.int32), np.empty(points, np.int64), np.empty(points)
     bearing, touched = np.empty(points, np.int16), np.empty(cells + 1, np.int32)
     steep, lowest = np.empty(SECTORS), np.empty((RINGS, SECTORS), np.float32)
-    return Room(some, apart, ends, steep, lowest, *seen, bearing, touched)
+    used = np.empty(3, np.int64)
+    return Room(some, apart, ends, steep, lowest, *seen, bearing, touched, used)
+
+
+class View(NamedTuple):
+    """Where a cloud is seen from, and what counts."""
+
+    band: Band
+    x: int
+    y: int
+    """Lattice units of the sensor in the map"""
+    row: int
+    col: int
+    level: float
+    """Its height in the map (mm)"""
+    scale: float
+    """Lattice units in a metre"""
+    rings: float
+    """Rings around it in a lattice unit"""
 
 
 @kernel
-def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: float) -> None:
+def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
+    """Observe the cells of one cloud, each once: a hit before a miss."""
+    scale, (x, y, z) = UNITS_PER_CELL / canvas.resolution, cloud.origin
+    at_x, at_y = int(np.rint(x * scale)), int(np.rint(y * scale))
+    row, col = at_y >> CELL_SHIFT, at_x >> CELL_SHIFT
+    view = View(band, at_x, at_y, row, col, z * 1000, scale, 1 / (RING_M * scale))
+    under = find_floor(canvas, row, col, -HIGHEST)
+    room.apart[:], room.lowest[:], room.used[:] = NOTHING, np.inf, 0
+    for start in range(0, cloud.points.size // 3, SOME):
+        size = place_points(cloud, start, room.some.place)
+        measure_points(room.some, size, cloud.origin, view)
+        is_deep = False
+        for i in range(size):
+            at, kind, is_below = sort_point(i, view, canvas, room.some)
+            is_deep |= is_below
+            if kind <= OBSTACLE:
+                note_point(i, at, kind, view, canvas, room)
+        if is_deep:
+            mark_drops(size, under, view, canvas, room)
+    free_floor(canvas, room)
+    look_under(view, canvas, room)
+    clear_bearings(view, canvas, room)
+    count_looks(view, canvas, room)
+
+
+@kernel
+def measure_points(some: Aside, size: int, origin: Float64, view: View) -> None:
     """Find out what points are seen from their sensor; one loop that processors run in lanes."""
+    band, scale, at_x, at_y = view.band, view.scale, float(view.x), float(view.y)
     least, most = band.nearest * band.nearest, band.farthest * band.farthest
-    at_x, at_y = np.rint(origin[0] * scale), np.rint(origin[1] * scale)
-    rings = 1 / (RING_M * scale)
     for i in range(size):
         x, y, z = some.place[0, i], some.place[1, i], some.place[2, i]
         away_x, away_y = x - origin[0], y - origin[1]
@@ -236,89 +284,52 @@ def measure_points(some: Aside, size: int, origin: Float64, band: Band, scale: f
         sector = SECTORS_OF_QUARTER - part if up >= 0 else 3 * SECTORS_OF_QUARTER + part
         apart = np.sqrt(right * right + up * up)
         some.right[i], some.up[i], some.apart[i] = np.int32(right), np.int32(up), apart
-        some.ring[i] = np.int32(min(apart * rings, RINGS - 1.0))
+        some.ring[i] = np.int32(min(apart * view.rings, RINGS - 1.0))
         some.sector[i] = np.int32(sector if sector < SECTORS else 0.0)
         some.level[i] = np.int32(np.rint(z * 1000) if is_used else FAR)
         some.clear[i] = band.low + band.margin * max(np.sqrt(square) - band.level, 0.0)
 
 
-@kernel
-def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
-    """Observe the cells of one cloud, each once: a hit before a miss."""
-    scale = UNITS_PER_CELL / canvas.resolution
-    row = int(np.rint(cloud.origin[1] * scale)) >> CELL_SHIFT
-    col = int(np.rint(cloud.origin[0] * scale)) >> CELL_SHIFT
-    under = find_floor(canvas, row, col, -HIGHEST)
-    many, floors, highs = find_ends(cloud, band, canvas, room, under)
-    many = free_floor(canvas, room, floors, many)
-    look_under(cloud.origin[2] * 1000, band.high, canvas, room, highs)
-    many = clear_bearings((row, col), cloud.origin[2] * 1000, band.high, canvas, room, many)
-    count_looks((row, col), canvas, room.touched, many)
+@step
+def sort_point(i: int, view: View, canvas: Canvas, some: Aside) -> tuple[int, int, bool]:
+    """Say in which cell a point lies, of what kind it is, and whether it may show a drop."""
+    band, level, counts = view.band, some.level[i], canvas.points
+    row, col = (view.y + some.up[i]) >> CELL_SHIFT, (view.x + some.right[i]) >> CELL_SHIFT
+    at = find_column(canvas.tiles, row, col)
+    if level == FAR or at < 0 or canvas.state[at] & UNKNOWN:
+        kind = NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR
+        counts[kind] += 1
+        return at, kind, level != FAR
+    above = level - canvas.base[at >> 2 * BLOCK_BITS] - canvas.ground[at]
+    kind = GROUND if above < band.low else OBSTACLE
+    kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
+    is_below = kind == BELOW
+    if is_below and is_face(canvas.columns, some, i, band.high):
+        kind = OBSTACLE
+    is_doubtful = kind == OBSTACLE and abs(above) < some.clear[i]
+    counts[GROUND if is_doubtful else kind] += 1
+    return at, DOUBTFUL if is_doubtful else kind, is_below
 
 
 @step
-def free_floor(canvas: Canvas, room: Room, floors: int, many: int) -> int:
-    """Mark the cells of floor points that are free; return how many cells are touched."""
-    state, apart = canvas.state, room.apart
-    for i in range(floors):
-        at, bearing, far = room.floor[i], room.floor_bearing[i], room.floor_apart[i]
-        # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
-        is_behind = far > apart[OBSTACLE, bearing]
-        is_beneath = is_behind and room.floor_steep[i] < room.steep[bearing]
-        if state[at] == 0 and not is_beneath:
-            room.touched[many] = at
-            many += 1
-            state[at] = LOW
-    return many
-
-
-@step
-def look_under(level: float, high: int, canvas: Canvas, room: Room, highs: int) -> None:
-    """Find the lowest beam that reaches each ring, and whether low ones pass under high hits."""
-    lowest, rings = room.lowest, canvas.resolution / (UNITS_PER_CELL * RING_M)
-    for ring in range(RINGS - 2, -1, -1):
-        for bearing in range(SECTORS):
-            lowest[ring, bearing] = min(lowest[ring, bearing], lowest[ring + 1, bearing])
-    for i in range(1, highs + 1):
-        at, apart = room.floor[-i], np.sqrt(float(room.floor_apart[-i]))
-        slope = lowest[min(int(apart * rings), RINGS - 1), room.floor_bearing[-i]]
-        above = level + slope * apart - canvas.base[at >> 2 * BLOCK_BITS] - canvas.ground[at]
-        canvas.state[at] |= LOW if above < LOW_SHARE * high else 0
-
-
-@step
-def clear_bearings(
-    start: tuple[int, int], level: float, high: int, canvas: Canvas, room: Room, many: int
-) -> int:
-    """Mark the cells up to the end of each bearing, seen from a height (mm).
-
-    Returns how many are touched.
-    """
-    for bearing in range(SECTORS):
-        kind = OBSTACLE if room.apart[OBSTACLE, bearing] < NOTHING else GROUND
-        far, end = room.apart[kind, bearing], room.ends[kind, bearing]
-        if far < NOTHING:
-            up = (end + HALF_END) >> END_BITS
-            right = end - (up << END_BITS)
-            beams = level, high, room.lowest[:, bearing]
-            many = clear_line(start, (up, right), beams, canvas, room.touched, many)
-    return many
-
-
-@step
-def count_looks(start: tuple[int, int], canvas: Canvas, touched: Int32, many: int) -> None:
-    """Count what the cloud says of the cells that it touched, and forget it."""
-    state, near = canvas.state, NEAR_M / canvas.resolution
-    for i in range(many):
-        at = touched[i]
-        tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
-        row, col = locate(canvas.tiles, at)
-        up, right = row - start[0], col - start[1]
-        is_near = up * up + right * right < near * near
-        weight = NEAR_WEIGHT if is_near and state[at] & LOW else FAR_WEIGHT
-        layer = 2 * tile + (0 if state[at] & HIT else 1)
-        canvas.counts[layer * CELLS + inside] += weight
-        state[at] = 0
+def note_point(i: int, at: int, kind: int, view: View, canvas: Canvas, room: Room) -> None:
+    """Mark the cell of a hit, or keep floor; its bearing may end here."""
+    some, used = room.some, room.used
+    floor = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+    right, up, bearing = some.right[i], some.up[i], some.sector[i]
+    far = np.int64(right) * right + np.int64(up) * up
+    slope = ((some.level[i] if kind else floor) - view.level) / some.apart[i]
+    is_high = some.level[i] - floor >= LOW_SHARE * view.band.high
+    if kind:
+        touch(at, HIT if is_high else HIT | LOW, canvas, room)
+    # The next low hit, or the next of its kind, takes the place of a low hit.
+    keep = -1 - used[HIGHS] if kind else used[FLOORS]
+    used[HIGHS if kind else FLOORS] += is_high or not kind
+    room.floor[keep], room.floor_apart[keep] = at, far
+    room.floor_bearing[keep], room.floor_steep[keep] = bearing, slope
+    row, col = (view.y + up) >> CELL_SHIFT, (view.x + right) >> CELL_SHIFT
+    note_end(room, kind, bearing, far, slope, (row - view.row, col - view.col))
+    note_beam(room, some.ring[i], bearing, slope)
 
 
 @step
@@ -371,39 +382,32 @@ def find_rim(
 
 
 @kernel
-def mark_drops(
-    size: int, under: int, origin: Float64, canvas: Canvas, room: Room, many: int
-) -> int:
-    """Mark the last floor before points that lie deep below it; return how many are touched."""
-    some, state, scale = room.some, canvas.state, UNITS_PER_CELL / canvas.resolution
-    at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
-    start = at_x, at_y, COLUMN_MM * scale / 1000
+def mark_drops(size: int, under: int, view: View, canvas: Canvas, room: Room) -> None:
+    """Mark the last floor before points that lie deep below it."""
+    some, x, y = room.some, view.x, view.y
+    start = x, y, COLUMN_MM * view.scale / 1000
     for i in range(size):
         level = some.level[i]
-        if level == FAR or level >= origin[2] * 1000:
+        if level == FAR or level >= view.level:
             continue
-        row, col = (at_y + some.up[i]) >> CELL_SHIFT, (at_x + some.right[i]) >> CELL_SHIFT
+        row, col = (y + some.up[i]) >> CELL_SHIFT, (x + some.right[i]) >> CELL_SHIFT
         floor = find_floor(canvas, row, col, under)
-        rise = floor - origin[2] * 1000
+        rise = floor - view.level
         if level - floor > -DEEP * some.clear[i] or rise >= 0:
             continue
-        share = rise / (level - origin[2] * 1000)
+        share = rise / (level - view.level)
         away = int(some.right[i]), int(some.up[i])
         right, up = find_rim(canvas.columns, start, away, (floor, share))
-        row, col = (at_y + up) >> CELL_SHIFT, (at_x + right) >> CELL_SHIFT
+        row, col = (y + up) >> CELL_SHIFT, (x + right) >> CELL_SHIFT
         at = find_column(canvas.tiles, row, col)
-        if (right == 0 and up == 0) or at < 0 or state[at] & UNKNOWN:
+        if (right == 0 and up == 0) or at < 0 or canvas.state[at] & UNKNOWN:
             continue
-        room.touched[many] = at
-        many += state[at] == 0
-        state[at] |= HIT | LOW
+        touch(at, HIT | LOW, canvas, room)
         far = right * right + up * up
-        end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
         apart = np.sqrt(float(far))
-        note_end(room, OBSTACLE, some.sector[i], far, rise / apart, end)
-        ring = min(int(apart / (RING_M * scale)), RINGS - 1)
-        note_beam(room, ring, some.sector[i], rise / apart)
-    return many
+        end, slope = (row - view.row, col - view.col), rise / apart
+        note_end(room, OBSTACLE, some.sector[i], far, slope, end)
+        note_beam(room, find_ring(view, apart), some.sector[i], slope)
 
 
 @step
@@ -424,8 +428,20 @@ def is_face(columns: Columns, some: Aside, i: int, high: int) -> bool:
 
 
 @step
-def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: int) -> None:
+def touch(at: int, says: int, canvas: Canvas, room: Room) -> None:
+    """Mark what the cloud says of a cell."""
+    # The room behind the last place is free; a cell without ground is never 0.
+    room.touched[room.used[TOUCHED]] = at
+    room.used[TOUCHED] += canvas.state[at] == 0
+    canvas.state[at] |= says
+
+
+@step
+def note_end(
+    room: Room, kind: int, bearing: int, far: int, slope: float, cell: tuple[int, int]
+) -> None:
     """Keep what a bearing ends at: the nearest hit, or the farthest floor."""
+    end = (cell[0] << END_BITS) + cell[1]
     key, known = far if kind else -far, room.apart[kind, bearing]
     if kind and key <= known:
         room.steep[bearing] = slope if key < known else max(slope, room.steep[bearing])
@@ -434,97 +450,86 @@ def note_end(room: Room, kind: int, bearing: int, far: int, slope: float, end: i
 
 
 @step
+def find_ring(view: View, apart: float) -> int:
+    """In which ring lies what is so many lattice units away."""
+    return min(int(apart * view.rings), RINGS - 1)
+
+
+@step
 def note_beam(room: Room, ring: int, bearing: int, slope: float) -> None:
     """Keep the lowest beam that ends in a ring."""
     room.lowest[ring, bearing] = min(room.lowest[ring, bearing], slope)
 
 
-@kernel
-def find_ends(
-    cloud: Cloud, band: Band, canvas: Canvas, room: Room, under: int
-) -> tuple[int, int, int]:
-    """Mark the cells of hits, and find what the beams of each bearing end at.
+@step
+def free_floor(canvas: Canvas, room: Room) -> None:
+    """Mark the cells of floor points that are free."""
+    for i in range(room.used[FLOORS]):
+        at, bearing, far = room.floor[i], room.floor_bearing[i], room.floor_apart[i]
+        # Floor behind the nearest hit is free if it is seen over that, and not beneath it.
+        is_behind = far > room.apart[OBSTACLE, bearing]
+        is_beneath = is_behind and room.floor_steep[i] < room.steep[bearing]
+        if canvas.state[at] == 0 and not is_beneath:
+            touch(at, LOW, canvas, room)
 
-    Returns how many cells are touched, and how many points are floor, and hits of high beams.
-    """
-    some, right, up, level = room.some, room.some.right, room.some.up, room.some.level
-    origin, state, ground, counts = cloud.origin, canvas.state, canvas.ground, canvas.points
-    scale = UNITS_PER_CELL / canvas.resolution
-    at_x, at_y = int(np.rint(origin[0] * scale)), int(np.rint(origin[1] * scale))
-    room.apart[:], room.lowest[:] = NOTHING, np.inf
-    many, floors, highs = 0, 0, 0
-    for start in range(0, cloud.points.size // 3, SOME):
-        size = place_points(cloud, start, some.place)
-        measure_points(some, size, origin, band, scale)
-        deep = 0
-        for i in range(size):
-            row, col = (at_y + up[i]) >> CELL_SHIFT, (at_x + right[i]) >> CELL_SHIFT
-            at = find_column(canvas.tiles, row, col)
-            if level[i] == FAR or at < 0 or state[at] & UNKNOWN:
-                counts[NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR] += 1
-                deep += level[i] != FAR
-                continue
-            above = level[i] - canvas.base[at >> 2 * BLOCK_BITS] - ground[at]
-            kind = GROUND if above < band.low else OBSTACLE
-            kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
-            if kind == BELOW:
-                deep += 1
-                kind = OBSTACLE if is_face(canvas.columns, some, i, band.high) else BELOW
-            is_doubtful = kind == OBSTACLE and abs(above) < some.clear[i]
-            counts[GROUND if is_doubtful else kind] += 1
-            if kind > OBSTACLE or is_doubtful:
-                continue
-            far = np.int64(right[i]) * right[i] + np.int64(up[i]) * up[i]
-            rise = level[i] - (0 if kind else above) - origin[2] * 1000
-            slope = rise / some.apart[i]
-            if kind:
-                room.touched[many] = at
-                many += state[at] == 0
-                is_high = above >= LOW_SHARE * band.high
-                state[at] |= HIT if is_high else HIT | LOW
-                if is_high:
-                    highs += 1
-                    room.floor[-highs], room.floor_apart[-highs] = at, far
-                    room.floor_bearing[-highs] = some.sector[i]
-            else:
-                room.floor[floors], room.floor_apart[floors] = at, far
-                room.floor_bearing[floors], room.floor_steep[floors] = some.sector[i], slope
-                floors += 1
-            end = ((row - (at_y >> CELL_SHIFT)) << END_BITS) + col - (at_x >> CELL_SHIFT)
-            note_end(room, kind, some.sector[i], far, slope, end)
-            note_beam(room, some.ring[i], some.sector[i], slope)
-        if deep:
-            many = mark_drops(size, under, origin, canvas, room, many)
-    return many, floors, highs
+
+@step
+def look_under(view: View, canvas: Canvas, room: Room) -> None:
+    """Find the lowest beam that reaches each ring, and whether low ones pass under high hits."""
+    lowest = room.lowest
+    for ring in range(RINGS - 2, -1, -1):
+        for bearing in range(SECTORS):
+            lowest[ring, bearing] = min(lowest[ring, bearing], lowest[ring + 1, bearing])
+    for i in range(1, room.used[HIGHS] + 1):
+        at, apart = room.floor[-i], np.sqrt(float(room.floor_apart[-i]))
+        slope = lowest[find_ring(view, apart), room.floor_bearing[-i]]
+        above = view.level + slope * apart - canvas.base[at >> 2 * BLOCK_BITS] - canvas.ground[at]
+        canvas.state[at] |= LOW if above < LOW_SHARE * view.band.high else 0
+
+
+@step
+def clear_bearings(view: View, canvas: Canvas, room: Room) -> None:
+    """Mark the cells up to the end of each bearing."""
+    for bearing in range(SECTORS):
+        kind = OBSTACLE if room.apart[OBSTACLE, bearing] < NOTHING else GROUND
+        far, end = room.apart[kind, bearing], room.ends[kind, bearing]
+        if far < NOTHING:
+            up = (end + HALF_END) >> END_BITS
+            clear_line(view, (up, end - (up << END_BITS)), bearing, canvas, room)
+
+
+@step
+def count_looks(view: View, canvas: Canvas, room: Room) -> None:
+    """Count what the cloud says of the cells that it touched, and forget it."""
+    state, near = canvas.state, NEAR_M / canvas.resolution
+    for i in range(room.used[TOUCHED]):
+        at = room.touched[i]
+        tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
+        row, col = locate(canvas.tiles, at)
+        up, right = row - view.row, col - view.col
+        is_near = up * up + right * right < near * near
+        weight = NEAR_WEIGHT if is_near and state[at] & LOW else FAR_WEIGHT
+        layer = 2 * tile + (0 if state[at] & HIT else 1)
+        canvas.counts[layer * CELLS + inside] += weight
+        state[at] = 0
 
 
 @kernel
-def clear_line(
-    start: tuple[int, int],
-    away: tuple[int, int],
-    beams: tuple[float, int, Float32],
-    canvas: Canvas,
-    touched: Int32,
-    many: int,
-) -> int:
+def clear_line(view: View, away: tuple[int, int], bearing: int, canvas: Canvas, room: Room) -> None:
     """Mark the cells of Bresenham's line before its last one.
 
     Parameters
     ----------
-    beams
-        How high the sensor is (mm), how high above the ground they say nothing (mm), and the slope
-        of the lowest one that reaches each ring (mm for each lattice unit).
-
-    Returns
-    -------
-    How many cells are touched.
+    away
+        Rows up and columns right to the last cell.
     """
-    state, (row, col), (up, right), (level, high, slopes) = canvas.state, start, away, beams
+    many, touched, state = room.used[TOUCHED], room.touched, canvas.state
+    (up, right), row, col, slopes = away, view.row, view.col, room.lowest[:, bearing]
+    high, low = view.band.high, LOW_SHARE * view.band.high
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
     is_steep, rest, done = abs(up) == steps, steps, 0
-    pace = np.sqrt(float(up * up + right * right)) / max(steps, 1)
-    rings = pace * canvas.resolution / RING_M
+    pace = np.sqrt(float(up * up + right * right)) / max(steps, 1) * UNITS_PER_CELL
     while done < steps:
         # Up to the tile's border it takes steps along the longer side, and fewer along the other.
         rows = INSIDE - (row & INSIDE) if row_way > 0 else row & INSIDE
@@ -536,12 +541,11 @@ def clear_line(
         at, moved = find_column(canvas.tiles, row, col), (rest + 2 * fewer * left) // (2 * steps)
         row_step, col_step = row_way << BLOCK_BITS, col_way
         ahead_step, aside_step = (row_step, col_step) if is_steep else (col_step, row_step)
-        going, sensor = rest, level - (canvas.base[at >> 2 * BLOCK_BITS] if at >= 0 else 0)
+        going, level = rest, view.level - (canvas.base[at >> 2 * BLOCK_BITS] if at >= 0 else 0)
         for k in range(done, done + left if at >= 0 else done):
-            ring = min(int(k * rings), RINGS - 1)
-            above = sensor + slopes[ring] * (k * pace * UNITS_PER_CELL) - canvas.ground[at]
-            says = 0 if above >= high else LOW if above < LOW_SHARE * high else HIGH
-            # The room behind the last place is free; a cell without ground is never 0.
+            above = level + slopes[find_ring(view, k * pace)] * (k * pace) - canvas.ground[at]
+            says = 0 if above >= high else LOW if above < low else HIGH
+            # As `touch` does it, with the number in a register.
             touched[many] = at
             many += says != 0 and state[at] == 0
             state[at] |= says
@@ -554,4 +558,4 @@ def clear_line(
         rest += 2 * fewer * left - 2 * steps * moved
         row += row_way * (left if is_steep else moved)
         col += col_way * (moved if is_steep else left)
-    return many
+    room.used[TOUCHED] = many
