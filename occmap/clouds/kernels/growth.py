@@ -80,6 +80,16 @@ def locate(blocks: Blocks, at: int) -> tuple[int, int]:
     return row, col
 
 
+@step
+def find_near(blocks: Blocks, at: int, up: int, right: int) -> int:
+    """Where the column so far up and right of another one lies; -1 where no block has it."""
+    row, col = ((at >> BLOCK_BITS) & (BLOCK - 1)) + up, (at & (BLOCK - 1)) + right
+    if (row | col) & -BLOCK == 0:  # it lies in the same block, as most do
+        return at + (up << BLOCK_BITS) + right
+    block = blocks.places[at >> 2 * BLOCK_BITS]
+    return find_column(blocks, (block[0] << BLOCK_BITS) + row, (block[1] << BLOCK_BITS) + col)
+
+
 class Peaks(NamedTuple):
     """The peaks of columns, lowest first."""
 
@@ -166,13 +176,12 @@ def look_beside(
 @kernel
 def mean_beside(blocks: Blocks, height: Int32, at: int, reach: int) -> int:
     """The mean height (mm) of the nearest measured columns: those of one ring, up to `reach`."""
-    row, col = locate(blocks, at)
     for ring in range(1, reach + 1):
         total, many = 0, 0
         for up in range(-ring, ring + 1):
             pace = 1 if abs(up) == ring else 2 * ring
             for right in range(-ring, ring + 1, pace):
-                near = find_column(blocks, row + up, col + right)
+                near = find_near(blocks, at, up, right)
                 if near >= 0 and height[near] != NO_GROUND:
                     total += height[near]
                     many += 1
@@ -234,10 +243,9 @@ def grow_ground(
                 front += 1
         begin, many = front, front
         for i in range(front):
-            row, col = locate(blocks, queue[0, i])
             for up in range(-reach, reach + 1):
                 for right in range(-reach, reach + 1):
-                    at = find_column(blocks, row + up, col + right)
+                    at = find_near(blocks, queue[0, i], up, right)
                     if at < 0 or height[at] != NO_GROUND or weight[at] == QUEUED:
                         continue
                     if not has_peaks or peaks.many[at]:
@@ -262,13 +270,12 @@ def sum_stepped(blocks: Blocks, found: Found, at: int) -> tuple[int, int, int, i
     ways there, up and right (columns).
     """
     height, weight, passed = found
-    row, col = locate(blocks, at)
     # Far away, poses that are off by tenths of a degree make steps of slopes.
     doubt = 1 if passed[at] else 2
     points, weighted, ups, rights = 0, 0, 0, 0
     for up in range(-STEPPED, STEPPED + 1):
         for right in range(-STEPPED, STEPPED + 1):
-            near = find_column(blocks, row + up, col + right)
+            near = find_near(blocks, at, up, right)
             if near < 0 or height[near] == NO_GROUND:
                 continue
             apart, step = np.sqrt(float(up * up + right * right)), height[at] - height[near]
@@ -304,10 +311,9 @@ def drop_raised(blocks: Blocks, found: Found, base: Int32) -> None:
 @step
 def find_along(blocks: Blocks, at: int, way: tuple[int, int], k: int) -> int:
     """Where the column that lies k steps from one, on a way up and right, lies; or -1."""
-    (row, col), (up, right) = locate(blocks, at), way
+    up, right = way
     steps = max(abs(up), abs(right))
-    rise, run = int(np.rint(k * up / steps)), int(np.rint(k * right / steps))
-    return find_column(blocks, row + rise, col + run)
+    return find_near(blocks, at, int(np.rint(k * up / steps)), int(np.rint(k * right / steps)))
 
 
 @kernel
@@ -334,11 +340,10 @@ def find_below(blocks: Blocks, first: Found, height: Int32, at: int) -> int:
     itself.
     """
     level: int = height[at]
-    lowest, (row, col) = level, locate(blocks, at)
+    lowest = level
     for up in range(-1, 2):
         for right in range(-1, 2):
-            near = find_column(blocks, row + up, col + right)
-            back = find_column(blocks, row - up, col - right)
+            near, back = find_near(blocks, at, up, right), find_near(blocks, at, -up, -right)
             above = max(level, height[back]) if back >= 0 else level
             is_below = near >= 0 and NO_GROUND < height[near] < 2 * level - above - BRINK_MM
             if is_below and height[near] == first.height[near]:
@@ -401,11 +406,10 @@ def smooth_ground(blocks: Blocks, peaks: Peaks, first: Found, height: Int32, bas
         level = base[at] = find_below(blocks, first, height, at)
         if level == NO_GROUND:
             continue
-        row, col = locate(blocks, at)
         total, points = 0, 0
         for up in range(-SMOOTH, SMOOTH + 1):
             for right in range(-SMOOTH, SMOOTH + 1):
-                near = find_column(blocks, row + up, col + right)
+                near = find_near(blocks, at, up, right)
                 if near < 0 or height[near] == NO_GROUND:
                     continue
                 for k in range(peaks.first[near], peaks.first[near] + peaks.many[near]):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from occmap.cells import Ground
-from occmap.clouds.kernels.growth import STEP_MM, Blocks, find_column, find_under, index_blocks
+from occmap.clouds.kernels.growth import STEP_MM, Blocks, find_near, find_under, index_blocks
 from occmap.clouds.kernels.heights import Cloud, place_point
 from occmap.jit import kernel, step
 from occmap.types import COLUMN_MM, NO_GROUND, Bool, Int32
@@ -49,11 +49,12 @@ def ground_at(columns: Columns, own: int, x: float, y: float) -> int:
     across, along = x * 1000 / COLUMN_MM, y * 1000 / COLUMN_MM
     col, row = int(np.floor(across - 0.5)), int(np.floor(along - 0.5))
     right, up = across - 0.5 - col, along - 0.5 - row
+    first_col, first_row = col - int(np.floor(across)), row - int(np.floor(along))
     level: int = height[own]
     low, high, total = level, level, 0.0
     for i in range(2):
         for j in range(2):
-            at = find_column(blocks, row + i, col + j)
+            at = find_near(blocks, own, first_row + i, first_col + j)
             if at < 0 or height[at] == NO_GROUND:
                 return level
             low, high = min(low, height[at]), max(high, height[at])

@@ -102,13 +102,14 @@ def lay_ground(canvas: Canvas, box: Int64, heights: Int32) -> None:
             if table[up, right] != NOBODY_LOOKED:
                 continue
             lowest, tile = HIGHEST, canvas.used[0]
-            for i in range(CELLS):
-                row = ((corner[0] + up) << BLOCK_BITS) + (i >> BLOCK_BITS)
-                col = ((corner[1] + right) << BLOCK_BITS) + (i & INSIDE)
-                x, y = (col + 0.5) * resolution, (row + 0.5) * resolution
-                heights[i] = ground_at(canvas.columns, find_under(blocks, x, y), x, y)
-                if heights[i] != NO_GROUND:
-                    lowest = min(lowest, heights[i])
+            for row in range(BLOCK):
+                y = (((corner[0] + up) << BLOCK_BITS) + row + 0.5) * resolution
+                for col in range(BLOCK):
+                    x = (((corner[1] + right) << BLOCK_BITS) + col + 0.5) * resolution
+                    level = ground_at(canvas.columns, find_under(blocks, x, y), x, y)
+                    heights[(row << BLOCK_BITS) + col] = level
+                    if level != NO_GROUND:
+                        lowest = min(lowest, level)
             if lowest == HIGHEST:
                 table[up, right] = -1
                 continue
