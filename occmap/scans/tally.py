@@ -1,5 +1,6 @@
 """What becomes of scans, what is timed meanwhile, and where the robot went."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -98,7 +99,7 @@ class Tally:
     scans_used: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
     beams: ReturnCounts = field(default_factory=ReturnCounts)
-    points: dict[str, int] = field(default_factory=dict)
+    points: Counter[str] = field(default_factory=Counter)
     """What became of the points of clouds, by kind"""
     frames: dict[str, str | None] = field(default_factory=dict)
     """In which frame each log is mapped; None where it states poses and names no frame"""
@@ -134,7 +135,7 @@ class Tally:
         self.scans_read += other.scans_read
         self.drop(other.dropped)
         self.use(other.scans_used, other.beams)
-        self.count_points(other.points)
+        self.points.update(other.points)
         for stage, seconds in other.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
@@ -163,10 +164,6 @@ class Tally:
             hits = end[kind == Kind.HIT].astype(np.float32)
             hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
             self.shown.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
-
-    def count_points(self, kinds: Mapping[str, int]) -> None:
-        """Count what became of points."""
-        self.points = {kind: self.points.get(kind, 0) + many for kind, many in kinds.items()}
 
     def to_json(self) -> dict[str, Any]:
         """What became of the scans and their beams, as JSON values."""
