@@ -240,7 +240,8 @@ class _Finder:
             raise DamageError(f"holds more than {MAX_PLACES} numbers")
 
     def _pass(self, kind: str, many: int = 1) -> Place:
-        number, start = _find_dtype(kind), self._at
+        number = np.dtype("uint8" if kind == "octet" else kind).newbyteorder("<")
+        start = self._at
         if self._is_cdr and many:
             start += (4 - start) % number.itemsize
         self._at = start + many * number.itemsize
@@ -251,11 +252,6 @@ class _Finder:
         if end > len(self._message):
             raise DamageError("ends before its numbers do")
         return int.from_bytes(self._message[start:end], "little")
-
-
-@cache
-def _find_dtype(kind: str) -> np.dtype[Any]:
-    return np.dtype("uint8" if kind == "octet" else kind).newbyteorder("<")
 
 
 def _locate(types: Typesdict, name: str, is_cdr: bool, message: memoryview) -> Mapping[str, Place]:
