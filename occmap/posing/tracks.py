@@ -20,12 +20,12 @@ STRAIGHT_RAD = 1e-6
 def rotate_by(quaternion: Float64) -> Float64:
     """Turn unit quaternions (N, 4) into rotation matrices (N, 3, 3)."""
     x, y, z, w = quaternion.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    entries = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        *(2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        *(2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     ]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), 2, 0))
+    return np.stack(entries, axis=-1).reshape(-1, 3, 3)
 
 
 def to_quaternions(matrix: Float64) -> Float64:
