@@ -176,7 +176,7 @@ COLUMN_NAMES = {
     "frame": ("field.header.frame_id", "header.frame_id"),
 }
 """What other programs call a column; those of `rostopic echo -p` begin with `field.`"""
-RECEIPTS = {"time": SECONDS, "%time": NANOSECONDS}
+RECEIPTS = ("time", "%time")
 """The times of receipt, as bagpy and `rostopic echo -p` call them, beside the stamps of headers"""
 SAMPLED_ROWS = 100
 """By so many rows it is told what the times of a table are"""
@@ -234,7 +234,7 @@ def settle_times(
     if sample and not is_set and _are_times([row.get(receipt, "") for row in sample]):
         renamed = {"stamp": "", "stamp_nsec": "", receipt: "stamp"}
         note = "the stamps of headers are all zero: the times of receipt count"
-        return [renamed.get(name, name) for name in names], RECEIPTS[receipt], note
+        return [renamed.get(name, name) for name in names], STAMPS[receipt], note
     return list(names), guess_unit(stamps) if unit == SECONDS else unit, ""
 
 

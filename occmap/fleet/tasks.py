@@ -152,7 +152,7 @@ def trace_log(setting: Setting, job: Job) -> tuple[Tally, Pieces]:
     runs = trace_drive(drive, partial(RunWriter, setting, names), tally)
     with name_log(log.path):
         runs.flush()
-    tally.count_points(runs.points)
+    tally.points.update(runs.points)
     tally.note(log.path, [*drive.list_notes(setting.keep.ground), *log.notes])
     return tally, runs.pieces
 

@@ -262,7 +262,7 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
 def sum_up_mount(drive: Drive, topic: TopicSurvey) -> MountFindings | None:
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     stance = drive.poser.find_stance(topic.stream.topic)
-    better = mounts.find_better_mount(drive.poser, topic.sample.parts, drive.options)
+    better = mounts.find_better_mount(drive.poser, topic.sample.parts, drive.options) or ("", None)
     return stance and MountFindings(stance.upside_down, stance.tilt, stance.height, *better)
 
 

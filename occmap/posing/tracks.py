@@ -20,17 +20,12 @@ STRAIGHT_RAD = 1e-6
 def rotate_by(quaternion: Float64) -> Float64:
     """Turn unit quaternions (N, 4) into rotation matrices (N, 3, 3)."""
     x, y, z, w = quaternion.T
-    matrix = np.empty((len(quaternion), 3, 3))
-    matrix[:, 0, 0] = 1 - 2 * (y * y + z * z)
-    matrix[:, 0, 1] = 2 * (x * y - z * w)
-    matrix[:, 0, 2] = 2 * (x * z + y * w)
-    matrix[:, 1, 0] = 2 * (x * y + z * w)
-    matrix[:, 1, 1] = 1 - 2 * (x * x + z * z)
-    matrix[:, 1, 2] = 2 * (y * z - x * w)
-    matrix[:, 2, 0] = 2 * (x * z - y * w)
-    matrix[:, 2, 1] = 2 * (y * z + x * w)
-    matrix[:, 2, 2] = 1 - 2 * (x * x + y * y)
-    return matrix
+    entries = [
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        *(2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        *(2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    ]
+    return np.stack(entries, axis=-1).reshape(-1, 3, 3)
 
 
 def to_quaternions(matrix: Float64) -> Float64:

@@ -263,18 +263,8 @@ def _read_times(path: Path) -> list[int]:
 
 
 def _read_rows(path: Path) -> tuple[list[NumberedLine], list[str]]:
-    """Read the lines that are no comments, and the comments above them."""
+    """Read the lines that are neither empty nor comments, and the comments above them."""
     rows, headings = list[NumberedLine](), list[str]()
-    for number, text in _read_lines(path):
-        if not text.startswith("#"):
-            rows.append((number, text))
-        elif not rows:
-            headings.append(text.lstrip("# "))
-    return rows, headings
-
-
-def _read_lines(path: Path) -> Iterator[NumberedLine]:
-    """Read the lines that are not empty."""
     with refuse_unreadable(path):
         with path.open("rb") as file:
             begin = file.read(values.BINARY_WITHIN)
@@ -283,9 +273,13 @@ def _read_lines(path: Path) -> Iterator[NumberedLine]:
             found = found or "not text, so not a trajectory"
             raise LogError(found, where=path, fix=fix or SHAPES)
         with path.open(encoding="utf-8-sig", errors="replace") as file:
-            for number, line in enumerate(iter(partial(file.readline, MAX_LINE), ""), start=1):
-                if text := line.strip():
-                    yield number, text
+            lines = map(str.strip, iter(partial(file.readline, MAX_LINE), ""))
+            for number, text in enumerate(lines, start=1):
+                if text and not text.startswith("#"):
+                    rows.append((number, text))
+                elif text and not rows:
+                    headings.append(text.lstrip("# "))
+    return rows, headings
 
 
 def _parse_lines(

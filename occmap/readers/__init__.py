@@ -271,14 +271,12 @@ class PluginLog(Log):
             given = getattr(self._log, f"stacked_{what}", one_by_one)(*topics)
             name = kinds[0].__name__
             if not isinstance(given, Iterable):
-                raise DamageError(
-                    f"its reader gives {values.shorten(given)} where some {name} belongs"
-                )
+                found = f"its reader gives {values.shorten(given)}"
+                raise DamageError(f"{found} where some {name} belongs")
             for each in given:
                 if not isinstance(each, kinds):
-                    raise DamageError(
-                        f"its reader gives {values.shorten(each)} where a {name} belongs"
-                    )
+                    found = f"its reader gives {values.shorten(each)}"
+                    raise DamageError(f"{found} where a {name} belongs")
                 yield each
 
 
@@ -332,9 +330,8 @@ def open_log(path: Path, options: ReaderOptions = DEFAULT_OPTIONS) -> Log:
     if reader is None:
         loaded, broken = load_plugins("occmap.readers")
         lost = f" ({', '.join(each.name for each in broken)} cannot be loaded)" if broken else ""
-        raise explain_unknown(
-            probe, f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
-        )
+        formats = f"occmap reads {', '.join(loaded)}{lost}: see `occmap readers`"
+        raise explain_unknown(probe, formats)
     log = reader.open_tuned(path, options) if hasattr(reader, "open_tuned") else reader.open(path)
     if isinstance(log, Log) and type(log).__module__.startswith(OWN):
         return log

@@ -253,14 +253,8 @@ def pick(keywords: Container[str], block: Block) -> Mapping[str, Sequence[int]]:
 
 def sort_lines(block: Block) -> Mapping[str, list[int]]:
     """Find the lines of each keyword, but for comments and lines of blanks."""
-    text = np.frombuffer(block.text, np.uint8)
-    filled = np.flatnonzero(text[block.starts[:-1]] != ord("\n"))
-    words = np.empty(len(filled), np.int64)
-    decimals.hash_words(text, block.starts[filled], words)
-    order = np.argsort(words, kind="stable")
-    groups = np.split(filled[order], np.flatnonzero(np.diff(words[order])) + 1)
     lines: defaultdict[str, list[int]] = defaultdict(list)
-    for rows in filter(None, sorted(map(np.ndarray.tolist, groups))):  # by the first of each
-        if word := KEYWORD.match(block.text, block.starts[rows[0]]):
-            lines[word[1].decode("latin-1")] += rows
+    for row, start in enumerate(block.starts[:-1].tolist()):
+        if word := KEYWORD.match(block.text, start):
+            lines[word[1].decode("latin-1")].append(row)
     return lines

@@ -109,9 +109,8 @@ def _find_fault(names: Sequence[str], given: set[str]) -> tuple[str, str] | None
     for name in (f"r{beam}" for beam in range(max(beams, 1))):
         if name not in given:
             hint = "" if beams else "; a file of poses alone is given with `poses`"
-            return values.tell_missing(
-                [name], names
-            ), f"the beams are r0, r1, ... without a gap{hint}"
+            fix = f"the beams are r0, r1, ... without a gap{hint}"
+            return values.tell_missing([name], names), fix
     return None
 
 

@@ -162,14 +162,6 @@ def parse_rows(
     return lines, lefts
 
 
-@kernel
-def hash_words(text: UInt8, starts: Int64, hashes: Int64) -> None:
-    """Fill `hashes` (S,) with a number of the first word of each line: equal words have one."""
-    for row in range(len(hashes)):
-        start = _skip_blanks(text, np.uint64(starts[row]))
-        hashes[row] = _hash(text, _scan_word(text, start, _BLANK))
-
-
 @step
 def _read_line(
     text: UInt8, start: np.uint64, form: tuple[int, Int64], place: tuple[int, int], words: Words

@@ -163,11 +163,6 @@ def _count_values(types: Typesdict, name: str, counts: dict[str, int]) -> int:
     return total
 
 
-def _make_json_parser(_channel: Channel) -> Parser:
-    errors = ValueError, RecursionError, MemoryError
-    return Parser(lambda data: json.loads(bytes(data)), errors)
-
-
 def _make_protobuf_parser(channel: Channel) -> Parser:
     """Make what reads a message by the descriptors that lie in the log.
 
@@ -191,14 +186,20 @@ def _make_protobuf_parser(channel: Channel) -> Parser:
     return Parser(lambda data: message_class.FromString(bytes(data)), (message.DecodeError,))
 
 
-PARSERS: Mapping[str, Callable[[Channel], Parser]] = {
-    "cdr": lambda channel: _make_ros_parser(channel.definition, channel.type, "cdr"),
-    "ros1": lambda channel: _make_ros_parser(channel.definition, channel.type, "ros1"),
-    "json": _make_json_parser,
-    "protobuf": _make_protobuf_parser,
-}
-"""What makes the parser of each way in which messages are written; raises LogError where the
-channel's message definition cannot be understood."""
+def make_parser(channel: Channel) -> Parser:
+    """Make what reads the messages of a channel, by the way in which they are written.
+
+    Raises
+    ------
+    LogError
+        Its message definition cannot be understood.
+    """
+    if channel.encoding == "json":
+        errors = ValueError, RecursionError, MemoryError
+        return Parser(lambda data: json.loads(bytes(data)), errors)
+    if channel.encoding == "protobuf":
+        return _make_protobuf_parser(channel)
+    return _make_ros_parser(channel.definition, channel.type, channel.encoding)
 
 
 _LITTLE_ENDIAN = b"\0\1"
@@ -239,7 +240,8 @@ class _Finder:
             raise DamageError(f"holds more than {MAX_PLACES} numbers")
 
     def _pass(self, kind: str, many: int = 1) -> Place:
-        number, start = _find_dtype(kind), self._at
+        number = np.dtype("uint8" if kind == "octet" else kind).newbyteorder("<")
+        start = self._at
         if self._is_cdr and many:
             start += (4 - start) % number.itemsize
         self._at = start + many * number.itemsize
@@ -250,11 +252,6 @@ class _Finder:
         if end > len(self._message):
             raise DamageError("ends before its numbers do")
         return int.from_bytes(self._message[start:end], "little")
-
-
-@cache
-def _find_dtype(kind: str) -> np.dtype[Any]:
-    return np.dtype("uint8" if kind == "octet" else kind).newbyteorder("<")
 
 
 def _locate(types: Typesdict, name: str, is_cdr: bool, message: memoryview) -> Mapping[str, Place]:

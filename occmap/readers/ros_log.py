@@ -25,7 +25,7 @@ from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, Log, ReaderOptions, Role,
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, Source
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
-from occmap.readers.messages import PARSERS
+from occmap.readers.messages import make_parser
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanBatch
 
 T = TypeVar("T")
@@ -207,13 +207,13 @@ class _ChannelReader:
         self.uses_standard = False
         self.first_fault = ""
         self._channel, self._convert = channel, convert
-        make_parser = kind.parser or PARSERS[channel.encoding]
+        make = kind.parser or make_parser
         try:
-            self._parser = make_parser(channel)
+            self._parser = make(channel)
         except LogError:
             if not channel.definition:
                 raise
-            self._parser = make_parser(replace(channel, definition=""))
+            self._parser = make(replace(channel, definition=""))
             self.uses_standard = True
         many, locate = kind.many, self._parser.locate
         self.read_many = partial(many, locate, self.decode) if many and locate else None

@@ -55,11 +55,10 @@ def refuse_mixed(folder: Path, files: Sequence[Path]) -> None:
     names = [file.name.removesuffix(".zstd") for file in files]
     recordings = {re.sub(r"(_\d+)?(\.\w+)$", r"\2", name) for name in names}
     if len(recordings) > 1 or len(set(names)) < len(names):
-        raise LogError(
-            f"holds more than one recording and no {METADATA}: {', '.join(f.name for f in files)}",
-            where=folder,
-            fix=f"give one of them, such as {files[0]}",
-        )
+        found = f"holds more than one recording and no {METADATA}"
+        listed = ", ".join(file.name for file in files)
+        fix = f"give one of them, such as {files[0]}"
+        raise LogError(f"{found}: {listed}", where=folder, fix=fix)
 
 
 class Bag2Source:

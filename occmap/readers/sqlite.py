@@ -48,9 +48,8 @@ class SqliteSource:
                 counts = self._count_messages(database, topics)
             self._note_state()
         except _ERRORS as error:
-            raise LogError(
-                f"an SQLite database that cannot be read as a ROS 2 bag ({error})", where=path
-            ) from None
+            found = f"an SQLite database that cannot be read as a ROS 2 bag ({error})"
+            raise LogError(found, where=path) from None
         self._by_id = {key: replace(item, count=counts[key]) for key, item in topics.items()}
         self.channels = list(self._by_id.values())
 
@@ -106,9 +105,8 @@ class SqliteSource:
         announced = max(announced, counts.total())
         if (found := sum(counts[key] for key in topics)) < announced:
             text = f"{found} of {announced} messages are found in the storage file"
-            self.notes.add_damage(
-                f"{text}: others are damaged, or of a topic that it does not name"
-            )
+            why = "others are damaged, or of a topic that it does not name"
+            self.notes.add_damage(f"{text}: {why}")
         return counts
 
     def _note_state(self) -> None:

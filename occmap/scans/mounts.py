@@ -188,7 +188,7 @@ def list_misfits(
         parts = drive.sample()
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
-            if (better := find_better_mount(drive.poser, mine, options))[0]:
+            if better := find_better_mount(drive.poser, mine, options):
                 yield f"{path}: {topic}: {warn_of_misfit(*better).text}"
 
 
@@ -196,19 +196,21 @@ Better: TypeAlias = tuple[str, float | None]
 """An option with its value, and the share of hits that agree with it"""
 
 
-def find_better_mount(poser: Poser, parts: Sequence[PosedScans], options: BuildOptions) -> Better:
+def find_better_mount(
+    poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
+) -> Better | None:
     """Find the option, with its value, by which the scans of a sensor fit clearly better.
 
     Returns
     -------
-    Better
-        Such as "sensor_pose=0,0,3.14159"; "" where they fit as they are.
+    Better or None
+        Such as "sensor_pose=0,0,3.14159"; None where they fit as they are, or nothing is mounted.
     """
     turn = choose_turn([count_marked(parts, turn, options.returns) for turn in TURNS])
     if turn is None or turn == IDENTITY:
-        return "", None
+        return None
     if (mount := find_mount(poser, parts[0].batch.frame)) is None:
-        return "", None
+        return None
     ((option, value),) = mount.write(turn_mount(mount.pose, turn)).items()
     return f"{option}={value}", estimate_agreement([mount_scans(it, turn) for it in parts], options)
 

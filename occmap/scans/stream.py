@@ -286,11 +286,11 @@ class Drive:
             for posed in tally.time_each("pose", self.poser.attach(batch)):
                 yield drop_own_points(posed, self.options.returns) if batch.clouds else posed
             tally.advance(len(batch.stamp_ns))
-        tally.drop(self.poser.count_lost())
+        tally.dropped.update(self.poser.count_lost())
         tally.frames[str(self.log.path)] = self.poser.fixed
         tally.lasers = max(tally.lasers, len(self.topics))
         tally.scans_read += selector.read
-        tally.drop(dict(selector.left_out))
+        tally.dropped.update(selector.left_out)
         self._first_ns = selector.first_ns or 0
 
     def list_doubts(self) -> Iterator[tuple[str, str]]:

@@ -1,5 +1,6 @@
 """What becomes of scans, what is timed meanwhile, and where the robot went."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -96,9 +97,10 @@ class Tally:
     seconds: dict[str, float] = field(default_factory=dict)
     scans_read: int = 0
     scans_used: int = 0
-    dropped: dict[str, int] = field(default_factory=dict)
+    dropped: Counter[str] = field(default_factory=Counter)
+    """Scans that are not used, by reason"""
     beams: ReturnCounts = field(default_factory=ReturnCounts)
-    points: dict[str, int] = field(default_factory=dict)
+    points: Counter[str] = field(default_factory=Counter)
     """What became of the points of clouds, by kind"""
     frames: dict[str, str | None] = field(default_factory=dict)
     """In which frame each log is mapped; None where it states poses and names no frame"""
@@ -113,7 +115,8 @@ class Tally:
     @property
     def scans(self) -> ScanCounts:
         """What became of the scans so far."""
-        return ScanCounts(self.scans_read, self.scans_used, dict(self.dropped))
+        dropped = {why: self.dropped[why] for why in REASON_ORDER if why in self.dropped}
+        return ScanCounts(self.scans_read, self.scans_used, dropped)
 
     def start_over(self) -> "Tally":
         """Make an empty tally with the same listeners, to read the logs once more."""
@@ -132,21 +135,15 @@ class Tally:
         self.frames |= other.frames
         self.lasers = max(self.lasers, other.lasers)
         self.scans_read += other.scans_read
-        self.drop(other.dropped)
+        self.dropped.update(other.dropped)
         self.use(other.scans_used, other.beams)
-        self.count_points(other.points)
+        self.points.update(other.points)
         for stage, seconds in other.seconds.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
 
     def note(self, log: Path, notes: Iterable[str]) -> None:
         """Keep notes on a log; those of a plugin's reader may be text."""
         self.notes += [Note(note, is_damage(note)).placed(log) for note in notes]
-
-    def drop(self, reasons: dict[Any, int]) -> None:
-        """Count scans that are not used, by reason."""
-        for reason, scans in reasons.items():
-            self.dropped[str(reason)] = self.dropped.get(str(reason), 0) + scans
-        self.dropped = {why: self.dropped[why] for why in REASON_ORDER if why in self.dropped}
 
     def use(self, scans: int, beams: ReturnCounts) -> None:
         """Count scans that are used, and what their beams meant."""
@@ -163,10 +160,6 @@ class Tally:
             hits = end[kind == Kind.HIT].astype(np.float32)
             hits = hits[:: max(-(-len(hits) // SHOWN_HITS), 1)]
             self.shown.append(ScanHits(stamp_ns, (x, y), hits[:, 0], hits[:, 1]))
-
-    def count_points(self, kinds: Mapping[str, int]) -> None:
-        """Count what became of points."""
-        self.points = {kind: self.points.get(kind, 0) + many for kind, many in kinds.items()}
 
     def to_json(self) -> dict[str, Any]:
         """What became of the scans and their beams, as JSON values."""
@@ -221,8 +214,9 @@ def refuse_unused(tally: Tally) -> None:
         return
     where = ", ".join(tally.logs)
     if tally.scans_read:
-        found = write_unused(tally.scans_read, tally.dropped)
-        raise PoseError(found, where=where, fix=advise_on_dropped(tally.dropped))
+        dropped = tally.scans.dropped
+        found = write_unused(tally.scans_read, dropped)
+        raise PoseError(found, where=where, fix=advise_on_dropped(dropped))
     damage = (note for note in tally.notes if isinstance(note, Note) and note.damage)
     if lost := next(damage, None):
         raise LogError(f"no scan can be read: {lost.text}", where=lost.log)

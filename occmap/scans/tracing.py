@@ -211,7 +211,7 @@ def observe(
     for drive, scans in zip(tally.time_each("poses", drives), counts, strict=True):
         of_log = Tally(tally.tell, keep.choose_shown(scans * len(logs)))
         engine = trace_drive(drive, begin, of_log)
-        of_log.count_points(engine.points)
+        of_log.points.update(engine.points)
         tally.add(of_log)
         with tally.time("fold"):
             misfit = add_seen(tiles, engine.finish(), drive)

@@ -207,16 +207,6 @@ def test_deskewing_straightens_a_wall_seen_in_a_fast_turn(beams: int) -> None:
     assert abs(straight.mean() - 5) < 0.001
 
 
-def test_deskewed_beams_have_the_shapes_of_a_pose_each() -> None:
-    (posed,), _ = attach(
-        build(*spin(), deskew=Deskew.ON), batch_at([0.5, 1.0], beams=100, time_increment=0.001)
-    )
-    assert posed.position.shape == (2, 100, 3)
-    assert posed.rotation.shape == (2, 100, 3, 3)
-    np.testing.assert_allclose(posed.position[1, :, 0], 1 + 0.001 * np.arange(100))
-    np.testing.assert_allclose(yaw_of(posed.rotation[0, :10]), TURN * (0.5 + 0.001 * np.arange(10)))
-
-
 @pytest.mark.parametrize(
     ("rate_hz", "time_increment", "expected"),
     [
@@ -301,11 +291,6 @@ def test_coverage_tells_gaps_and_jumps() -> None:
     assert (odom.largest_gap_s, odom.largest_step_m) == (3.0, 3.0)
     assert (odom.start_ns, odom.end_ns) == (SECOND, 5 * SECOND)
     assert (pose.topic, pose.child, pose.source) == ("/pose", "", Source.ODOMETRY)
-
-
-def test_the_defaults_bridge_two_seconds_and_deskew_nothing() -> None:
-    assert PosingOptions().max_pose_gap_s == 2.0
-    assert PosingOptions().deskew is Deskew.OFF
 
 
 def test_a_note_appears_once_however_many_batches_there_are() -> None:

@@ -3,7 +3,6 @@
 import gzip
 import math
 import random
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -276,30 +275,6 @@ def test_a_last_line_that_may_be_cut_is_told(tmp_path: Path, line: str) -> None:
     assert log.notes[0].text.startswith(f"line {SCANS + 1}, the last, has no line end")
 
 
-def test_a_last_line_cut_anywhere(tmp_path: Path) -> None:
-    whole, last = HEADER + flaser(1) + flaser(2), flaser(3).rstrip()
-    for cut in range(1, len(last)):
-        log = open_carmen(tmp_path, whole + last[:cut])
-        damage = [note.text for note in log.notes if note.damage]
-        if stamps(log) == [1, 2]:
-            assert damage == [] or "the first is line 4: " in damage[0]
-        else:
-            assert stamps(log) == [1, 2, 3]
-            assert last[:cut].split()[:-1] == last.split()[:-1], "only the second time is cut"
-        assert log.streams[0].count == len(stamps(log))
-
-
-@pytest.mark.parametrize("at", [0, 1, 2])
-@pytest.mark.parametrize("bad", ["2,5", "2.5 2.5"])
-def test_a_malformed_line_is_left_out_wherever_it_is(tmp_path: Path, at: int, bad: str) -> None:
-    lines = [flaser(1), flaser(2), flaser(3)]
-    lines[at] = lines[at].replace("2.5", bad)
-    log = open_carmen(tmp_path, HEADER + "".join(lines))
-    assert len(stamps(log)) == 2
-    (damage,) = [note.text for note in log.notes if note.damage]
-    assert damage.startswith(f"1 of 3 lines are malformed and left out, the first is line {at + 2}")
-
-
 def test_a_line_behind_zeros_is_passed_over_and_no_other(tmp_path: Path) -> None:
     """A power cut leaves them."""
     log = open_carmen(tmp_path, HEADER + flaser(1) + "\0\0" + flaser(2) + flaser(3))
@@ -312,17 +287,6 @@ def test_malformed_lines_alone_are_an_error_that_names_the_first(tmp_path: Path)
     log = open_carmen(tmp_path, flaser(1) + "ODOM 1 2 three 0 0 0 1 host 1\n" + flaser(2))
     with pytest.raises(LogError, match=r"\.log:2: 'three' where"):
         list(log.poses())
-
-
-def test_flipped_bytes_give_a_log_error_or_scans(tmp_path: Path) -> None:
-    content = "".join([OFFSET, ODOM.format(1), flaser(1), raw(2), flaser(3)]).encode()
-    for at in range(len(content)):
-        flipped = bytearray(content)
-        flipped[at] ^= 1 << at % 8
-        with suppress(LogError):
-            log = open_carmen(tmp_path, bytes(flipped))
-            assert len(stamps(log, "FLASER", "RAWLASER1")) <= 3
-            list(log.poses())
 
 
 def test_a_line_without_a_time_is_damage_among_others_that_have_one(tmp_path: Path) -> None:

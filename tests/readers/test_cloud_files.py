@@ -285,12 +285,6 @@ def test_poses_keep_their_times_where_those_of_the_clouds_are_known(tmp_path: Pa
         read_poses(tmp_path, KITTI, timed)
 
 
-@each_text
-def test_as_many_poses_as_files_minus_one_are_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(LogError, match=r"poses\.txt: .*2 poses, and the log 3 clouds"):
-        read_poses(tmp_path, "".join(text.splitlines(keepends=True)[:-1]))
-
-
 def test_a_pose_that_is_not_finite_is_kept_for_its_cloud(tmp_path: Path) -> None:
     samples = read_poses(tmp_path, KITTI.replace("1 0 0 1", "1 0 0 nan"))
 

@@ -71,9 +71,6 @@ def test_every_number_is_the_nearest_float(separator: str, words: list[str], hea
     assert ranges.tobytes() == 2 * as_float32(floats).tobytes()
 
 
-FORMS = st.sampled_from(["{:.2f}", "{:.2f}", "{:.3f}", "{:.0f}", "{:.6f}", "{:g}", "{}"])
-
-
 @pytest.mark.parametrize(
     "word",
     ["-", "1_0", "one", "1 2", "1.2.3", "--1", "1-2", "0x10", "\u0661", "3:25", "p.25", "\x10.25"],

@@ -13,7 +13,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from occmap.readers.containers import Channel
-from occmap.readers.messages import PARSERS
+from occmap.readers.messages import make_parser
 from occmap.readers.ros_log import RosLog
 from tests.fuzz.__main__ import alarm
 from tests.readers.foxglove_logs import encode_protobuf, make_descriptors
@@ -29,7 +29,7 @@ PART = "=" * 80 + "\nMSG: sensor_msgs/"
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    PARSERS["cdr"](Channel("/warm", SCAN, "cdr"))  # loads rosbags' own types
+    make_parser(Channel("/warm", SCAN, "cdr"))  # loads rosbags' own types
     with alarm(5), bounded_memory():
         yield
 
