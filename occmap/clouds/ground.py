@@ -11,18 +11,18 @@ from occmap.cells import Ground
 from occmap.clouds import FLAT, CloudOptions
 from occmap.clouds.counting import Counted, Sensor, thin_path
 from occmap.clouds.kernels import growth, heights
-from occmap.clouds.kernels.growth import BLOCK, Blocks, Found, Peaks, index_blocks
+from occmap.clouds.kernels.growth import BLOCK, STRAY, Blocks, Found, Layer, Peaks, index_blocks
 from occmap.clouds.kernels.heights import BIN_MM, Histogram, Pieces
 from occmap.errors import MapError
 from occmap.report import join_names
-from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Int32, Int64
+from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32, Int64
 
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
 in the map already: often where the robot stands."""
-BESIDE, BY, UNDER = 7, 27, 2
+BESIDE, BY, UNDER = (7, 20, 40, 80), 27, 2
 """Columns beside the path that the ground grows from, that the robot passes by, and that it stands
-on"""
+on; it grows from farther away only where too few of the nearer columns show it"""
 FEWEST_SEEDS, AROUND = 100, 80
 """Where fewer columns under the path show anything, the robot hardly moved, or never sees its way.
 What lies near it may be tables: the ground is what lies low in so many columns around."""
@@ -137,11 +137,11 @@ class Seat(NamedTuple):
     """(P, 3) where they went (mm)"""
     height: int
     """How high above the ground (mm)"""
-    spread: int
-    """By how much that differs"""
+    layer: Layer
+    """Where the ground begins"""
     beside: int
     """So far beside the path the ground is looked for (columns)"""
-    upper: int = 0
+    upper: int
     """How high they are above another level, which may be the ground (mm); 0: there is none"""
 
 
@@ -161,9 +161,8 @@ def grow(
     blocks, height, grown = columns.blocks, np.empty_like(columns.peaks.first), []
     for _ in range(PASSES):
         found = find_nothing(columns)
-        for _, path, above, spread, beside, _ in seats:
-            band = above - spread, above + spread, growth.STRAY
-            look_beside(columns, path, (beside, BY, UNDER), band, found)
+        for seat in seats:
+            look_beside(columns, seat.path, (seat.beside, BY, UNDER), seat.layer, found)
         keep_known(known, found)
         go_on(columns, found)
         if before is not None:
@@ -201,13 +200,13 @@ def fill(blocks: Blocks, height: Int32, rounds: int, peaks: Peaks = NO_PEAKS) ->
 
 def fill_around(blocks: Blocks, height: Int32) -> None:
     """Fill columns around measured ground (C,); a floor of one level goes on as its plane."""
-    plane = fit_plane(blocks, height)
+    plane = find_level_floor(blocks, height)
     fill(blocks, height, FILLED)
     if plane is not None:
         beyond = height == NO_GROUND
         fill(blocks, height, LEVEL_FILLED - FILLED)
         at = np.flatnonzero(beyond & (height != NO_GROUND))
-        height[at] = plane.find_heights(blocks, at)
+        height[at] = np.rint(plane.find_heights(list_places(blocks, at)))
 
 
 def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOptions) -> Bool:
@@ -240,22 +239,18 @@ def find_nothing(columns: Shown) -> Found:
 
 
 def look_beside(
-    columns: Shown,
-    path: Int64,
-    reach: tuple[int, int, int],
-    band: tuple[int, int, int],
-    found: Found,
+    columns: Shown, path: Int64, reach: tuple[int, int, int], layer: Layer, found: Found
 ) -> Int64:
     """Add to the ground what lies so deep below a sensor, beside its path.
 
     Returns
     -------
     Int64
-        How many peaks lie in each `BIN_MM` of the band.
+        (N,) how deep each of these lies, to `BIN_MM`.
     """
-    depths = np.zeros((band[1] - band[0]) // BIN_MM + 1, np.int64)
-    growth.look_beside(columns.blocks, columns.peaks, path, reach, band, found, depths)
-    return depths
+    depths = np.zeros((layer.most - layer.least) // BIN_MM + 1, np.int64)
+    growth.look_beside(columns.blocks, columns.peaks, path, reach, layer, found, depths)
+    return np.repeat(layer.least + np.arange(len(depths)) * BIN_MM + BIN_MM // 2, depths)
 
 
 def lower(peaks: Peaks, raised: Int64, level: Int32, weight: Int32) -> Peaks:
@@ -278,10 +273,10 @@ class Plane(NamedTuple):
     up: float
     """By how much it rises (mm) to the next column and to the next row"""
 
-    def find_heights(self, blocks: Blocks, at: Int64) -> Int32:
-        """Find how high it is in some columns of blocks (N,; mm)."""
-        up, right = list_places(blocks, at) - self.start
-        return np.asarray(np.rint(self.level + self.right * right + self.up * up).astype(np.int32))
+    def find_heights(self, places: Int64 | Float64) -> Float64:
+        """Find how high it is (mm) in some places (2, N), counted in columns."""
+        up, right = places - self.start
+        return np.asarray(self.level + self.right * right + self.up * up)
 
 
 def list_places(blocks: Blocks, at: Int64) -> Int64:
@@ -290,30 +285,34 @@ def list_places(blocks: Blocks, at: Int64) -> Int64:
     return np.asarray(blocks.places[at >> 2 * BLOCK_BITS].T * BLOCK + inside)
 
 
-def fit_plane(blocks: Blocks, height: Int32) -> Plane | None:
-    """Fit a plane to measured ground (C,); give None where it has none.
-
-    Sums are of integers, so that their order does not count.
-    """
+def find_level_floor(blocks: Blocks, height: Int32) -> Plane | None:
+    """Find the plane of measured ground (C,); give None where it has none."""
     at = np.flatnonzero(height != NO_GROUND)
     if len(at) < LEAST_LEVEL:
         return None
-    places = list_places(blocks, at)
-    start = places[:, :1]
+    plane, off = fit_plane(list_places(blocks, at), height[at], np.ones_like(at, np.bool_))
+    return plane if np.count_nonzero(np.abs(off) < LEVEL_MM) >= LEVEL_SHARE * len(at) else None
+
+
+def fit_plane(places: Int64, level_mm: Int32, used: Bool) -> tuple[Plane, Float64]:
+    """Fit a plane to places (2, N) and their levels (N,), at first to those that are used.
+
+    It does not lean aside where these lie in a row. Sums are of integers, so that their order does
+    not count.
+
+    Returns
+    -------
+    The plane, and how high above it each place lies (N,; mm).
+    """
+    start, level_mm = places[:, :1], level_mm.astype(np.int64)
     up, right = places - start
     known = np.stack([np.ones_like(up), right, up], axis=1)
-    level_mm, used = height[at].astype(np.int64), np.ones(len(at), np.bool_)
     for _ in range(ROUNDS):
         some = known[used]
-        sums = some.T @ some
-        if len(some) < LEAST_LEVEL or np.linalg.matrix_rank(sums) < len(sums):
-            return None
-        plane = np.linalg.solve(sums, some.T @ level_mm[used])
-        off = np.abs(level_mm - known @ plane)
-        used = off < 3 * max(float(np.median(off[used])), LEVEL_MM / 3)
-    if np.count_nonzero(off < LEVEL_MM) / len(at) < LEVEL_SHARE:
-        return None
-    return Plane(start, *plane.tolist())
+        plane = np.linalg.lstsq(some.T @ some, some.T @ level_mm[used], rcond=None)[0]
+        off = level_mm - known @ plane
+        used = np.abs(off) < 3 * max(float(np.median(np.abs(off[used]))), LEVEL_MM / 3)
+    return Plane(start, *plane.tolist()), off
 
 
 def tell_heights(seats: Sequence[Seat]) -> str:
@@ -429,33 +428,73 @@ def measure_seat(
 ) -> Seat | None:
     """Measure how high sensors are: the median depth of peaks under their path.
 
-    Where there are few, it is the median of the lowest level around.
+    Where there are few, it is the depth of the lowest plane around.
 
     Returns
     -------
     Seat or None
         None where nothing lies below them, and no height is given.
     """
-    sensors, path, scratch = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
+    sensors, path, under = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
-    beside, share = BESIDE, 0.5
-    depths = look_beside(columns, path, (UNDER, 0, 0), (*band, growth.STRAY), scratch)
-    if np.count_nonzero(scratch.height != NO_GROUND) < FEWEST_SEEDS:
-        beside, share = AROUND, 1 - LOWEST_SHARE
-        depths = look_beside(columns, path, (AROUND, 0, 0), (*band, 1), scratch)
-    if given_m is not None:
-        return Seat(sensors, path, round(given_m * 1000), 150, beside)
-    if not depths.any():
+    seen = look_beside(columns, path, (UNDER, 0, 0), Layer(*band, STRAY), under)
+    share, lean = 0.5, (0.0, 0.0)
+    if np.count_nonzero(under.height != NO_GROUND) < FEWEST_SEEDS:
+        share = 1 - LOWEST_SHARE
+        seen, lean = look_around(columns, path[len(path) // 2], band)
+    given = None if given_m is None else (round(given_m * 1000), 150, 0)
+    if given is None and not len(seen):
         return None
-    seen = np.repeat(band[0] + np.arange(len(depths)) * BIN_MM + BIN_MM // 2, depths)
-    here = seen[np.abs(seen - find_quantile(seen, share)) <= APART_MM]
-    depth, above = find_quantile(here, 0.5), seen[seen < here.min()]
-    spread = int(np.clip(4 * find_quantile(np.abs(here - depth), 0.5) + 60, 100, 450))
+    depth, spread, upper = given or measure_level(seen, share)
+    layer = Layer(depth - spread, depth + spread, STRAY, *lean)
+    for beside in BESIDE:
+        near = find_nothing(columns)
+        look_beside(columns, path, (beside, 0, 0), layer, near)
+        if np.count_nonzero(near.height != NO_GROUND) >= FEWEST_SEEDS:
+            break
+    return Seat(sensors, path, depth, layer, beside, upper)
+
+
+def measure_level(seen: Int64, share: float) -> tuple[int, int, int]:
+    """Measure the level that lies as deep as such a share of depths (N,; mm).
+
+    Returns
+    -------
+    How deep it is, by how much that differs, and how deep another one above it is, or 0.
+    """
+    middle = find_quantile(seen, share)
+    here, above = seen[np.abs(seen - middle) <= APART_MM], seen[seen < middle - APART_MM]
+    depth = find_quantile(here, 0.5)
+    spread = int(np.clip(4 * find_quantile(np.abs(here - depth), 0.5) + 60, 140, 450))
     upper = find_quantile(above, 0.5) if len(above) >= LOWEST_SHARE * len(seen) else 0
-    return Seat(sensors, path, depth, spread, beside, upper)
+    return depth, spread, upper
 
 
-def find_quantile(seen: Int64, share: float) -> int:
+def look_around(
+    columns: Shown, place: Int64, band: tuple[int, int]
+) -> tuple[Int64, tuple[float, float]]:
+    """Find how deep below a place (3,) of a sensor, within a band, lies what is around it.
+
+    A floor may lean: a plane is fitted to what lies low, and all that is near it. Each depth is the
+    one that a plane like this has below the sensor.
+
+    Returns
+    -------
+    Depths (N,; mm), and by how much the plane rises (mm) to the next column and row.
+    """
+    around = find_nothing(columns)
+    look_beside(columns, place[None], (AROUND, 0, 0), Layer(*band, 1), around)
+    at = np.flatnonzero(around.height != NO_GROUND)
+    if not len(at):
+        return at, (0.0, 0.0)
+    places, level = list_places(columns.blocks, at), around.height[at]
+    low = np.abs(level - find_quantile(level, LOWEST_SHARE)) <= APART_MM
+    plane, off = fit_plane(places, level, low)
+    under = plane.find_heights(place[1::-1, None] / COLUMN_MM - 0.5)
+    return np.rint(place[2] - under - off).astype(np.int64), (plane.right, plane.up)
+
+
+def find_quantile(seen: Int32 | Int64, share: float) -> int:
     """Find the one of some numbers than which such a share is no larger."""
     return int(np.quantile(seen, share, method="inverted_cdf"))
 

@@ -61,22 +61,23 @@ def test_a_few_stray_points_below_the_floor_are_no_ground(
     columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
     found = ground.find_nothing(columns)
     ground.look_beside(
-        columns, np.array([[75, 75, 900]]), (7, 0, 0), (700, 1300, growth.STRAY), found
+        columns, np.array([[75, 75, 900]]), (7, 0, 0), growth.Layer(700, 1300, growth.STRAY), found
     )
     assert found.height[0] == height
 
 
 @pytest.mark.parametrize(
-    ("rows", "reach_mm", "height_mm", "upper_mm"),
-    [(3, 10, 1000, 0), (20, 10, 1000, 600), (20, 2500, 600, 0)],
-    ids=["table", "tables", "platform"],
+    ("rows", "reach_mm", "height_mm", "upper_mm", "rise_mm"),
+    [(3, 10, 1000, 0, 0), (0, 10, 1000, 0, 20), (20, 10, 1000, 600, 0), (20, 2500, 600, 0, 0)],
+    ids=["table", "slope", "tables", "platform"],
 )
 def test_ground_is_where_the_robot_went_or_what_lies_low_around(
-    rows: int, reach_mm: int, height_mm: int, upper_mm: int
+    rows: int, reach_mm: int, height_mm: int, upper_mm: int, rise_mm: int
 ) -> None:
     many, level = np.zeros((2, 64, 64), np.int32)
     many[:10, 20:45] = 1  # the floor, from 3.3 m on
     many[31 : 31 + rows, 20:45], level[31:] = 1, 400
+    level += (rise_mm * (COL - 31.5)).astype(np.int32)  # which is below the sensor
     first = np.arange(64 * 64, dtype=np.int32)
     peaks = growth.Peaks(first, many.ravel(), level.ravel(), np.ones_like(first))
     columns = ground.Shown(BLOCKS, peaks, 1, Pieces(*np.zeros((3, 0), np.int64)))
@@ -233,18 +234,17 @@ COL, ROW = (each.astype(np.float64) for each in np.meshgrid(np.arange(64), np.ar
 def test_a_floor_of_one_level_goes_on_by_its_plane() -> None:
     """2 mm and -1 mm a column, with a pallet in a corner."""
     slope: Float64 = 2 * COL - ROW - 700
-    plane = ground.fit_plane(*lay_slope(slope + np.where(COL + ROW < 6, 150.0, 0.0)))
+    plane = ground.find_level_floor(*lay_slope(slope + np.where(COL + ROW < 6, 150.0, 0.0)))
     assert plane is not None
-    np.testing.assert_allclose(
-        plane.find_heights(BLOCKS, np.arange(64 * 64)).reshape(64, 64), slope, atol=1
-    )
+    places = ground.list_places(BLOCKS, np.arange(64 * 64))
+    np.testing.assert_allclose(plane.find_heights(places).reshape(64, 64), slope, atol=1)
 
 
 def test_what_is_no_plane_does_not_go_on() -> None:
-    assert ground.fit_plane(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
+    assert ground.find_level_floor(*lay_slope(np.where(COL > 50, 300.0, 0.0))) is None
     blocks, level = lay_slope(0 * COL)
     for part in (np.arange(4096) < 400, np.arange(4096) % 64 == 7):  # too few, and a line
-        assert ground.fit_plane(blocks, np.where(part, level, NO_GROUND)) is None
+        assert ground.find_level_floor(blocks, np.where(part, level, NO_GROUND)) is None
 
 
 def test_levels_that_were_ground_are_kept_where_a_peak_still_shows_them() -> None:

@@ -114,13 +114,26 @@ class Found(NamedTuple):
     """(C,) 0, `PASSED` or `STOOD`"""
 
 
+class Layer(NamedTuple):
+    """How deep below a sensor the ground may lie."""
+
+    least: int
+    """mm"""
+    most: int
+    stray: int
+    """How many times the points of a lower peak another one may hold"""
+    right: float = 0.0
+    """By how much it rises (mm) to the next column, and to the next row"""
+    up: float = 0.0
+
+
 @kernel
 def look_beside(
     blocks: Blocks,
     peaks: Peaks,
     path: Int64,
     reach: tuple[int, int, int],
-    band: tuple[int, int, int],
+    layer: Layer,
     found: Found,
     depths: Int64,
 ) -> None:
@@ -132,15 +145,12 @@ def look_beside(
         (P, 3) x, y, z of the sensor (mm).
     reach
         How far beside it columns count, how far the robot passes by, and how far it stands.
-    band
-        Least and greatest depth (mm), and how many times the points of a lower peak another one may
-        hold.
     found
         Changed in place.
     depths
         (D,) counts of depths by `BIN_MM`, from the least one on; they are added.
     """
-    (beside, by, under), (least, most, stray) = reach, band
+    (beside, by, under), (least, most, stray, lean_right, lean_up) = reach, layer
     height, weight, passed = found
     widest = max(beside, by)
     for i in range(len(path)):
@@ -160,15 +170,16 @@ def look_beside(
                 if apart > beside * beside:
                     continue
                 lowest, heaviest, first = -1, 0, peaks.first[at]
+                sensor = path[i, 2] + int(np.rint(lean_right * right + lean_up * up))
                 for k in range(first + peaks.many[at] - 1, first - 1, -1):
-                    if least <= path[i, 2] - peaks.height[k] <= most:
+                    if least <= sensor - peaks.height[k] <= most:
                         if stray * peaks.weight[k] >= heaviest:
                             lowest = k
                         heaviest = max(heaviest, peaks.weight[k])
                 if lowest < 0:
                     continue
                 level = peaks.height[lowest]
-                depths[(path[i, 2] - level - least) // BIN_MM] += 1
+                depths[(sensor - level - least) // BIN_MM] += 1
                 if height[at] == NO_GROUND or level < height[at]:
                     height[at], weight[at] = level, peaks.weight[lowest]
 
