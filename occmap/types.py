@@ -439,8 +439,8 @@ class Rays(NamedTuple):
         reach = distance.astype(np.float32)
         return cls(origin, turn, bearing, reach, kind, stamp_ns, full_circle)
 
-    def take(self, scans: slice | Bool) -> Self:
-        """Select scans by a slice or by a mask (S,)."""
+    def take(self, scans: slice | Bool | Int64) -> Self:
+        """Select scans by a slice, by a mask (S,) or by their indices."""
         by_scan = "origin", "turn", "distance", "kind", "stamp_ns"
         return self._replace(**{name: getattr(self, name)[scans] for name in by_scan})
 

@@ -290,7 +290,8 @@ class ConfigOption(CliOption):
                 str(own[name].name): convert(path, own[name], value, ctx)
                 for name, value in taken.items()
             }
-            told = [f"{name} = {json.dumps(value, default=str)}" for name, value in taken.items()]
+            write = json.JSONEncoder(ensure_ascii=False, default=str).encode
+            told = [f"{name} = {write(value)}" for name, value in taken.items()]
             told = told or ["nothing in it is for this command, or all is typed, too"]
             ctx.ensure_object(Console).announced.append(f"{path}: {', '.join(told)}")
         return super().handle_parse_result(ctx, opts, args)

@@ -169,7 +169,7 @@ class TrackBuilder:
         self._times = array("q")
         self._values = array("d")
         self.unusable = 0
-        """Samples that were left out: not usable (`find_usable`), or with a damaged stamp"""
+        """Samples that were left out: not usable (`find_usable`), or with no sound stamp"""
 
     def add(
         self, stamp_ns: int | Int64, record_ns: int | Int64, pose: Sequence[float] | Float64
@@ -193,6 +193,7 @@ class TrackBuilder:
         """
         times, values = self.samples
         usable, norm = find_usable(values)
+        usable[find_unset(times[:, 0], values)] = False
         self.unusable = int(len(self._times) // 2 - usable.sum())
         kept = np.flatnonzero(usable)
         if not len(kept):
@@ -203,6 +204,18 @@ class TrackBuilder:
         kept = kept[np.append(np.diff(stamp[kept]) > 0, True)]
         unit = values[kept, 3:] / norm[kept, None]
         return Track(stamp[kept], values[kept, :3], unit, set_back_s=set_back_s)
+
+
+def find_unset(stamp_ns: Int64, values: Float64) -> Int64:
+    """Find the samples whose stamp (N,) was never set, as before the clock of a simulator runs.
+
+    It is zero, and so is the next one at another place. Of a log without any stamps others say what
+    can be done, and a simulation that begins anew is at zero once each time.
+    """
+    zero = stamp_ns == 0
+    at_zero = values[zero]
+    is_unset = not zero.all() and (zero[1:] & zero[:-1]).any()
+    return np.flatnonzero(zero & (is_unset and differ(at_zero[:, :3], at_zero[:, 3:])))
 
 
 def measure_set_back(stamp_ns: Int64, record_ns: Int64) -> float:

@@ -244,9 +244,11 @@ def score_by_logs(
     trial, occupied, free = weigh(written, seen, options.jobs)
     agreement = float(np.mean(walls.measure(moved.move(hits)) < BESIDE * place.resolution))
     if not against.fit and (doubt := doubt_agreement(agreement)):
-        tally.notes.append(
-            f"{doubt} or beside one: if the logs have another frame, `fit` may find it"
-        )
+        hint = "if the logs have another frame, `fit` may find it"
+        if written.align and not options.posing.transform:
+            turn = math.radians(float(written.align))
+            hint = f"the map is turned by {written.align} degrees: try `transform=(0,0,{turn:.6f})`"
+        tally.notes.append(f"{doubt} or beside one: {hint}")
     score = LogScore(
         logs=tally.logs,
         scans=tally.scans,

@@ -177,8 +177,10 @@ def refuse_damage(path: Path) -> Iterator[None]:
         fix = "leave out its quotes" if has_magic(str(path)) else "check the path"
         raise MapError("no such file", where=path, fix=fix) from None
     except DAMAGE as error:
-        reason = getattr(error, "strerror", None) or "it is cut or altered"
-        raise MapError(f"cannot be read: {reason}", where=path, fix="build it again") from None
+        # A new build does not mend what keeps the system from reading it.
+        system = getattr(error, "strerror", "")
+        reason, fix = (system, "") if system else ("it is cut or altered", "build it again")
+        raise MapError(f"cannot be read: {reason}", where=path, fix=fix) from None
 
 
 def refuse_other_version(path: Path, head: dict[str, Any], name: str, version: int) -> None:
