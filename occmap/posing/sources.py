@@ -132,7 +132,7 @@ def _build_edges(
         if builder.unusable:
             notes.append(
                 f"{count(builder.unusable, 'pose')} of {parent} -> {child or 'a body'} left out: "
-                "not finite, beyond 1e12 m, without a rotation, or with a damaged stamp or none"
+                "not finite, beyond 1e12 m, without a rotation, or with a damaged or unset stamp"
             )
         if track is not None:
             if static and track.moves:
