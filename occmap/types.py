@@ -310,8 +310,6 @@ class PosedScans:
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
     origin: Float64 | None = None
     """(S, 3) m, where the sensor was, if its clouds are in another frame than its own"""
-    stands: Bool | None = None
-    """(S,) whether the sensor stood still at its clouds; None: nobody asked"""
 
     @property
     def stamp_ns(self) -> Int64:
@@ -321,9 +319,8 @@ class PosedScans:
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices."""
         origin = None if self.origin is None else self.origin[scans]
-        stands = None if self.stands is None else self.stands[scans]
         place = self.position[scans], self.rotation[scans]
-        return type(self)(self.batch.take(scans), *place, origin, stands)
+        return type(self)(self.batch.take(scans), *place, origin)
 
     @property
     def at_first_beam(self) -> tuple[Float64, Float64]:

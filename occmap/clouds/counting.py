@@ -9,7 +9,7 @@ import numpy as np
 
 from occmap.cells import Ground
 from occmap.clouds.kernels import heights
-from occmap.clouds.kernels.heights import Cloud, Histogram, draw, list_clouds
+from occmap.clouds.kernels.heights import Cloud, Histogram, list_clouds
 from occmap.clouds.kernels.laying import lay_cloud, lay_columns
 from occmap.posing import Drift
 from occmap.types import Float64, Int64, PosedScans
@@ -25,6 +25,11 @@ UPRIGHT_CLOUDS, UPRIGHT_POINTS = 20, 20_000
 """About so many clouds, and points of each, show if walls stand upright"""
 SHORT_MM = 150
 """The path is taken at steps of about this length."""
+
+
+def draw(stamp_ns: int) -> float:
+    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
+    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
 
 
 Sensor: TypeAlias = tuple[str, str, str]

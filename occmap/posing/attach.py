@@ -20,7 +20,7 @@ from occmap.posing.course import Course, Stance
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS, Track
 from occmap.report import count
-from occmap.types import IDENTITY, Bool, Float64, Int64, Pose, PosedScans, ScanBatch, Trajectory
+from occmap.types import IDENTITY, Float64, Int64, Pose, PosedScans, ScanBatch, Trajectory
 
 TWIN_SHARE = 0.5
 """Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
@@ -28,8 +28,6 @@ STATED_FRAME, STATED_LASER = "map", "laser"
 """Names for the frames of logs that state poses beside their scans and name no frame."""
 NEAR_FLOOR_M = 1.5
 """A ceiling that is taken for a floor is farther from most robots"""
-STANDS_S, STANDS_M = 2.0, 0.15
-"""A sensor stands still if it is so near to where it was so long before, and will be after"""
 Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
 
@@ -44,16 +42,6 @@ def tilt(level: tuple[float, float]) -> Transforms:
     """Make the rotation by a roll and a pitch (degrees)."""
     roll, pitch = map(math.radians, level)
     return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
-
-
-def find_standing(way: Chain, stamp_ns: Int64) -> Bool:
-    """Find the moments (S,) at which a sensor stands still: what it sees then is one view."""
-    now, stands = way.at(stamp_ns).position, np.full(len(stamp_ns), way.interval_s > 0)
-    for add_s in (-STANDS_S, STANDS_S):
-        other = way.at(stamp_ns + round(add_s * 1e9))
-        moved = np.linalg.norm(other.position - now, axis=1)
-        stands &= (other.status == Status.POSED) & (moved < STANDS_M)
-    return stands
 
 
 @dataclass(eq=False)
@@ -168,7 +156,7 @@ class Poser:
             return
         stamp_ns = self._convert(batch.stamp_ns)
         if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
-            yield from self._keep(batch, way.at(stamp_ns), carrier, carrier.at(stamp_ns))
+            yield from self._keep(batch, way.at(stamp_ns), carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         in_clouds = bool(batch.clouds)
@@ -178,10 +166,9 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds), way)
+            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds))
         if not deskewed.all():
-            found = way.at(stamp_ns[~deskewed], in_clouds)
-            yield from self._keep(batch.take(~deskewed), found, way)
+            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed], in_clouds))
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -210,11 +197,7 @@ class Poser:
         return None
 
     def _keep(
-        self,
-        batch: ScanBatch,
-        found: Transforms,
-        way: Chain | None = None,
-        seen_from: Transforms | None = None,
+        self, batch: ScanBatch, found: Transforms, seen_from: Transforms | None = None
     ) -> Iterator[PosedScans]:
         """Keep the scans (S) that have a pose at all of their K moments; record all of them.
 
@@ -222,8 +205,6 @@ class Poser:
         ----------
         found
             Where the frame of the scans was.
-        way
-            By which the sensor moved; None: the log states its poses.
         seen_from
             Where the sensor was, if clouds are in another frame than its own.
         """
@@ -240,8 +221,6 @@ class Poser:
             posed = chain.place_beams(batch, kept, self._above.then(found))
             if seen_from is not None:
                 posed = replace(posed, origin=self._above.then(seen_from).position[kept])
-            if way and batch.clouds:
-                posed = replace(posed, stands=find_standing(way, stamp_ns[kept]))
             if self.drift:  # these arrays are nobody else's yet
                 added = np.interp(posed.batch.stamp_ns, *self.drift) / 1000
                 posed.position.T[2] += added

@@ -69,16 +69,6 @@ def test_clouds_in_a_turn_between_key_frames_are_left_out_but_no_scans(gap: floa
     assert not attach(build(*poses), scans)[1]
 
 
-def test_sensors_of_clouds_stand_where_they_stay_near_one_place_for_two_seconds() -> None:
-    """It stands until 10 s, drives 1 m a second until 12 s, and stands again."""
-    track = [at(t, "map", "laser", Pose.planar(min(max(t - 10, 0), 2), 0, 0)) for t in range(21)]
-    scans = batch_at([1, 2, 5, 8.1, 8.3, 10, 13, 14, 18, 19])
-    clouds = tuple(Cloud(0, "laser", np.zeros((1, 3), np.float32)) for _ in scans.stamp_ns)
-    (posed,), _ = attach(build(*track), replace(scans, clouds=clouds))
-    assert posed.stands is not None
-    assert np.flatnonzero(posed.stands).tolist() == [1, 2, 3, 7, 8]
-
-
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-100.25)
     (posed,), _ = attach(poser, batch_at([104.25]))

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from occmap.grid.kernels.units import NEAR_WEIGHT
 from occmap.jit import kernel, step
 from occmap.types import COLUMN_MM, Float32, Float64, Int32, Int64, PosedScans
 from occmap.types import Cloud as RecordedCloud
@@ -34,8 +33,6 @@ FAR_M = 60.0
 RISE, DEEPEST_M = 0.3, 3.0
 """No ground lies higher above the sensor than this share of the distance, or farther below it
 beside the same share"""
-FAR_WEIGHT = NEAR_WEIGHT // 4
-"""What a cloud weighs in cells far away, and in those that only high beams look at"""
 FARTHEST_M = 1e5
 """Points farther away are none"""
 
@@ -51,8 +48,6 @@ class Cloud(NamedTuple):
     """(M, 3, 4) from the points' frame to the map"""
     origin: Float64
     """(3,) m, where the sensor was in the map"""
-    weights: tuple[int, int] = NEAR_WEIGHT, FAR_WEIGHT
-    """What a look at a cell weighs near the sensor, and far from it"""
 
 
 class Histogram(NamedTuple):
@@ -305,26 +300,8 @@ def list_clouds(posed: PosedScans) -> Iterator[Cloud]:
         place = place[:, None]
     middle = place[:, place.shape[1] // 2, :, 3]
     origins = np.ascontiguousarray(middle if posed.origin is None else posed.origin)
-    seen_from = zip(place, origins, weigh_looks(posed), strict=True)
-    for cloud, (poses, *seen) in zip(posed.batch.clouds or (), seen_from, strict=True):
-        yield Cloud(pack_points(cloud.points), find_moments(cloud, len(poses)), poses, *seen)
-
-
-def weigh_looks(posed: PosedScans) -> Iterator[tuple[int, int]]:
-    """Say what looks of clouds weigh near their sensor, and far from it.
-
-    Where it stands still it sees one view again and again, and each weighs a quarter: what would be
-    a quarter of 1 is 1 in a quarter of the clouds.
-    """
-    stands = np.zeros(len(posed.stamp_ns), np.bool_) if posed.stands is None else posed.stands
-    for stamp_ns, is_one_view in zip(posed.stamp_ns.tolist(), stands.tolist(), strict=True):
-        is_drawn = draw(stamp_ns) < FAR_WEIGHT / NEAR_WEIGHT
-        yield (FAR_WEIGHT, is_drawn * FAR_WEIGHT) if is_one_view else (NEAR_WEIGHT, FAR_WEIGHT)
-
-
-def draw(stamp_ns: int) -> float:
-    """Draw a number from 0 to 1 by a stamp: it is as good as random, and always the same."""
-    return (stamp_ns * 0x9E3779B97F4A7C15) % 2**64 / 2**64
+    for cloud, poses, origin in zip(posed.batch.clouds or (), place, origins, strict=True):
+        yield Cloud(pack_points(cloud.points), find_moments(cloud, len(poses)), poses, origin)
 
 
 def pack_points(points: Float32) -> Float32:

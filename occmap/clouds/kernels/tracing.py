@@ -8,7 +8,7 @@ from occmap.clouds.kernels import growth
 from occmap.clouds.kernels.growth import BLOCK, STEPPED, Blocks, find_column, find_under, locate
 from occmap.clouds.kernels.heights import SOME, Cloud, place_points
 from occmap.clouds.kernels.laying import Columns, ground_at
-from occmap.grid.kernels.units import CELL_SHIFT, UNITS_PER_CELL
+from occmap.grid.kernels.units import CELL_SHIFT, NEAR_WEIGHT, UNITS_PER_CELL
 from occmap.jit import kernel, step
 from occmap.types import (
     BLOCK_BITS,
@@ -25,6 +25,8 @@ from occmap.types import (
 LOW, HIT, UNKNOWN, HIGH = 1, 2, 4, 8
 """Bits of a cell in one cloud: what looks at it is a beam `LOW` over its ground, or a `HIGH` one;
 `UNKNOWN`, which stays, is that it has no ground."""
+FAR_WEIGHT = NEAR_WEIGHT // 4
+"""What a cloud weighs in cells far away, and in those that only high beams look at"""
 LOW_SHARE = 5 / 8
 """Beams that pass over a cell higher than this share of the robot's height say little of it"""
 SECTORS_OF_QUARTER = 180
@@ -238,8 +240,6 @@ class View(NamedTuple):
     """Lattice units in a metre"""
     rings: float
     """Rings around it in a lattice unit"""
-    weights: tuple[int, int]
-    """As of its cloud"""
 
 
 @kernel
@@ -248,7 +248,7 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     scale, (x, y, z) = UNITS_PER_CELL / canvas.resolution, cloud.origin
     at_x, at_y = int(np.rint(x * scale)), int(np.rint(y * scale))
     row, col = at_y >> CELL_SHIFT, at_x >> CELL_SHIFT
-    view = View(band, at_x, at_y, row, col, z * 1000, scale, 1 / (RING_M * scale), cloud.weights)
+    view = View(band, at_x, at_y, row, col, z * 1000, scale, 1 / (RING_M * scale))
     under = find_floor(canvas, row, col, -HIGHEST)
     room.apart[:], room.lowest[:], room.used[:] = NOTHING, np.inf, 0
     for start in range(0, cloud.points.size // 3, SOME):
@@ -502,14 +502,14 @@ def clear_bearings(view: View, canvas: Canvas, room: Room) -> None:
 @step
 def count_looks(view: View, canvas: Canvas, room: Room) -> None:
     """Count what the cloud says of the cells that it touched, and forget it."""
-    state, near, weights = canvas.state, NEAR_M / canvas.resolution, view.weights
+    state, near = canvas.state, NEAR_M / canvas.resolution
     for i in range(room.used[TOUCHED]):
         at = room.touched[i]
         tile, inside = at >> 2 * BLOCK_BITS, at & (CELLS - 1)
         row, col = locate(canvas.tiles, at)
         up, right = row - view.row, col - view.col
         is_near = up * up + right * right < near * near
-        weight = weights[0] if is_near and state[at] & LOW else weights[1]
+        weight = NEAR_WEIGHT if is_near and state[at] & LOW else FAR_WEIGHT
         layer = 2 * tile + (0 if state[at] & HIT else 1)
         canvas.counts[layer * CELLS + inside] += weight
         state[at] = 0
