@@ -20,9 +20,9 @@ from occmap.types import BLOCK_BITS, COLUMN_MM, NO_GROUND, Bool, Float64, Int32,
 DEPTHS, DEPTHS_IN_MAP = (100, 3000), (-300, 3000)
 """The ground lies so far below a sensor (mm), or below what is known of its place where clouds are
 in the map already: often where the robot stands."""
-BESIDE, BY, UNDER = (7, 20, 40, 80), 27, 2
+BESIDE, BY, UNDER = 7, 27, 2
 """Columns beside the path that the ground grows from, that the robot passes by, and that it stands
-on; it grows from farther away only where too few of the nearer columns show it"""
+on"""
 FEWEST_SEEDS, AROUND = 100, 80
 """Where fewer columns under the path show anything, the robot hardly moved, or never sees its way.
 What lies near it may be tables: the ground is what lies low in so many columns around."""
@@ -438,20 +438,15 @@ def measure_seat(
     sensors, path, under = tuple(paths), thin_path(*paths.values()), find_nothing(columns)
     band = DEPTHS if all(frame for *_, frame in sensors) else DEPTHS_IN_MAP
     seen = look_beside(columns, path, (UNDER, 0, 0), Layer(*band, STRAY), under)
-    share, lean = 0.5, (0.0, 0.0)
+    beside, share, lean = BESIDE, 0.5, (0.0, 0.0)
     if np.count_nonzero(under.height != NO_GROUND) < FEWEST_SEEDS:
-        share = 1 - LOWEST_SHARE
+        beside, share = AROUND, 1 - LOWEST_SHARE
         seen, lean = look_around(columns, path[len(path) // 2], band)
     given = None if given_m is None else (round(given_m * 1000), 150, 0)
     if given is None and not len(seen):
         return None
     depth, spread, upper = given or measure_level(seen, share)
     layer = Layer(depth - spread, depth + spread, STRAY, *lean)
-    for beside in BESIDE:
-        near = find_nothing(columns)
-        look_beside(columns, path, (beside, 0, 0), layer, near)
-        if np.count_nonzero(near.height != NO_GROUND) >= FEWEST_SEEDS:
-            break
     return Seat(sensors, path, depth, layer, beside, upper)
 
 
@@ -476,7 +471,7 @@ def look_around(
     """Find how deep below a place (3,) of a sensor, within a band, lies what is around it.
 
     A floor may lean: a plane is fitted to what lies low, and all that is near it. Each depth is the
-    one that a plane like this has below the sensor.
+    one that a plane like this has below the sensor. It is level where that is no floor.
 
     Returns
     -------
@@ -491,6 +486,10 @@ def look_around(
     low = np.abs(level - find_quantile(level, LOWEST_SHARE)) <= APART_MM
     plane, off = fit_plane(places, level, low)
     under = plane.find_heights(place[1::-1, None] / COLUMN_MM - 0.5)
+    # A laser that measures in one plane sees that, and no floor.
+    is_steep = math.hypot(plane.right, plane.up) > heights.RISE * COLUMN_MM
+    if is_steep or not band[0] <= place[2] - under[0] <= band[1]:
+        return place[2] - level.astype(np.int64), (0.0, 0.0)
     return np.rint(place[2] - under - off).astype(np.int64), (plane.right, plane.up)
 
 

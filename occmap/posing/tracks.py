@@ -193,7 +193,7 @@ class TrackBuilder:
         """
         times, values = self.samples
         usable, norm = find_usable(values)
-        usable[find_unset(times[:, 0], values)] = False
+        usable[find_unset(times, values)] = False
         self.unusable = int(len(self._times) // 2 - usable.sum())
         kept = np.flatnonzero(usable)
         if not len(kept):
@@ -206,15 +206,20 @@ class TrackBuilder:
         return Track(stamp[kept], values[kept, :3], unit, set_back_s=set_back_s)
 
 
-def find_unset(stamp_ns: Int64, values: Float64) -> Int64:
-    """Find the samples whose stamp (N,) was never set, as before the clock of a simulator runs.
+def find_unset(times: Int64, values: Float64) -> Int64:
+    """Find the samples whose stamp was never set, as before the clock of a simulator runs.
 
-    It is zero, and so is the next one at another place. Of a log without any stamps others say what
-    can be done, and a simulation that begins anew is at zero once each time.
+    It is zero, and so is the next one, recorded later at another place. Of a log without any stamps
+    others say what can be done, and a simulation that begins anew is at zero once each time.
+
+    Parameters
+    ----------
+    times
+        (N, 2) stamps, and when they were recorded (ns).
     """
-    zero = stamp_ns == 0
+    zero, later = times[:, 0] == 0, np.diff(times[:, 1]) > 0
     at_zero = values[zero]
-    is_unset = not zero.all() and (zero[1:] & zero[:-1]).any()
+    is_unset = not zero.all() and (zero[1:] & zero[:-1] & later).any()
     return np.flatnonzero(zero & (is_unset and differ(at_zero[:, :3], at_zero[:, 3:])))
 
 

@@ -62,8 +62,9 @@ def test_of_one_stamp_the_sample_recorded_last_stays(reverse: bool, record_ns: i
 
 def test_poses_without_a_stamp_are_left_out_where_others_have_one() -> None:
     moved = HERE._replace(x=5)
-    track, unusable = build(sample(0), sample(0, moved), sample(20))
+    track, unusable = build(sample(0), sample(0, moved, record_ns=9), sample(20))
     assert (stamps_of(track), unusable) == ([20], 2)
+    assert stamps_of(build_all(sample(0), sample(0, moved), sample(20))) == [0, 20]  # coarse times
     assert stamps_of(build_all(sample(0), sample(0), sample(20))) == [0, 20]  # a simulator's zero
     assert stamps_of(build_all(sample(0), sample(0, moved))) == [0]  # a log without any
 

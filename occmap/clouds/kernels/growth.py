@@ -115,7 +115,7 @@ class Found(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """How deep below a sensor the ground may lie."""
+    """Between which depths below a sensor the ground may lie, on planes that lean alike."""
 
     least: int
     """mm"""

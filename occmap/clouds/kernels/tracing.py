@@ -323,7 +323,8 @@ def note_point(i: int, at: int, kind: int, view: View, canvas: Canvas, room: Roo
     is_high = some.level[i] - floor >= LOW_SHARE * view.band.high
     if kind:
         touch(at, HIT if is_high else HIT | LOW, canvas, room)
-    # The next low hit, or the next of its kind, takes the place of a low hit.
+    # A low hit is written, too, so that there is no branch, and the next hit goes over it. Points
+    # take one place each at most, so the ends never meet.
     keep = -1 - used[HIGHS] if kind else used[FLOORS]
     used[HIGHS if kind else FLOORS] += is_high or not kind
     room.floor[keep], room.floor_apart[keep] = at, far
