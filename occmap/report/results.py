@@ -272,9 +272,9 @@ def list_notes(
     yield from options.list_idle()
     if options.resume_if_there and not options.resume_if_there.exists():
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
-    if tally.scans.dropped_share > MOST_DROPPED:
-        dropped = tally.scans.dropped
-        lost = {why: dropped[why] for why in dropped if why not in NOT_ASKED_FOR}
+    scans = tally.scans
+    if scans.dropped_share > MOST_DROPPED:
+        lost = {why: many for why, many in scans.dropped.items() if why not in NOT_ASKED_FOR}
         yield f"most scans are left out: {write_counts(lost)}; {advise_on_dropped(lost)}"
     if apart := name_frames(tally):
         yield (

@@ -247,8 +247,8 @@ def score_by_logs(
         hint = "if the logs have another frame, `fit` may find it"
         if written.align and not options.posing.transform:
             turn = math.radians(float(written.align))
-            hint = f"the map is turned by {written.align} degrees: if it was not moved besides, "
-            hint = f"{hint}try `transform=(0,0,{turn:.6f})`"
+            turned = f"the map is turned by {written.align} degrees"
+            hint = f"{turned}: if it was not moved besides, try `transform=(0,0,{turn:.6f})`"
         tally.notes.append(f"{doubt} or beside one: {hint}")
     score = LogScore(
         logs=tally.logs,

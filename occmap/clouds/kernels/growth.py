@@ -83,11 +83,11 @@ def locate(blocks: Blocks, at: int) -> tuple[int, int]:
 @step
 def find_near(blocks: Blocks, at: int, up: int, right: int) -> int:
     """Where the column so far up and right of another one lies; -1 where no block has it."""
-    row, col = ((at >> BLOCK_BITS) & (BLOCK - 1)) + up, (at & (BLOCK - 1)) + right
-    if (row | col) & -BLOCK == 0:  # it lies in the same block, as most do
+    inside = ((at >> BLOCK_BITS) & (BLOCK - 1)) + up, (at & (BLOCK - 1)) + right
+    if (inside[0] | inside[1]) & -BLOCK == 0:  # it lies in the same block, as most do
         return at + (up << BLOCK_BITS) + right
-    block = blocks.places[at >> 2 * BLOCK_BITS]
-    return find_column(blocks, (block[0] << BLOCK_BITS) + row, (block[1] << BLOCK_BITS) + col)
+    row, col = locate(blocks, at)
+    return find_column(blocks, row + up, col + right)
 
 
 class Peaks(NamedTuple):

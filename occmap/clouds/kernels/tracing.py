@@ -240,6 +240,8 @@ class View(NamedTuple):
     """Lattice units in a metre"""
     rings: float
     """Rings around it in a lattice unit"""
+    low: float
+    """Beams that pass over a cell lower than this are low (mm above its ground)"""
 
 
 @kernel
@@ -248,7 +250,8 @@ def trace_cloud(cloud: Cloud, band: Band, canvas: Canvas, room: Room) -> None:
     scale, (x, y, z) = UNITS_PER_CELL / canvas.resolution, cloud.origin
     at_x, at_y = int(np.rint(x * scale)), int(np.rint(y * scale))
     row, col = at_y >> CELL_SHIFT, at_x >> CELL_SHIFT
-    view = View(band, at_x, at_y, row, col, z * 1000, scale, 1 / (RING_M * scale))
+    rings, low = 1 / (RING_M * scale), LOW_SHARE * band.high
+    view = View(band, at_x, at_y, row, col, z * 1000, scale, rings, low)
     under = find_floor(canvas, row, col, -HIGHEST)
     room.apart[:], room.lowest[:], room.used[:] = NOTHING, np.inf, 0
     for start in range(0, cloud.points.size // 3, SOME):
@@ -301,7 +304,7 @@ def sort_point(i: int, view: View, canvas: Canvas, some: Aside) -> tuple[int, in
         kind = NO_RETURN if np.isnan(some.place[0, i]) else TOO_FAR
         counts[kind] += 1
         return at, kind, level != FAR
-    above = level - canvas.base[at >> 2 * BLOCK_BITS] - canvas.ground[at]
+    above = level - floor_of(canvas, at)
     kind = GROUND if above < band.low else OBSTACLE
     kind = ABOVE if above >= band.high else BELOW if above <= -band.low else kind
     is_below = kind == BELOW
@@ -316,11 +319,11 @@ def sort_point(i: int, view: View, canvas: Canvas, some: Aside) -> tuple[int, in
 def note_point(i: int, at: int, kind: int, view: View, canvas: Canvas, room: Room) -> None:
     """Mark the cell of a hit, or keep floor; its bearing may end here."""
     some, used = room.some, room.used
-    floor = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
+    floor = floor_of(canvas, at)
     right, up, bearing = some.right[i], some.up[i], some.sector[i]
     far = np.int64(right) * right + np.int64(up) * up
     slope = ((some.level[i] if kind else floor) - view.level) / some.apart[i]
-    is_high = some.level[i] - floor >= LOW_SHARE * view.band.high
+    is_high = some.level[i] - floor >= view.low
     if kind:
         touch(at, HIT if is_high else HIT | LOW, canvas, room)
     # A low hit is written, too, so that there is no branch, and the next hit goes over it. Points
@@ -338,8 +341,12 @@ def note_point(i: int, at: int, kind: int, view: View, canvas: Canvas, room: Roo
 def find_floor(canvas: Canvas, row: int, col: int, other: int) -> int:
     """The height of the ground of a cell (mm), or another one where it has none."""
     at = find_column(canvas.tiles, row, col)
-    if at < 0 or canvas.state[at] & UNKNOWN:
-        return other
+    return other if at < 0 or canvas.state[at] & UNKNOWN else floor_of(canvas, at)
+
+
+@step
+def floor_of(canvas: Canvas, at: int) -> int:
+    """The height of the ground of a cell that has one (mm)."""
     level: int = canvas.base[at >> 2 * BLOCK_BITS] + canvas.ground[at]
     return level
 
@@ -485,8 +492,8 @@ def look_under(view: View, canvas: Canvas, room: Room) -> None:
     for i in range(1, room.used[HIGHS] + 1):
         at, apart = room.floor[-i], np.sqrt(float(room.floor_apart[-i]))
         slope = lowest[find_ring(view, apart), room.floor_bearing[-i]]
-        above = view.level + slope * apart - canvas.base[at >> 2 * BLOCK_BITS] - canvas.ground[at]
-        canvas.state[at] |= LOW if above < LOW_SHARE * view.band.high else 0
+        above = view.level + slope * apart - floor_of(canvas, at)
+        canvas.state[at] |= LOW if above < view.low else 0
 
 
 @step
@@ -527,7 +534,7 @@ def clear_line(view: View, away: tuple[int, int], bearing: int, canvas: Canvas, 
     """
     many, touched, state = room.used[TOUCHED], room.touched, canvas.state
     (up, right), row, col, slopes = away, view.row, view.col, room.lowest[:, bearing]
-    high, low = view.band.high, LOW_SHARE * view.band.high
+    high, low = view.band.high, view.low
     steps, fewer = max(abs(up), abs(right)), min(abs(up), abs(right))
     row_way, col_way = 1 if up > 0 else -1, 1 if right > 0 else -1
     is_steep, rest, done = abs(up) == steps, steps, 0
