@@ -26,16 +26,17 @@ Item = TypeVar("Item")
 
 
 class LeftOut(StrEnum):
-    """Why a scan is not used, before its pose is looked up."""
+    """Why a scan is not used, whatever its pose is."""
 
     NO_BEAMS = "no beams"
     BAD_ANGLES = "angles not finite"
     TIME = "outside `start_s` and `end_s`"
     STRIDE = "left out by `stride`"
+    STOOD = "of one view, as the sensor stood still"
 
 
-NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
-"""The user's own choice: nothing is wrong with these scans, and none of them is lost."""
+NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE, LeftOut.STOOD)
+"""Nothing is wrong with these scans, and none of them is lost: they are not meant to be used."""
 
 
 def count_wanted(read: int, unused: Mapping[str, int]) -> int:

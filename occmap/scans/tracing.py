@@ -1,9 +1,13 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
+import math
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
+
+import numpy as np
 
 from occmap.cells import Evidence, Slices
 from occmap.errors import MapError, name_log
@@ -19,10 +23,10 @@ from occmap.scans import Keep, make_engine
 from occmap.scans.logs import count_scans, open_scans, settle_update
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Drive
-from occmap.scans.tally import Tally, refuse_unused
+from occmap.scans.tally import LeftOut, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
-from occmap.types import PosedScans, Rays, Update
+from occmap.types import Bool, Float64, PosedScans, Rays, Update
 
 HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
@@ -83,6 +87,44 @@ def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:
             (work if is_short else threads.give)(seen)
 
 
+STOOD_M, STOOD_RAD = 0.05, math.radians(2)
+"""A sensor that moves and turns by no more stands still"""
+FIRST, SELDOM = 40, 10
+"""So many clouds of a standstill count, and then each that comes such a part of it after the last
+one that did"""
+
+
+class Standstill:
+    """Chooses the clouds of one sensor that count.
+
+    Where it stands still it has one view, again and again, which outweighs what it sees once it
+    drives: tables were free that a robot stood far from for a minute, and then passed. The longer
+    it stands, the fewer clouds count.
+    """
+
+    def __init__(self) -> None:
+        self._position, self._rotation = np.full(3, np.inf), np.eye(3)
+        """Where it came to stand"""
+        self._seen = self._last = 0
+        """How many clouds it saw from there, and with which of them one counted last"""
+
+    def choose(self, posed: PosedScans) -> Bool:
+        """Choose the clouds (S,) that count, which are the next ones."""
+        counts = np.ones(len(posed.stamp_ns), np.bool_)
+        for at, (position, rotation) in enumerate(zip(*posed.at_first_beam, strict=True)):
+            if self._is_elsewhere(position, rotation):
+                self._position, self._rotation, self._seen, self._last = position, rotation, 0, 0
+            self._seen += 1
+            counts[at] = self._seen <= FIRST or SELDOM * (self._seen - self._last) >= self._seen
+            self._last = self._seen if counts[at] else self._last
+        return counts
+
+    def _is_elsewhere(self, position: Float64, rotation: Float64) -> bool:
+        cosine = (np.vdot(rotation, self._rotation) - 1) / 2
+        moved_m = np.linalg.norm(position - self._position)
+        return bool(moved_m > STOOD_M or cosine < math.cos(STOOD_RAD))
+
+
 def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
     """Read what the usable scans of a drive saw, batch by batch: as rays, or as posed clouds.
 
@@ -95,10 +137,13 @@ def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
     """
     options = drive.options
     reach = Reach(Lattice(options.resolution), options.max_cells)
+    views: defaultdict[tuple[str, str], Standstill] = defaultdict(Standstill)
     for posed in drive.read(tally):
         if posed.batch.clouds:
-            tally.use(len(posed.batch.stamp_ns), ReturnCounts())
-            yield posed
+            counts = views[posed.batch.topic, posed.batch.frame].choose(posed)
+            tally.use(int(counts.sum()), ReturnCounts())
+            tally.dropped += Counter({LeftOut.STOOD: int((~counts).sum())})
+            yield posed.take(counts)
             continue
         with tally.time("interpret"):
             rays, beams = interpret(posed, options.returns)
