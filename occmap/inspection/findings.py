@@ -353,7 +353,7 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
         yield from report.label_first("shape", list_shapes(topic))
         yield from report.label_first("ranges", list_ranges(topic.ranges))
     yield "stamps", report.write_span(times.start_ns, times.end_ns)
-    yield "", describe_times(times)
+    yield "", ", ".join(list_times(times))
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
         share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
@@ -394,27 +394,26 @@ def list_ranges(ranges: RangeFindings) -> Iterator[str]:
         yield f"{ranges.crossed:.0%} of beams without return {where}{keep}"
 
 
-def describe_times(times: TimeFindings) -> str:
+def list_times(times: TimeFindings) -> Iterator[str]:
     """Say how the stamps run, beside the record times where the log has any of their own.
 
     CSV has none. Those of CARMEN count from the start of the recording, and stamps are dates.
     """
-    has_both = (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start
-    apart = report.write_duration(abs(times.offset_s))
-    side = "after" if times.offset_s > 0 else "before"
-    jumps = f"{count(times.jumps_back, 'jump')} back, up to {times.largest_jump_back_s:.3g} s"
-    parts = {
-        "simulated time": times.simulated,
-        f"{apart} {side} the record times, drift {times.drift_s:.2g} s": (
-            has_both and not times.simulated
-        ),
-        f"largest gap {report.write_duration(times.largest_gap_s)}": True,
-        f"{1e3 * times.time_increment_s:.3g} ms between beams": times.time_increment_s,
-        jumps: times.jumps_back,
-        f"{count(times.duplicates, 'scan')} with the stamp of the one before": times.duplicates,
-        "all zero" if times.all_zero else "all equal": times.all_equal,
-    }
-    return ", ".join(part for part, holds in parts.items() if holds)
+    if times.simulated:
+        yield "simulated time"
+    elif (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start:
+        apart = report.write_duration(abs(times.offset_s))
+        side = "after" if times.offset_s > 0 else "before"
+        yield f"{apart} {side} the record times, drift {times.drift_s:.2g} s"
+    yield f"largest gap {report.write_duration(times.largest_gap_s)}"
+    if times.time_increment_s:
+        yield f"{1e3 * times.time_increment_s:.3g} ms between beams"
+    if times.jumps_back:
+        yield f"{count(times.jumps_back, 'jump')} back, up to {times.largest_jump_back_s:.3g} s"
+    if times.duplicates:
+        yield f"{count(times.duplicates, 'scan')} with the stamp of the one before"
+    if times.all_equal:
+        yield "all zero" if times.all_zero else "all equal"
 
 
 def describe_poses(topic: ScanFindings) -> str:
