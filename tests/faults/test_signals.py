@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
 import pytest
 
 from occmap.cli import Signals, run
@@ -52,7 +53,10 @@ class Bomb:
 def signals() -> Iterator[Signals]:
     """Signals that listen; a background job ignores some."""
     before = {each: signal.signal(each, signal.SIG_DFL) for each in ANSWERED}
-    yield Signals()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "unraisablehook", sys.unraisablehook)
+        yield (made := Signals())
+    made.ignore()
     for each, handler in before.items():
         signal.signal(each, handler)
 
@@ -113,6 +117,30 @@ def test_of_two_signals_at_once_the_second_does_not_break_off_the_clearing_up(
     monkeypatch.setattr("occmap.cli.monotonic", lambda: time.monotonic() + 2)
     with pytest.raises(KeyboardInterrupt):  # whoever waits for longer is heard again
         signals.receive(signal.SIGINT, None)
+
+
+class Asked(type):
+    """A type that is interrupted where NumPy asks it for an attribute, and drops what is raised."""
+
+    def __getattr__(cls, name: str) -> None:
+        signal.raise_signal(signal.SIGTERM)
+        raise AttributeError(name)
+
+
+def test_a_signal_that_is_dropped_comes_again_and_does_not_disturb_the_clearing_up(
+    signals: Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("occmap.cli.GRACE_S", 0.1)
+    signals.listen()
+    done = []
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012  one after the other
+        try:
+            done.append(np.zeros(1) == Asked("Odd", (), {})())
+            time.sleep(20)
+        finally:
+            time.sleep(0.3)
+            done.append(signals.exit_code)
+    assert done[1:] == [143]
 
 
 @pytest.mark.usefixtures("signals")
