@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from occmap import report
 from occmap.cells import Box, CellBox
@@ -11,6 +10,7 @@ from occmap.posing import Concern, Stamps
 from occmap.posing.frames import Source
 from occmap.readers import Role, Stream
 from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
+from occmap.scans.mounts import Better
 from occmap.scans.tally import count_wanted
 
 
@@ -130,7 +130,7 @@ class MountFindings:
     """Median angle between the scan plane and the map's (rad)"""
     height: float
     """Median height in the map (m)"""
-    better: str
+    better: str = ""
     """The option, with its value, that mounts it so that the scans fit each other better; empty
     where they fit"""
     better_agreement: Share | None = None
@@ -155,20 +155,6 @@ class PoseFindings:
     """The `sensor_pose` that was found to fit, and is assumed; empty where none is needed"""
     is_guess: bool
     """The assumed mount is a place holder: the scans do not tell it"""
-
-
-class Better(NamedTuple):
-    """An option by which scans fit each other clearly better."""
-
-    name: str
-    value: str
-    agreement: float | None
-    """Share of the hits of a sample that agree with it; None where it makes no map"""
-
-    @property
-    def option(self) -> str:
-        """The option with its value, as texts name it."""
-        return f"`{self.name}={self.value}`"
 
 
 @dataclass(frozen=True)
@@ -204,7 +190,10 @@ class ScanFindings:
     null where they make no map"""
     hint: str = field(default="", metadata=HIDDEN)
     """What to try where these are few, and nothing else that was found may be why"""
+    misfit: Better | None = field(default=None, metadata=HIDDEN)
+    """The mount by which the scans fit each other better"""
     better: Better | None = field(default=None, metadata=HIDDEN)
+    """The option, whatever it is but a mount"""
 
     @property
     def kept(self) -> int:
