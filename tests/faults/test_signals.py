@@ -1,6 +1,6 @@
 """A signal at any line of the writing: one line, the exit code of the signal, and no leftovers.
 
-With OCCMAP_FAULTS set, at every line; without, at every tenth or so.
+With OCCMAP_FAULTS set, at every line; without, at some thirty.
 """
 
 import os
@@ -88,7 +88,7 @@ def test_a_signal_anywhere_while_files_are_written(
     scene = set_up(here, command)
     code, lines = run_with_bomb(scene, 0)
     assert code == 0
-    step = 1 if "OCCMAP_FAULTS" in os.environ else max(1, lines // 60)
+    step = 1 if "OCCMAP_FAULTS" in os.environ else max(1, lines // 30)
     codes = []
     capsys.readouterr()
     for number in range(1, lines, step):
