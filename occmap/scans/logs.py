@@ -278,8 +278,8 @@ def is_whole(path: Path, recordings: Collection[Path]) -> bool:
 
     if not path.is_dir() or (path / rosbag.METADATA).exists():
         return path.is_dir()
-    if set(recordings) <= {cloud.parent for cloud in cloud_folder.list_clouds(path)}:
-        return True
+    if all(map(Path.is_dir, recordings)):  # else no clouds are listed, which takes long
+        return set(recordings) <= {cloud.parent for cloud in cloud_folder.list_clouds(path)}
     files = rosbag.list_storage(path)
     with suppress(LogError):
         rosbag.refuse_mixed(path, files)
