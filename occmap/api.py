@@ -94,10 +94,12 @@ class Map(OccupancyMap):
 
     def __repr__(self) -> str:
         grid, scans = self.report.map, self.report.scans
+        # What one of several builds left out is mostly in another one.
+        asked = scans.wanted if self.report.builds > 1 else scans.read
         return (
             f"<Map of {grid.columns} x {grid.rows} cells of {grid.resolution:g} m: "
             f"{grid.occupied:.1%} occupied, {grid.free:.1%} free, {grid.unknown:.1%} unknown; "
-            f"{scans.used:,} of {scans.read:,} scans used>"
+            f"{scans.used:,} of {asked:,} scans used>"
         )
 
     def _repr_html_(self) -> str:

@@ -496,6 +496,7 @@ def halves(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_merge_gives_what_the_command_prints_and_writes(halves: Path, tmp_path: Path) -> None:
     merged = occmap.merge(halves / "a.npz", str(halves / "b.npz"), mode="raw")
+    assert repr(merged).endswith("; 414 of 414 scans used>")
     merged.save(tmp_path / "mine.npz")
     merged.save(tmp_path / "mine.pgm")
     outputs = ["-o", tmp_path / "its.npz", "-o", tmp_path / "its.pgm"]

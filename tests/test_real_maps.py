@@ -1,9 +1,6 @@
 """Real recordings: what check finds in each, what a build uses, and what is refused and how."""
 
-import subprocess
-import sys
 from functools import cache
-from pathlib import Path
 
 import pytest
 
@@ -64,14 +61,3 @@ def test_a_log_without_poses_says_where_it_looked() -> None:
         build([find_real(name)], BuildOptions())
     assert check(name).command == ()
     assert "`poses=FILE`" in check(name).problems[0]
-
-
-def test_conversion_to_mcap_gives_the_same_bytes(tmp_path: Path) -> None:
-    mac, target = find_real("ros2/macfirst_floor_take_2"), tmp_path / "mac"
-    command = [sys.executable, "-m", "rosbags.convert", "--dst-storage", "mcap"]
-    command += ["--src-typestore", "ros2_humble", "--src", str(mac), "--dst", str(target)]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
-    first, second = tmp_path / "first.pgm", tmp_path / "second.pgm"
-    build([mac], BuildOptions(), [first])
-    build([target / "mac.mcap"], BuildOptions(), [second])
-    assert first.read_bytes() == second.read_bytes()

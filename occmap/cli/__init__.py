@@ -13,6 +13,7 @@ from importlib import import_module
 from io import TextIOWrapper
 from time import monotonic
 from types import FrameType
+from typing import Any
 
 import click
 
@@ -163,8 +164,11 @@ ENDING = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
 """Windows has no SIGHUP."""
+HAS_TIMERS = hasattr(signal, "setitimer")
+"""Nor these"""
 GRACE_S = 1.0
-"""A terminal that closes may send two signals; the second must not break off the clearing up."""
+"""A terminal that closes may send two signals; the second must not break off the clearing up. As
+often it is looked whether the first was heard."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -192,9 +196,12 @@ class Signals:
         for number in ENDING:
             if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
                 signal.signal(number, self.receive)
+        sys.unraisablehook = self.report_dropped
 
     def ignore(self) -> None:
         """Let no signal disturb the end of a process whose work is done."""
+        if HAS_TIMERS:
+            signal.setitimer(signal.ITIMER_REAL, 0)
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
 
@@ -203,4 +210,24 @@ class Signals:
         if self.number is None or monotonic() > self._raised_at + GRACE_S:
             self.number = self.number or number
             self._raised_at = monotonic()
+            if HAS_TIMERS:
+                signal.signal(signal.SIGALRM, self.insist)
+                signal.setitimer(signal.ITIMER_REAL, GRACE_S, GRACE_S)
             raise Interrupted
+
+    def insist(self, _number: int, _frame: FrameType | None) -> None:
+        """Interrupt the main thread once more, unless it clears up already.
+
+        What is raised in a destructor is dropped by Python, and by NumPy while it looks for an
+        attribute: an enum in a comparison with an array is asked for some.
+        """
+        error = sys.exception()
+        while error is not None and not isinstance(error, Interrupted):
+            error = error.__context__
+        if error is None:
+            raise Interrupted
+
+    def report_dropped(self, dropped: Any) -> None:
+        """Report an error that Python drops, but for what comes of a signal."""
+        if self.number is None:
+            sys.__unraisablehook__(dropped)

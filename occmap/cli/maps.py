@@ -31,7 +31,6 @@ from occmap.store.merging import STAY, Transform, combine
 from occmap.store.painting import RenderOptions, publish, refuse_unsaved
 from occmap.writers import WriteOptions, check_outputs
 
-EVIDENCE = click.Argument(["path"], type=PATH, metavar="NPZ|ZARR")
 LIMIT = fail_if(SAVED, "unknown > 60%")
 
 
@@ -70,11 +69,12 @@ def merge_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -
 @command(
     "render",
     Report,
-    *(EVIDENCE, *options.WRITING, *options.fields(list_options(Framing))),
+    click.Argument(["paths"], nargs=-1, required=True, type=PATH, metavar="NPZ|ZARR"),
+    *(*options.WRITING, *options.fields(list_options(Framing))),
     options.field(list_options(RenderOptions, "Map")["overview"]),
     *(*options.KEPT_CELLS, *options.SAVED_MODEL, LIMIT),
 )
-def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
+def render_command(console: Console, /, paths: tuple[Path, ...], **values: Any) -> Answer:
     """Make a map of saved evidence, without reading the log.
 
     The evidence is what `occmap build -o map.npz` wrote. Hits and misses can be weighed by any
@@ -86,7 +86,9 @@ def render_command(console: Console, /, path: Path, **values: Any) -> Answer:
       occmap render map.npz -o room.png --extent 0,0,5,4
       occmap render city.zarr -o city.png --overview 16
     """
-    return put_out(console, [path], lambda: open_saved(path), values)
+    if len(paths) > 1:
+        raise UsageError("there are several files", fix="`occmap merge` adds them up to one map")
+    return put_out(console, paths, lambda: open_saved(paths[0]), values)
 
 
 def put_out(
@@ -122,7 +124,7 @@ MOST_SCANS, MOST_BUILDS = 12, 6
 @command(
     "explain",
     Explanation,
-    EVIDENCE,
+    click.Argument(["path"], type=PATH, metavar="NPZ|ZARR"),
     click.Argument(["x"], type=Value.of(float)),
     click.Argument(["y"], type=Value.of(float)),
     options.paths(

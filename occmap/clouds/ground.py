@@ -219,6 +219,7 @@ def find_holes(columns: Shown, height: Int32, measured: Bool, options: CloudOpti
     heights.count_apart(columns.pieces, height, (-DEEP_MM, *options.band_mm), deep, standing)
     is_open = ~measured & (height != NO_GROUND) & (standing < FEWEST_POINTS)
     reached = np.where(~measured & (deep >= FEWEST_POINTS), 0, NO_GROUND).astype(np.int32)
+    # A hole goes on as ground does: at a height of 0, to open columns, which have a peak there.
     every = np.arange(len(height), dtype=np.int32)
     ways = Peaks(every, is_open.astype(np.int32), np.zeros_like(every), np.ones_like(every))
     fill(columns.blocks, reached, FILLED, ways)

@@ -29,7 +29,7 @@ from occmap.report import count, write_counts, write_unused
 from occmap.report.results import LEAST_AGREEMENT, doubt_agreement, hint_at_tune
 from occmap.scans import estimate_agreement
 from occmap.scans.logs import look_ahead, suit_kinds
-from occmap.scans.mounts import Posing, prepare, warn_of_misfit
+from occmap.scans.mounts import Better, Posing, find_better_mount, prepare, warn_of_misfit
 from occmap.scans.stream import Drive
 from occmap.scans.tally import MEND_CLOUDS, UNSEEN_CLOUDS
 from occmap.types import PosedScans
@@ -177,7 +177,7 @@ def is_open(log: LogFindings) -> bool:
     return {special.no_return for special in specials} - {""} == {"clear"}
 
 
-def suits_all(better: findings.Better, topic: ScanFindings, topics: Sequence[ScanFindings]) -> bool:
+def suits_all(better: Better, topic: ScanFindings, topics: Sequence[ScanFindings]) -> bool:
     """Whether an option that suits a topic takes no ranges from others, which may reach farther."""
     farthest = [it.ranges.largest for it in topics if it is not topic]
     return better.name != "range_max" or not any(it > float(better.value) for it in farthest)
@@ -256,7 +256,7 @@ def list_apart(
     yield Concern(f"{found} {mend}; lasers at different heights contradict each other, too")
 
 
-def tell_better(topic: ScanFindings, better: findings.Better) -> str:
+def tell_better(topic: ScanFindings, better: Better) -> str:
     """Say how much better the scans of a topic fit each other with an option."""
     if topic.agreement is None or (better.agreement or 0) <= topic.agreement + poses.BETTER:
         return f"more scans have a pose with {better.option}"
@@ -346,8 +346,7 @@ def sum_up_log(known: LogFindings, survey: Survey, posing: Posing) -> LogFinding
     log, options = drive.log, drive.options
     scans = tuple(describe_topic(drive, each, posing) for each in seen if each.frames)
     doubts = list(poser.list_concerns(survey.first_ns or 0, options.returns.max_range))
-    mounts = ((it.topic, it.mount) for it in scans if it.mount and it.mount.better)
-    doubts += ((topic, warn_of_misfit(it.better, it.better_agreement)) for topic, it in mounts)
+    doubts += ((it.topic, warn_of_misfit(it.misfit)) for it in scans if it.misfit)
     if any(it.better and it.better.name in poses.OTHER_POSES for it in scans):
         # What would mend the poses given does not go with others.
         doubts = [(topic, Concern(concern.text)) for topic, concern in doubts]
@@ -405,7 +404,8 @@ def inspect_ground(survey: Survey) -> tuple[CellBox | None, list[str], list[Doub
 
 def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFindings:
     """Sum up all about one topic of scans, as its reader and the survey have it."""
-    options, ranked = drive.options, topic.shapes.most_common()
+    options, parts, ranked = drive.options, topic.sample.parts, topic.shapes.most_common()
+    misfit = find_better_mount(drive.poser, parts, options)
     tracks = [edge.track for edge in drive.poser.sources.tree.edges if edge.track.moves]
     moving_ns = max((int(track.stamp_ns[-1]) for track in tracks), default=None)
     found = ScanFindings(
@@ -417,17 +417,17 @@ def describe_topic(drive: Drive, topic: TopicSurvey, posing: Posing) -> ScanFind
         left_out=dict(topic.left_out),
         shapes=tuple(replace(shape, scans=n) for shape, n in ranked[:MAX_LISTED_SHAPES]),
         shape_count=len(ranked),
-        ranges=topic.census.sum_up(topic.sample.parts, options.returns),
+        ranges=topic.census.sum_up(parts, options.returns),
         times=topic.stamps.sum_up(options.posing.stamps, moving_ns),
         poses=poses.sum_up_poses(topic, posing),
-        mount=poses.sum_up_mount(drive, topic),
-        agreement=estimate_agreement(topic.sample.parts, options),
+        mount=poses.sum_up_mount(drive.poser, topic.stream.topic, misfit),
+        agreement=estimate_agreement(parts, options),
+        misfit=misfit,
     )
     better = poses.find_better(drive, topic, found)
     if better and better.name == "stamps":
         times = replace(found.times, suggested_stamps=Stamps(better.value))
         found = replace(found, times=times)
-    is_known = found.poses.stated or found.poses.problem or better
-    is_explained = is_known or (found.mount and found.mount.better)
+    is_explained = found.poses.stated or found.poses.problem or better or misfit
     hint = "" if is_explained else hint_at_tune(found.agreement, [str(drive.log.path)], options)
     return replace(found, better=better, hint=hint)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from occmap import report
 from occmap.cells import Box, CellBox
@@ -11,6 +10,7 @@ from occmap.posing import Concern, Stamps
 from occmap.posing.frames import Source
 from occmap.readers import Role, Stream
 from occmap.report import HIDDEN, Finite, Noted, Printed, Row, Share, count
+from occmap.scans.mounts import Better
 from occmap.scans.tally import count_wanted
 
 
@@ -130,7 +130,7 @@ class MountFindings:
     """Median angle between the scan plane and the map's (rad)"""
     height: float
     """Median height in the map (m)"""
-    better: str
+    better: str = ""
     """The option, with its value, that mounts it so that the scans fit each other better; empty
     where they fit"""
     better_agreement: Share | None = None
@@ -155,20 +155,6 @@ class PoseFindings:
     """The `sensor_pose` that was found to fit, and is assumed; empty where none is needed"""
     is_guess: bool
     """The assumed mount is a place holder: the scans do not tell it"""
-
-
-class Better(NamedTuple):
-    """An option by which scans fit each other clearly better."""
-
-    name: str
-    value: str
-    agreement: float | None
-    """Share of the hits of a sample that agree with it; None where it makes no map"""
-
-    @property
-    def option(self) -> str:
-        """The option with its value, as texts name it."""
-        return f"`{self.name}={self.value}`"
 
 
 @dataclass(frozen=True)
@@ -204,7 +190,10 @@ class ScanFindings:
     null where they make no map"""
     hint: str = field(default="", metadata=HIDDEN)
     """What to try where these are few, and nothing else that was found may be why"""
+    misfit: Better | None = field(default=None, metadata=HIDDEN)
+    """The mount by which the scans fit each other better"""
     better: Better | None = field(default=None, metadata=HIDDEN)
+    """The option, whatever it is but a mount"""
 
     @property
     def kept(self) -> int:
@@ -353,7 +342,7 @@ def list_facts(topic: ScanFindings) -> Iterator[Row]:
         yield from report.label_first("shape", list_shapes(topic))
         yield from report.label_first("ranges", list_ranges(topic.ranges))
     yield "stamps", report.write_span(times.start_ns, times.end_ns)
-    yield "", describe_times(times)
+    yield "", ", ".join(list_times(times))
     yield "poses", describe_poses(topic)
     if topic.agreement is not None:
         share = f"{topic.agreement:.0%} of the hits of a sample lie in cells called occupied"
@@ -394,27 +383,26 @@ def list_ranges(ranges: RangeFindings) -> Iterator[str]:
         yield f"{ranges.crossed:.0%} of beams without return {where}{keep}"
 
 
-def describe_times(times: TimeFindings) -> str:
+def list_times(times: TimeFindings) -> Iterator[str]:
     """Say how the stamps run, beside the record times where the log has any of their own.
 
     CSV has none. Those of CARMEN count from the start of the recording, and stamps are dates.
     """
-    has_both = (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start
-    apart = report.write_duration(abs(times.offset_s))
-    side = "after" if times.offset_s > 0 else "before"
-    jumps = f"{count(times.jumps_back, 'jump')} back, up to {times.largest_jump_back_s:.3g} s"
-    parts = {
-        "simulated time": times.simulated,
-        f"{apart} {side} the record times, drift {times.drift_s:.2g} s": (
-            has_both and not times.simulated
-        ),
-        f"largest gap {report.write_duration(times.largest_gap_s)}": True,
-        f"{1e3 * times.time_increment_s:.3g} ms between beams": times.time_increment_s,
-        jumps: times.jumps_back,
-        f"{count(times.duplicates, 'scan')} with the stamp of the one before": times.duplicates,
-        "all zero" if times.all_zero else "all equal": times.all_equal,
-    }
-    return ", ".join(part for part, holds in parts.items() if holds)
+    if times.simulated:
+        yield "simulated time"
+    elif (times.offset_s or times.drift_s) and times.offset_s < report.DATES_S.start:
+        apart = report.write_duration(abs(times.offset_s))
+        side = "after" if times.offset_s > 0 else "before"
+        yield f"{apart} {side} the record times, drift {times.drift_s:.2g} s"
+    yield f"largest gap {report.write_duration(times.largest_gap_s)}"
+    if times.time_increment_s:
+        yield f"{1e3 * times.time_increment_s:.3g} ms between beams"
+    if times.jumps_back:
+        yield f"{count(times.jumps_back, 'jump')} back, up to {times.largest_jump_back_s:.3g} s"
+    if times.duplicates:
+        yield f"{count(times.duplicates, 'scan')} with the stamp of the one before"
+    if times.all_equal:
+        yield "all zero" if times.all_zero else "all equal"
 
 
 def describe_poses(topic: ScanFindings) -> str:

@@ -18,7 +18,7 @@ from occmap.clouds.mounting import find_seat, measure_tilts
 from occmap.errors import MapError
 from occmap.evidence import count_steady, list_contradictions
 from occmap.grid import Lattice
-from occmap.inspection.findings import Better, Coverage, MountFindings, PoseFindings, ScanFindings
+from occmap.inspection.findings import Coverage, MountFindings, PoseFindings, ScanFindings
 from occmap.inspection.survey import NO_HIT_M, TopicSurvey, find_body
 from occmap.options import OPTIONS, BuildOptions
 from occmap.posing import Concern, Deskew, Stamps
@@ -30,7 +30,7 @@ from occmap.report import count
 from occmap.report.results import DOUBTFUL_AGREEMENT, LEAST_AGREEMENT
 from occmap.scans import Keep, estimate_agreement, make_engine, mounts
 from occmap.scans.logs import read_poser
-from occmap.scans.mounts import Posing
+from occmap.scans.mounts import Better, Posing
 from occmap.scans.stream import Drive
 from occmap.scans.tally import Tally
 from occmap.sensor.bands import BAND
@@ -68,8 +68,8 @@ def find_better(drive: Drive, topic: TopicSurvey, found: ScanFindings) -> Better
     posed = topic.posed / max(found.kept, 1) if topic.stated else share_posed(drive.poser, topic)
     most, better = usual * posed + BETTER, None
     others = list(islice(list_others(drive.poser, topic, found), MOST_TRIED))
-    if found.mount and found.mount.better.startswith("sensor_pose="):
-        others.insert(0, ("sensor_pose", found.mount.better.partition("=")[2]))
+    if found.misfit and found.misfit.name == "sensor_pose":
+        others.insert(0, (found.misfit.name, found.misfit.value))
     for name, value in others:
         changed = take(BuildOptions, given | {name: OPTIONS[name].read(value)})
         poser, parts = pose_sample(drive, topic, changed)
@@ -259,11 +259,12 @@ def sum_up_poses(topic: TopicSurvey, posing: Posing) -> PoseFindings:
     )
 
 
-def sum_up_mount(drive: Drive, topic: TopicSurvey) -> MountFindings | None:
+def sum_up_mount(poser: Poser, topic: str, misfit: Better | None) -> MountFindings | None:
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
-    stance = drive.poser.find_stance(topic.stream.topic)
-    better = mounts.find_better_mount(drive.poser, topic.sample.parts, drive.options) or ("", None)
-    return stance and MountFindings(stance.upside_down, stance.tilt, stance.height, *better)
+    if (stance := poser.find_stance(topic)) is None:
+        return None
+    better = (f"{misfit.name}={misfit.value}", misfit.agreement) if misfit else ()
+    return MountFindings(stance.upside_down, stance.tilt, stance.height, *better)
 
 
 LEAST_TILT_DEG = 0.5

@@ -10,6 +10,7 @@ from enum import IntEnum
 from functools import cached_property
 from itertools import chain, combinations
 from os.path import commonprefix
+from pathlib import Path
 from typing import Self, TypeAlias
 
 from occmap.errors import PoseError
@@ -171,6 +172,17 @@ def last_part(frame: str) -> str:
     return frame.rsplit("/", 1)[-1]
 
 
+def join_topic(recording: str | Path, topic: str) -> str:
+    """Name a topic of another recording, by the path of that."""
+    return f"{recording}:{topic}"
+
+
+def split_topic(name: str) -> tuple[str, str]:
+    """Tell the path of another recording, "" for the log itself, and its topic."""
+    recording, _, topic = name.rpartition(":")
+    return recording, topic
+
+
 Space: TypeAlias = tuple[str, ...]
 """A namespace of topics: that of `/site/robot1/tf` is site, robot1; that of `/tf` is empty"""
 Moved: TypeAlias = dict[tuple[str, str], Track]
@@ -179,7 +191,7 @@ Moved: TypeAlias = dict[tuple[str, str], Track]
 
 def find_space(topic: str) -> Space:
     """Find the namespace that a topic is in, whatever recording it is of."""
-    return tuple(topic.rpartition(":")[2].strip("/").split("/")[:-1])
+    return tuple(split_topic(topic)[1].strip("/").split("/")[:-1])
 
 
 def find_strangers(edges: Iterable[Edge], topics: Iterable[str]) -> list[Edge]:

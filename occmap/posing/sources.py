@@ -76,14 +76,7 @@ def gather(
     notes: list[str] = []
     every = _build_edges(samples, options.stamps, notes)
     doubts = tuple(notes)
-    recording, topic = options.recording or (None, "")
-    others = [edge for edge in every if edge.topic.startswith(f"{recording}:")]
-    # Of a recording one pose, such as where a robot was said to start, is no trajectory.
-    of_other = [edge for edge in _rank(others) if len(edge.track) > 1]
-    lent = list(_list_lent(others, topic.strip("/"))) if topic or not of_other else []
-    replaced = {(edge.parent, edge.child) for edge in lent}
-    own = (edge for edge in every if edge not in others)
-    edges = [*lent, *(edge for edge in own if (edge.parent, edge.child) not in replaced)]
+    edges, of_other = _borrow(every, options)
     strangers = find_strangers(edges, topics)
     edges = [edge for edge in edges if edge not in strangers]
     given = [
@@ -93,15 +86,14 @@ def gather(
     if not any(edge.child for edge in [*given, *edges]):
         edges = [_name_body(edge) for edge in edges]
     tree = FrameTree([*given, *(edge for edge in edges if edge.child)])
-    poses = _rank(edges)
-    trajectory = None
-    if options.poses and not lent:
-        named = of_other if recording else poses
+    poses, trajectory = _rank(edges), None
+    if options.poses and of_other is not None:
+        named = of_other if options.recording else poses
         trajectory = _find_trajectory(options, named, notes, moments)
-    if trajectory and options.files:
-        frame = options.map_frame or trajectory.parent
-        body = trajectory.child if trajectory.child in tree else ""  # it may have another name
-        trajectory = replace(trajectory, parent=frame, child=body)
+        if options.files:
+            frame = options.map_frame or trajectory.parent
+            body = trajectory.child if trajectory.child in tree else ""  # it may have another name
+            trajectory = replace(trajectory, parent=frame, child=body)
     placed = {edge.child for edge in edges if edge.source is Source.TF}
     overruled = (f"{it.parent} -> {it.child}" for it in given if it.child in placed)
     notes[:0] = [f"the given transform {name} replaces the log's" for name in overruled]
@@ -148,7 +140,7 @@ def _make_edges(topic: str, parent: str, child: str, track: Track, static: bool)
     # Scans that always begin at one place of their frame say nothing of how that went.
     if static or (child == name_origin(parent, topic) and not track.moves):
         track = track.hold_last()  # of a transform that was sent more than once
-    is_tf = static or last_part(topic.rpartition(":")[2]) in TF_TOPICS
+    is_tf = static or last_part(frames.split_topic(topic)[1]) in TF_TOPICS
     if not is_tf and parent == child:
         child = ""  # as if it named no body
     if parent != child or not is_tf:
@@ -156,10 +148,29 @@ def _make_edges(topic: str, parent: str, child: str, track: Track, static: bool)
         yield Edge(parent.strip("/"), child.strip("/"), track, source, topic)
 
 
+def _borrow(every: Sequence[Edge], options: PosingOptions) -> tuple[list[Edge], list[Edge] | None]:
+    """Put what another recording lends in the place of what leads from frame to frame as well.
+
+    Returns
+    -------
+    edges, poses
+        Those that count; and the topics of poses in that recording, None where it lends transforms.
+    """
+    recording, topic = options.recording or (None, "")
+    others = [edge for edge in every if frames.split_topic(edge.topic)[0] == str(recording)]
+    # Of a recording one pose, such as where a robot was said to start, is no trajectory.
+    poses = [edge for edge in _rank(others) if len(edge.track) > 1]
+    lent = list(_list_lent(others, topic.strip("/"))) if topic or not poses else []
+    replaced = {(edge.parent, edge.child) for edge in lent}
+    own = (edge for edge in every if edge not in others)
+    edges = [*lent, *(edge for edge in own if (edge.parent, edge.child) not in replaced)]
+    return edges, None if lent else poses
+
+
 def _list_lent(others: Iterable[Edge], name: str) -> Iterator[Edge]:
     """List the transforms of another recording, or those on a topic: with /tf go /tf_static."""
     for edge in others:
-        own = edge.topic.rpartition(":")[2].strip("/")
+        own = frames.split_topic(edge.topic)[1].strip("/")
         if edge.source is Source.TF and own in {name or own, f"{name}_static"}:
             yield edge
 
@@ -194,7 +205,7 @@ def _find_trajectory(
         if not edges:
             raise PoseError("holds no usable pose: none is finite", where=name)
         return replace(edges[0], topic=name)
-    wanted = f"{recording}:{topic}" if recording else name
+    wanted = frames.join_topic(recording, topic) if recording else name
     for edge in poses:
         if not topic or edge.topic.strip("/") == wanted.strip("/"):
             return edge
@@ -220,7 +231,7 @@ def _list_beside(
     if left_out := sorted({edge.topic for edge in strangers}):
         why = f"they contradict {join_names(tf)}, by which {join_names(topics)} goes"
         yield f"transforms on {join_names(left_out)} are left out: {why}"
-    if beside := [topic for topic in tf if ":" in topic]:
+    if beside := [topic for topic in tf if frames.split_topic(topic)[0]]:
         yield f"transforms are taken from {join_names(beside)}, too"
 
 

@@ -139,13 +139,11 @@ APART = 8
 
 def measure_slope(ground: Ground) -> tuple[float, float]:
     """Measure how steep most of the ground is, along x and along y; a ramp among floors is not."""
-    slopes = []
-    for axis in (1, 0):
-        height = ground.height_mm.reshape(-1, 1 << BLOCK_BITS, 1 << BLOCK_BITS)
-        known = ground.measured.reshape(height.shape) & (height != NO_GROUND)
-        height, known = (np.moveaxis(each, axis + 1, 1) for each in (height, known))
-        both = known[:, APART:] & known[:, :-APART]
-        rise = (height[:, APART:] - height[:, :-APART])[both]
+    height, slopes = ground.height_mm.reshape(-1, 1 << BLOCK_BITS, 1 << BLOCK_BITS), []
+    known = ground.measured.reshape(height.shape) & (height != NO_GROUND)
+    to_x, to_y = (np.s_[:, :, APART:], np.s_[:, :, :-APART]), (np.s_[:, APART:], np.s_[:, :-APART])
+    for there, here in (to_x, to_y):
+        rise = (height[there] - height[here])[known[there] & known[here]]
         slopes.append(float(np.median(rise)) / (APART * COLUMN_MM) if rise.size else 0.0)
     return slopes[0], slopes[1]
 
@@ -222,7 +220,7 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
     """
     log, posing = str(drive.log.path), drive.options.posing
 
-    def count() -> Counter:
+    def read() -> Counter:
         for _ in drive.rounds():  # the second time without clouds that leap away
             counter = Counter(clouds, log, ground)
             with name_log(log), Threads(counter.add, drive.options.jobs) as threads:
@@ -230,11 +228,11 @@ def count_ground(drive: Drive, clouds: int, ground: Ground | None) -> Counted:
                     threads.give(posed)
         return counter
 
-    counter = count()
+    counter = read()
     best = counter.count()
     for drift in list_drifts(counter.way) if posing.height_drift is None else ():
         drive.poser.drift = drift
-        corrected = count().count()
+        corrected = read().count()
         if corrected.sharpness > CLEARER * best.sharpness:
             best = corrected._replace(drifts={log: drift})
     return best

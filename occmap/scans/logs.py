@@ -20,7 +20,7 @@ from occmap.errors import LogError, OccmapError, PoseError, UsageError, require
 from occmap.options import DEFAULT_UPDATE, BuildOptions, choose_model
 from occmap.posing import PosingOptions
 from occmap.posing.attach import Poser
-from occmap.posing.frames import last_part
+from occmap.posing.frames import join_topic, last_part
 from occmap.posing.sources import gather
 from occmap.readers import Log, ReaderOptions, Role, open_log
 from occmap.report import STDIN_FOLDER, count, is_damage, join_names
@@ -163,7 +163,7 @@ def gather_poses(log: Log, posing: PosingOptions) -> Iterator[PoseSample | PoseB
 def read_beside(other: Log) -> Iterator[PoseSample | PoseBatch]:
     """Read every pose source of another log, with its path before each topic."""
     for each in other.stacked_poses():
-        yield each._replace(topic=f"{other.path}:{each.topic}")
+        yield each._replace(topic=join_topic(other.path, each.topic))
 
 
 PART = re.compile(r"_?(\d{4}(-\d\d){5})?_\d+(\.bag|\.mcap|\.db3)(\.active)?$")
@@ -278,8 +278,8 @@ def is_whole(path: Path, recordings: Collection[Path]) -> bool:
 
     if not path.is_dir() or (path / rosbag.METADATA).exists():
         return path.is_dir()
-    if set(recordings) <= {cloud.parent for cloud in cloud_folder.list_clouds(path)}:
-        return True
+    if all(map(Path.is_dir, recordings)):  # else no clouds are listed, which takes long
+        return set(recordings) <= {cloud.parent for cloud in cloud_folder.list_clouds(path)}
     files = rosbag.list_storage(path)
     with suppress(LogError):
         rosbag.refuse_mixed(path, files)

@@ -189,40 +189,48 @@ def list_misfits(
         for topic in drive.topics:
             mine = [part for part in parts if part.batch.topic == topic]
             if better := find_better_mount(drive.poser, mine, options):
-                yield f"{path}: {topic}: {warn_of_misfit(*better).text}"
+                yield f"{path}: {topic}: {warn_of_misfit(better).text}"
 
 
-Better: TypeAlias = tuple[str, float | None]
-"""An option with its value, and the share of hits that agree with it"""
+class Better(NamedTuple):
+    """An option by which scans fit each other clearly better."""
+
+    name: str
+    value: str
+    agreement: float | None
+    """Share of the hits of a sample that agree with it; None where it makes no map"""
+
+    @property
+    def option(self) -> str:
+        """The option with its value, as sentences name it: in Python, a pose is a tuple."""
+        value = f"({self.value})" if self.name == "sensor_pose" else self.value
+        return f"`{self.name}={value}`"
 
 
 def find_better_mount(
     poser: Poser, parts: Sequence[PosedScans], options: BuildOptions
 ) -> Better | None:
-    """Find the option, with its value, by which the scans of a sensor fit clearly better.
+    """Find the mount by which the scans of a sensor fit clearly better.
 
-    Returns
-    -------
-    Better or None
-        Such as "sensor_pose=0,0,3.14159"; None where they fit as they are, or nothing is mounted.
+    None where they fit as they are, or nothing is mounted.
     """
     turn = choose_turn([count_marked(parts, turn, options.returns) for turn in TURNS])
     if turn is None or turn == IDENTITY:
         return None
     if (mount := find_mount(poser, parts[0].batch.frame)) is None:
         return None
-    ((option, value),) = mount.write(turn_mount(mount.pose, turn)).items()
-    return f"{option}={value}", estimate_agreement([mount_scans(it, turn) for it in parts], options)
+    ((name, value),) = mount.write(turn_mount(mount.pose, turn)).items()
+    agreement = estimate_agreement([mount_scans(part, turn) for part in parts], options)
+    return Better(name, value, agreement)
 
 
-def warn_of_misfit(better: str, agreement: float | None) -> Concern:
-    """Say that an option, given with its value, suits the scans better, and how well."""
-    option, _, value = better.partition("=")
-    given = f"({value})" if option == "sensor_pose" else value  # in Python that one is a tuple
-    text = f"the scans would fit each other better with `{option}={given}`"
-    if agreement is not None and agreement < SUSPECT:
-        text = f"{text}, by which {agreement:.0%} of the hits agree: the poses may be wrong, too"
-    return Concern(text, {option: value})
+def warn_of_misfit(better: Better) -> Concern:
+    """Say that another mount suits the scans better, and how well."""
+    text = f"the scans would fit each other better with {better.option}"
+    if better.agreement is not None and better.agreement < SUSPECT:
+        share = f"{better.agreement:.0%} of the hits agree"
+        text = f"{text}, by which {share}: the poses may be wrong, too"
+    return Concern(text, {better.name: better.value})
 
 
 class Mount(NamedTuple):

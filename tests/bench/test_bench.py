@@ -2,7 +2,6 @@
 
 import json
 import math
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,19 +15,16 @@ from occmap.grid import Lattice
 from occmap.grid.engine import GridEngine
 from occmap.grid.tiles import GridSpec
 from occmap.options import BuildOptions
-from occmap.pipeline import build
 from occmap.sensor.models import CountingModel
 from occmap.types import Kind, Rays, Update
 from tests.bench import drives, peers, people, quality
 from tests.bench.__main__ import Bench
 from tests.bench.engine import DisagreementError, check_equal
 from tests.bench.limits import Row
-from tests.bench.logs import FORMATS
 from tests.bench.measuring import Times, take_in_turn
 from tests.bench.plans import cast_scans
 from tests.bench.processes import ProcessError, run
 from tests.bench.quality import DEFAULT, OURS, Recording, list_steps
-from tests.bench.tables import draw
 from tests.bench.workloads import Sensor, Workload, make_corridor, make_office, make_yard
 from tests.bench.yardstick import PLAIN, Counts, Trace, compile_cpp, find_box
 from tests.grid.scans import make_rays, make_scan
@@ -91,15 +87,6 @@ def test_no_beam_leaves_the_box_that_yardsticks_are_given(yardsticks: Mapping[st
     assert not any(edge.any() for edge in (misses[0], misses[-1], misses[:, 0], misses[:, -1]))
 
 
-def test_every_format_holds_the_same_drive(tmp_path: Path) -> None:
-    maps = [
-        build([write(WORKLOADS[0], tmp_path)], BuildOptions(jobs=1)).map
-        for write in FORMATS.values()
-    ]
-    assert all(grid.origin == maps[0].origin for grid in maps)
-    assert all(np.array_equal(grid.log_odds, maps[0].log_odds) for grid in maps)
-
-
 def test_ratios_are_taken_within_rounds() -> None:
     times = Times({"mine": [2.0, 3.0, 40.0], "base": [1.0, 2.0, 10.0]})
     assert times.median("mine") == 3.0
@@ -135,16 +122,6 @@ def test_rows_say_whether_their_limit_is_met_in_json_too() -> None:
     rows = [Row("", 0.5, value, "") for value in (0.5, 0.6, None)]
     told = json.loads(Bench(Path(), rows=rows).to_json())["rows"]
     assert [row["verdict"] for row in told] == ["met", "NOT MET", "not measured"]
-
-
-def test_tables_line_up() -> None:
-    assert draw(("", "us"), [("beam", "7")]) == "|      | us |\n| ---- | -: |\n| beam |  7 |\n"
-
-
-def test_the_command_explains_itself() -> None:
-    command = [sys.executable, "-m", "tests.bench", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "--quick" in done.stdout
 
 
 SCAN_PEERS = sorted(peers.SCAN_RULES)

@@ -1,6 +1,8 @@
 """Numbers beyond their types, and YAML that unfolds: one line and an exit code, quickly."""
 
 import resource
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import pytest
 
 from occmap.cells import MOST_OBSERVED
 from occmap.writers.npz import read_evidence, write_evidence
-from tests.cli.runner import occmap, read_error, spawn
+from tests.cli.runner import occmap, read_error
 from tests.samples import write_csv
 
 MEMORY = 1 << 30
@@ -17,57 +19,63 @@ UNFOLDING = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in 
 MERGING = "".join(f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}\n" for n in range(1, 40))
 
 
-@pytest.fixture(autouse=True)
-def _map(here: Path) -> None:
+@pytest.fixture(autouse=True, scope="module")
+def _map(workplace: Path) -> None:
     """A map, `m`, as PGM with YAML, PNG and evidence."""
-    write_csv(here / "log.csv", [(x / 10, 0.0, 0.0) for x in range(5)], [1.0, 1.5], 0.1)
+    write_csv(workplace / "log.csv", [(x / 10, 0.0, 0.0) for x in range(5)], [1.0, 1.5], 0.1)
     assert occmap("build log.csv -o m.pgm -o m.png -o m.npz").code == 0
 
 
-def change_yaml(name: str, value: str, before: str = "") -> str:
+def change_yaml(name: str, value: str, before: str = "", into: str = "bad.yaml") -> str:
     lines = Path("m.yaml").read_text().splitlines()
     kept = [line for line in lines if not line.startswith(f"{name}:")]
-    Path("bad.yaml").write_text(before + "\n".join([*kept, f"{name}: {value}", ""]))
-    return "bad.yaml"
-
-
-def diff_in_bounds(file: str) -> str:
-    done = spawn("diff", "m.yaml", file, preexec_fn=limit_memory)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.count("\n") == 1
-    assert len(done.stderr) < 400
-    assert "fault in occmap" not in done.stderr
-    return str(done.stderr)
+    Path(into).write_text(before + "\n".join([*kept, f"{name}: {value}", ""]))
+    return into
 
 
 def limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "found"),
-    [
-        ("resolution", "9" * 400, "resolution is '999999999999"),
-        ("resolution", "9" * 9000, "resolution is '999999999999"),
-        ("resolution", "1e300", "resolution is 1e+300"),
-        ("origin", "[1e308, -1e308, 0]", "origin is ['1e308', "),
-        ("origin", "[" * 900 + "]" * 900, ""),
-        ("origin", "[" * 9000 + "]" * 9000, ""),
-        ("occupied_thresh", "1" + "0" * 400, "occupied_thresh is '1000"),
-        ("negate", "[1]", "negate is \"['1']\", where 0 or 1 belongs"),
-    ],
-)
-def test_a_yaml_with_numbers_beyond_their_types(name: str, value: str, found: str) -> None:
-    error = diff_in_bounds(change_yaml(name, value))
-    assert "bad.yaml: " in error
-    assert found in error
+DIFF = """
+import sys
+from occmap.cli import run
+print(*(run(["diff", "m.yaml", name]) for name in sys.argv[1:]))
+"""
+"""Prints the exit codes"""
+WRONG = [
+    ("resolution", "9" * 400, "", "resolution is '999999999999"),
+    ("resolution", "9" * 9000, "", "resolution is '999999999999"),
+    ("resolution", "1e300", "", "resolution is 1e+300"),
+    ("origin", "[1e308, -1e308, 0]", "", "origin is ['1e308', "),
+    ("origin", "[" * 900 + "]" * 900, "", ""),
+    ("origin", "[" * 9000 + "]" * 9000, "", ""),
+    ("occupied_thresh", "1" + "0" * 400, "", "occupied_thresh is '1000"),
+    ("negate", "[1]", "", "negate is \"['1']\", where 0 or 1 belongs"),
+    *(
+        (name, "*a39", f"a0: &a0 {{x: 1}}\n{unfolding}", "")
+        for unfolding in (UNFOLDING, MERGING)
+        for name in ("origin", "mode", "resolution")
+    ),
+]
+"""A value of a YAML, what stands above it, and what is said of it"""
 
 
-@pytest.mark.parametrize("unfolding", [UNFOLDING, MERGING])
-@pytest.mark.parametrize("name", ["origin", "mode", "resolution"])
-def test_a_yaml_that_unfolds(unfolding: str, name: str) -> None:
-    before = "a0: &a0 {x: 1}\n" + unfolding
-    assert f"bad.yaml: {name}"[:10] in diff_in_bounds(change_yaml(name, "*a39", before))
+def test_a_yaml_with_numbers_beyond_their_types_or_that_unfolds() -> None:
+    files = [
+        change_yaml(name, value, before, f"bad{number}.yaml")
+        for number, (name, value, before, _) in enumerate(WRONG)
+    ]
+    command = [sys.executable, "-c", DIFF, *files]
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, preexec_fn=limit_memory
+    )
+    assert done.stdout.split() == ["1"] * len(WRONG)
+    for file, (*_, found), error in zip(files, WRONG, done.stderr.splitlines(), strict=True):
+        assert error.startswith(f"error: {file}: ")
+        assert found in error
+        assert len(error) < 400
+        assert "fault in occmap" not in error
 
 
 def test_a_picture_of_changes_spares_the_image_that_a_yaml_names() -> None:
@@ -91,6 +99,7 @@ def test_maps_under_names_that_are_no_text() -> None:
 def test_sums_beyond_what_evidence_may_hold_are_refused(fill: int) -> None:
     saved = read_evidence(Path("m.npz"))
     tiles = {key: np.where(tile > 0, np.int64(fill), 0) for key, tile in saved.tiles.items()}
+    Path("sum.npz").unlink(missing_ok=True)
     write_evidence(Path("big.npz"), replace(saved, tiles=tiles))
     error = read_error(occmap("merge", "big.npz", "big.npz", "-o", "sum.npz"), 1)
     assert "the observations of a cell add up to more than 9,007,199,254,740,992" in error

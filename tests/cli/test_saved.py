@@ -133,6 +133,7 @@ def test_what_evidence_does_not_hold_is_refused_before_it_is_read() -> None:
     error = read_error(told, 2)
     assert error.startswith("way.tum: evidence does not say where the robot went")
     assert "build it from the logs: `occmap build`" in error
+    assert "`occmap merge`" in read_error(occmap("render a.npz damaged.npz -o m.pgm"), 2)
 
 
 def test_an_undecided_cell_is_not_called_unknown() -> None:

@@ -93,13 +93,6 @@ def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
     np.testing.assert_allclose(weigh(model)(hits, misses), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("jobs", [2, 5])
-def test_the_file_is_the_same_with_any_number_of_threads(tmp_path: Path, jobs: int) -> None:
-    save(tmp_path / "one.npz", choose())
-    save(tmp_path / "many.npz", choose(jobs=jobs))
-    assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "many.npz").read_bytes()
-
-
 def test_the_manifest_says_what_was_used(tmp_path: Path) -> None:
     poses = tmp_path / "p.csv"
     poses.write_text("stamp,x,y,yaw\n0,0,0,0\n2000000000,0,0,0\n")

@@ -32,7 +32,7 @@ from occmap.writers import MapMode, Shade, WriteOptions
 from occmap.writers.npz import read_evidence
 from tests.csv_logs import write_poses, write_scans
 from tests.evidence.saving import DRIVE, choose, each_combination, save
-from tests.samples import PLAIN, SAMPLE_LOGS, Planar, find_real, write_csv
+from tests.samples import PLAIN, SAMPLE_LOGS, Planar, write_csv
 
 pytestmark = pytest.mark.usefixtures("here")
 LOG = Path("log.csv")
@@ -96,14 +96,6 @@ def test_a_cell_is_judged_as_the_map_is() -> None:
             assert (found.verdict == "free") == grid.free[row, col]
             if min_passes is None:
                 assert found.map_extent == pytest.approx(grid.extent)
-
-
-def test_scans_of_a_real_log_add_up() -> None:
-    log = find_real("carmen/freiburg-079-corrected.log.gz")
-    evidence = save(Path("m.npz"), BuildOptions(jobs=2), log)
-    found = ask(evidence, choose_points(evidence, 0)[0], log)
-    assert found.explained == found.seen
-    assert found.seen.numbers[0] > 20
 
 
 def test_one_beam_clears_three_cells_and_hits_the_fourth() -> None:

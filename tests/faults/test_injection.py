@@ -3,6 +3,7 @@
 With OCCMAP_FAULTS set, every fault at every call; without, one fault at each.
 """
 
+import gc
 import os
 from itertools import cycle
 from pathlib import Path
@@ -31,6 +32,7 @@ def test_a_fault_anywhere_leaves_each_file_as_it_was_or_as_it_should_be(
         for number in range(1, count + 1):
             for fault in FAULTS if "OCCMAP_FAULTS" in os.environ else next(each):
                 hold_against(scene, kind, number, fault)
+    gc.collect()  # of files that are not closed no other test is to be told
 
 
 def hold_against(scene: Scene, kind: str, number: int, fault: str) -> None:

@@ -14,7 +14,9 @@ PATIENCE_S = 15
 def clusters() -> Iterator[list[LocalCluster]]:
     """The cluster that tests use, once there is one."""
     started: list[LocalCluster] = []
-    yield started
+    # At times a worker that a test killed is asked for a result: for half a minute, by default.
+    with dask.config.set({"distributed.comm.timeouts.connect": "5s"}):
+        yield started
     for cluster in started:
         cluster.close()
 

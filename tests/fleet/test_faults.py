@@ -242,6 +242,7 @@ FULL = OSError(errno.ENOSPC, "No space left on device")
     ],
 )
 def test_a_connection_that_closes_is_a_scheduler_that_is_gone_and_a_full_disk_is_not(
+    address: str,
     monkeypatch: pytest.MonkeyPatch,
     called: str,
     error: Exception,
@@ -252,7 +253,7 @@ def test_a_connection_that_closes_is_a_scheduler_that_is_gone_and_a_full_disk_is
     def fail(*_: object, **__: object) -> None:
         raise error
 
-    with open_cluster("local", 1, print) as found:
+    with open_cluster(address, 1, print) as found:
         monkeypatch.setattr(found._client, called, fail)
         with pytest.raises(expected, match=told):
             act(found)

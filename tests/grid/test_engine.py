@@ -107,11 +107,12 @@ def test_batches_windows_order_and_merging_change_nothing(
 ) -> None:
     rays, resolution = drive
     spec = all_specs(resolution)[kind_of_map]
-    whole = scans.observe(spec, [rays])
+    whole, slices = scans.observe(spec, [rays]), keep(spec, [rays])
     alone = [scans.take(rays, [s]) for s in range(len(rays.kind))]
-    for order in permutations(range(len(alone))):
-        assert scans.observe(spec, [scans.take(rays, list(order))], window_cells) == whole
-    assert scans.observe(spec, alone, window_cells) == whole
+    for order in islice(permutations(range(len(alone))), 0, None, 5):
+        for batches in ([scans.take(rays, list(order))], [alone[s] for s in order]):
+            assert scans.observe(spec, batches, window_cells) == whole
+            scans.assert_same_slices(keep(spec, batches, window_cells), slices)
     parts = [scans.observe(spec, [scan]) for scan in alone]
     for layer in (0, 1):
         merged: Counter[reference.Cell] = Counter()
@@ -375,28 +376,12 @@ def test_slices_are_those_of_the_scans_that_observed_a_cell(
     assert spread_visits(slices) == {cell: seen.count_visits() for cell, seen in expected.items()}
 
 
-@KINDS_OF_MAP
-@scans.FEW
-@given(drive=scans.drives(), window_cells=WINDOWS)
-def test_batches_windows_and_order_change_no_byte(
-    kind_of_map: int, drive: scans.Drive, window_cells: int
-) -> None:
-    rays, resolution = drive
-    spec = all_specs(resolution)[kind_of_map]
-    whole = keep(spec, [rays])
-    for order in islice(permutations(range(len(rays.kind))), 0, None, 5):
-        scans.assert_same_slices(keep(spec, [scans.take(rays, list(order))], window_cells), whole)
-        scans.assert_same_slices(
-            keep(spec, [scans.take(rays, [s]) for s in order], window_cells), whole
-        )
-
-
 @pytest.mark.parametrize("slice_ns", [None, SLICE])
 @KINDS_OF_MAP
 def test_threads_give_the_same_sums_and_slices(kind_of_map: int, slice_ns: int | None) -> None:
     """A scan every 3 ns, and a pause of 40 after every fifth."""
     stamps = np.array([3 * s + 40 * (s // 5) - 100 for s in range(24)])
-    rays = scans.draw_scans(np.random.default_rng(5), 24, 0.02, 100)._replace(stamp_ns=stamps)
+    rays = scans.draw_scans(np.random.default_rng(5), 24, 0.05, 30)._replace(stamp_ns=stamps)
     alone, spec = [scans.take(rays, [s]) for s in range(24)], all_specs(0.05)[kind_of_map]
     engine = GridEngine(spec, window_cells=1 << 16, slice_ns=slice_ns)
     with ThreadPoolExecutor(4) as threads:

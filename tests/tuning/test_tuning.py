@@ -297,12 +297,6 @@ def test_a_mount_that_is_given_as_it_is_changes_no_pose() -> None:
         np.testing.assert_allclose(one.rotation, other.rotation, atol=1e-9)
 
 
-def test_equal_bytes_for_any_number_of_threads() -> None:
-    options = BuildOptions(resolution=0.1)
-    one, two = (tune([SAMPLE_LOGS / "drive.csv"], replace(options, jobs=n)) for n in (1, 2))
-    assert one.to_json() == two.to_json()
-
-
 @pytest.mark.parametrize(
     ("poses", "searched", "note"),
     [
