@@ -11,7 +11,7 @@ parts is in the whole, at a seam between them, too. This module does not load nu
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -122,10 +122,9 @@ class TileGrid:
         """(2, H, W): what the tiles hold of the cells of a box; 0 where there is no tile."""
         whole = box.align(TILE)
         cells = np.zeros((2, *whole.shape), dtype)
-        rows, cols = range(whole.row, whole.row_end, TILE), range(whole.col, whole.col_end, TILE)
-        for row, col in product(rows, cols):
-            if (tile := self.tiles.get((row // TILE, col // TILE))) is not None:
-                up, right = row - whole.row, col - whole.col
+        for row, col in whole.shrink(TILE).places:
+            if (tile := self.tiles.get((row, col))) is not None:
+                up, right = row * TILE - whole.row, col * TILE - whole.col
                 cells[:, up : up + TILE, right : right + TILE] = tile
         return cells[:, *box.within(whole)]
 
@@ -140,13 +139,9 @@ class TileGrid:
 
         Parts more than a cell away from every tile are left out.
         """
-        beyond = list(product((-1, TILE), repeat=2))
-        corners = (
-            (row * TILE + up, col * TILE + right) for row, col in self.tiles for up, right in beyond
-        )
-        for row, col in sorted({(row // PART, col // PART) for row, col in corners}):
-            part = box.clip(CellBox.at(row, col).scale(PART))
-            if part.cells:
+        for part in box.cut(PART):
+            near = part.grow(1).align(TILE).shrink(TILE)
+            if not self.tiles.keys().isdisjoint(near.places):
                 yield part
 
 

@@ -151,7 +151,6 @@ def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
 
 def keep_inside(part: Evidence, box: CellBox) -> Evidence:
     """Keep the tiles in a box, which counts tiles."""
-    rows, cols = range(box.row, box.row_end), range(box.col, box.col_end)
-    tiles = {key: tile for key, tile in part.tiles.items() if key[0] in rows and key[1] in cols}
+    tiles = {key: part.tiles[key] for key in box.places if key in part.tiles}
     slices = tuple(take_tiles(layer, box.find(layer.tiles)) for layer in part.slices)
     return replace(part, tiles=tiles, slices=slices)

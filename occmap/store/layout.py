@@ -10,7 +10,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,8 +43,7 @@ class Block(NamedTuple):
 
 def list_blocks(box: CellBox) -> Iterator[Block]:
     """The blocks that the cells of a box lie in."""
-    row, col, row_end, col_end = box.align(BLOCK).shrink(BLOCK)
-    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
+    return map(Block._make, box.align(BLOCK).shrink(BLOCK).places)
 
 
 class BlockRecord(NamedTuple):
