@@ -19,7 +19,7 @@ from occmap.cells import Box, CellBox, CellClass, Decision
 from occmap.errors import MapError, UsageError, refuse_unreadable
 from occmap.evidence import read_model
 from occmap.report import count
-from occmap.store import identify, open_saved
+from occmap.store import open_saved
 from occmap.store.painting import open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
@@ -171,7 +171,8 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
     made, _ = open_map(saved, read_model(saved)).paint_all()
     classes = replace(made, decision=thresholds.decide(made.decision)).classes
     place, turn = Place(made.resolution, *made.origin), str(saved.manifest.align or "")
-    return ClassMap(path, classes, place, evidence=identify(saved), align=turn)
+    name = made.about.evidence if made.about else None
+    return ClassMap(path, classes, place, evidence=name, align=turn)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

@@ -44,10 +44,7 @@ class Blocks:
     def of(cls, evidence: Evidence) -> Self:
         """Cut evidence into blocks; it stays in memory, and is cut when a block is asked for."""
         blocks = sorted({Block(row // SIDE, col // SIDE) for row, col in evidence.tiles})
-        reach = dict[Block, CellBox]()
-        if blocks:
-            whole = CellBox.enclose(evidence.tiles).scale(TILE)
-            reach = {block: whole.clip(block.box) for block in blocks}
+        reach = {block: block.box for block in blocks}
         cut = cache(lambda: dict(layout.split_evidence(evidence)))
         what, where, ground = evidence.manifest, evidence.where, evidence.ground
         return cls(what, where, reach, lambda block: cut()[block], ground, whole=evidence)
@@ -96,9 +93,8 @@ def open_store(path: Path) -> Blocks:
             found = "its table of blocks, or its ground, was altered"
             raise MapError(found, where=path, fix="build it again")
         blocks = [Block(*place) for place in table["place"].tolist()]
-        edges, digests = map(CellBox._make, table["reach"].tolist()), map(bytes, table["sha256"])
-        reach = dict(zip(blocks, edges, strict=True))
-        digest_of = dict(zip(blocks, digests, strict=True))
+        reach = dict(zip(blocks, map(CellBox._make, table["reach"].tolist()), strict=True))
+        digest_of = dict(zip(blocks, map(bytes, table["sha256"]), strict=True))
         ground = unpack_ground(below)
 
     def read_block(block: Block) -> Evidence:

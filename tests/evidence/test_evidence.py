@@ -24,7 +24,7 @@ from occmap.posing import PosingOptions
 from occmap.sensor import ReturnCounts, ReturnOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
 from occmap.store import Blocks
-from occmap.store.painting import RenderOptions, open_map, publish, render_kept
+from occmap.store.painting import RenderOptions, open_map, publish, render_saved
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence
@@ -65,7 +65,7 @@ def test_another_model_renders_what_a_build_with_it_would(
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=model))
     expected = build([DRIVE], choose(model=other)).map
-    grid = render_kept(evidence, RenderOptions(parse_model(other))).map
+    grid = render_saved(Blocks.of(evidence), RenderOptions(parse_model(other))).grid
     assert np.array_equal(grid.log_odds, expected.log_odds)
     assert (grid.origin, grid.resolution) == (expected.origin, expected.resolution)
 
@@ -75,7 +75,7 @@ def test_bounds_are_set_where_a_map_is_rendered(tmp_path: Path, update: Update, 
     evidence = save(tmp_path / "m.npz", choose(update, model))
     bounded = choose(update, f"{model}:clamp_min=0.2,clamp_max=0.9")
     grid, plain = (
-        render_kept(evidence, RenderOptions(each.model)).map
+        render_saved(Blocks.of(evidence), RenderOptions(each.model)).grid
         for each in (bounded, choose(update, model))
     )
     expected = np.where(plain.observed, np.clip(plain.log_odds, -math.log(4), math.log(9)), 0)
@@ -134,7 +134,7 @@ def test_a_model_that_cannot_read_it_is_refused(
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=made_by))
     with pytest.raises(MapError, match=rf"m.npz: .*{found}"):
-        render_kept(evidence, RenderOptions(parse_model(wanted)))
+        render_saved(Blocks.of(evidence), RenderOptions(parse_model(wanted)))
 
 
 def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
