@@ -15,7 +15,7 @@ import pytest
 from occmap import Map, build_map, merge
 from occmap.cells import Manifest, Slices
 from occmap.errors import MapError
-from occmap.evidence import Fit, keep_lasting, list_misfit, measure_fit, weigh
+from occmap.evidence import keep_lasting, list_misfit, measure_fit, weigh
 from occmap.evidence.manifest import list_doubts, list_repeated
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, pack_bits
 from occmap.options import BuildOptions
@@ -90,7 +90,7 @@ def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
     model = SimpleModel(p_hit=0.75, p_miss=0.25, clamp_min=0.2, clamp_max=0.9)
     hits, misses = np.array([0, 1, 2, 3, 0, 0]), np.array([0, 0, 0, 0, 1, 2])
     expected = [0, math.log(3), math.log(9), math.log(9), -math.log(3), -math.log(4)]
-    np.testing.assert_allclose(weigh(model)(hits, misses), expected, rtol=1e-12)
+    np.testing.assert_allclose(weigh(model, hits, misses), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("jobs", [2, 5])
@@ -160,7 +160,7 @@ def test_each_observation_adds_what_it_says_beyond_the_prior_by_hand() -> None:
     model = parse_model("quadratic:prior=0.2,p_min=0.1")
     log_odds = np.array([math.log(3) + math.log(3) + math.log(1 / 2), math.log(1 / 4)])
     sums, observations = np.rint(log_odds * 65536), np.array([3.0, 1.0])
-    odds = np.exp(weigh(model)(sums, observations))
+    odds = np.exp(weigh(model, sums, observations))
     np.testing.assert_allclose(odds, [72, 1 / 4], rtol=2e-5)
 
 
@@ -255,7 +255,7 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
     one = lay((400, 0), (0, 8000), (7000, 0))
     other = lay((300, 3), (300, 3))
     # Alone all hits agree. Together those in the second cell do not: half of the other's.
-    assert measure_fit(one, other.tiles, RULE) == Fit(1.0, (1 + 0.5) / 2)
+    assert measure_fit(one, other.tiles, RULE) == (1.0, (1 + 0.5) / 2)
     (note,) = list_misfit(one, other.tiles, RULE, "it")
     assert note.startswith("does not fit it: in cells that both saw, 100% of the hits lie")
     assert "and 75% together" in note
@@ -263,7 +263,7 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
 
 def test_parts_that_fit_are_no_news() -> None:
     one = lay((400, 0), (0, 8000))
-    assert measure_fit(one, one.tiles, RULE) == Fit(1.0, 1.0)
+    assert measure_fit(one, one.tiles, RULE) == (1.0, 1.0)
     assert not list(list_misfit(one, one.tiles, RULE, "it"))
 
 
