@@ -45,10 +45,13 @@ def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
 
 
 class Window(ABC):
-    """A box of whole tiles being written to, in a slice of time."""
+    """A box of whole tiles being written to, in a slice of time.
 
-    cells: Int64
-    changes: Changes
+    It has a place for each cell, and one for what changes from cell to cell.
+    """
+
+    along_lines = False
+    """Whether cells change along lines, or along rows alone"""
 
     def __init__(self, spec: GridSpec, box: CellBox, number: int = 0) -> None:
         self.spec, self.box, self.number = spec, box.align(TILE), number
@@ -61,9 +64,14 @@ class Window(ABC):
         """No number that it holds of a cell is larger than this, either way."""
         return self.observations * self.spec.tables.largest
 
-    @abstractmethod
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
+        across, up = cols + PAD, rows + PAD
+        size = rows * across
+        if self.along_lines:
+            size += (rows + 1) * across + (2 * cols + 1) * up
+        self.cells: Int64 = np.zeros((rows, across), np.int64)
+        self.changes = Changes(np.zeros(size, np.int32), rows, cols)
 
     def has_room(self, beams: Beams) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
@@ -84,25 +92,6 @@ class Window(ABC):
     def trace(self, beams: Beams, field: Field) -> None:
         """Call the kernel."""
 
-    @abstractmethod
-    def read(self) -> dict[Key, Tile]:
-        """The tiles in which something was observed; the window is of no use afterwards."""
-
-
-class DenseWindow(Window):
-    """A window that has a place for each cell, and one for what changes from cell to cell."""
-
-    along_lines = False
-    """Whether cells change along lines, or along rows alone"""
-
-    def allocate(self, rows: int, cols: int) -> None:
-        across, up = cols + PAD, rows + PAD
-        size = rows * across
-        if self.along_lines:
-            size += (rows + 1) * across + (2 * cols + 1) * up
-        self.cells = np.zeros((rows, across), np.int64)
-        self.changes = Changes(np.zeros(size, np.int32), rows, cols)
-
     @property
     def packing(self) -> tuple[int, int, int]:
         """How `cells` hold the numbers of a cell, as `read_tiles` takes it."""
@@ -110,6 +99,7 @@ class DenseWindow(Window):
         return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
     def read(self) -> dict[Key, Tile]:
+        """The tiles in which something was observed; the window is of no use afterwards."""
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col)
         (rows, cols), changes = self.box.shape, self.changes.numbers
         across, up = cols + PAD, rows + PAD
@@ -131,7 +121,7 @@ class DenseWindow(Window):
         return places[:found], tiles[:found]
 
 
-class BeamWindow(DenseWindow):
+class BeamWindow(Window):
     """Beam by beam, with those drawn between where the update asks for them."""
 
     along_lines = True
@@ -170,7 +160,7 @@ class SparseBeamWindow(BeamWindow):
         return view_tiles(places[numbers[:, 0]], tiles)
 
 
-class PolygonWindow(DenseWindow):
+class PolygonWindow(Window):
     """Hits and misses, scan by scan."""
 
     @property
@@ -181,7 +171,7 @@ class PolygonWindow(DenseWindow):
         trace_polygons(beams, (self.spec.jump, self.spec.border_gap), field, self.observations)
 
 
-class RadialPolygonWindow(DenseWindow):
+class RadialPolygonWindow(Window):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, beams: Beams, field: Field) -> None:
