@@ -168,11 +168,11 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     saved = open_saved(path)
-    made, _ = open_map(saved, read_model(saved)).paint_all()
+    shown = open_map(saved, read_model(saved))
+    made, _ = shown.paint_all()
     classes = replace(made, decision=thresholds.decide(made.decision)).classes
     place, turn = Place(made.resolution, *made.origin), str(saved.manifest.align or "")
-    name = made.about.evidence if made.about else None
-    return ClassMap(path, classes, place, evidence=name, align=turn)
+    return ClassMap(path, classes, place, evidence=shown.about.evidence, align=turn)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

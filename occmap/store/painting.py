@@ -288,7 +288,8 @@ def publish(saved: Blocks, options: RenderOptions, outputs: Sequence[Path]) -> R
     """
     product = render_saved(saved, options, outputs)
     files = writers.write_outputs(outputs, product, options.writing)
-    return replace(product.report, files=tuple(files))
+    report: Report = replace(product.report, files=tuple(files))
+    return report
 
 
 def render_saved(saved: Blocks, options: RenderOptions, outputs: Sequence[Path] = ()) -> Product:

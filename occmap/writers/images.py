@@ -127,8 +127,7 @@ def write_panels(path: Path, panels: Sequence[Panel]) -> None:
         for number, line in enumerate(title):
             draw.text((left, top + number * LINE_PX), line, INK, font)
         picture.paste(Image.fromarray(pixels), (left, top + head))
-    with open_atomic(path) as (file,):
-        picture.save(file, format="PNG")
+    write_colours(path, np.asarray(picture))
 
 
 def arrange(count: int, width: int, height: int) -> tuple[int, int]:
@@ -213,11 +212,10 @@ class TileTree:
     def paint(self, x: int, y: int) -> UInt8:
         """Find the classes of the cells of a tile at the top level."""
         tile = self.find_cells(x, y)
-        seen, classes = tile.clip(self.grid.box), np.full(tile.shape, CellClass.NEITHER, np.uint8)
-        if seen.cells:
-            part = self.grid.take(*seen.within(self.grid.box))
-            decision = self.options.decide(part.decision)
-            classes[seen.within(tile)] = replace(part, decision=decision).classes
+        seen, classes = tile.clip(self.grid.box), BLANK.copy()
+        part = self.grid.take(*seen.within(self.grid.box))
+        decision = self.options.decide(part.decision)
+        classes[seen.within(tile)] = replace(part, decision=decision).classes
         return classes
 
     def describe(self, image: Path, tile: CellBox) -> None:
