@@ -9,7 +9,7 @@ Where slices of time are kept, a window is emptied when its slice is over, too.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from threading import Lock
 from typing import Any
 
@@ -384,31 +384,31 @@ class GridEngine(Engine):
             fix = "no laser has so many: see what is in the log with `occmap check`"
             raise MapError(found, fix=fix)
         beams = project(rays, self.spec)
-        best, *others = choose_windows(self.spec, beams, self._window_cells)
+        kinds = choose_windows(self.spec, beams, self._window_cells)
         cells = beams.box.align(TILE).cells
         if cells <= self._window_cells:
-            self._trace(beams, best, *others)
+            self._trace(beams, kinds)
         elif cells > MOST_PARTS * self._window_cells and scans > 1:
             self._add_halves(rays)
         else:
-            self._trace_parts(beams, best)
+            self._trace_parts(beams, kinds[0])
 
     def _add_halves(self, rays: Rays) -> None:
         middle = len(rays.kind) // 2
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, beams: Beams, best: type[Window], *others: type[Window]) -> None:
+    def _trace(self, beams: Beams, kinds: Sequence[type[Window]]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window: Window | None = self._idle.pop() if self._idle else None
         number = int(self._number(beams.rays.stamp_ns[:1])[0])
         fits = window and window.number == number and window.has_room(beams)
-        if window and not (fits and type(window) in (best, *others)):
+        if window and not (fits and type(window) in kinds):
             self._empty(window)
             window = None
         if window is None:
-            window = best(self.spec, add_room(beams.box, self._roomy_cells), number)
+            window = kinds[0](self.spec, add_room(beams.box, self._roomy_cells), number)
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -417,7 +417,8 @@ class GridEngine(Engine):
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
             refuse_large(beams.box, self.spec.lattice, self._max_cells)
-        for part in split_box(beams.box, self._window_cells):
+        side = max(int(self._window_cells**0.5) // TILE, 1) * TILE
+        for part in beams.box.align(TILE).cut(side):
             window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))
             window.observe(beams)
             self._empty(window)
@@ -437,8 +438,3 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
     while room > 0 and box.grow(room).align(TILE).cells > limit:
         room //= 2
     return box.grow(room)
-
-
-def split_box(box: CellBox, most_cells: int) -> Iterator[CellBox]:
-    """Cut a box, grown to whole tiles, into boxes of at most so many cells, or of one tile."""
-    return box.align(TILE).cut(max(int(most_cells**0.5) // TILE, 1) * TILE)

@@ -136,13 +136,9 @@ def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
     """Make evidence of what was read of some blocks."""
     known = list(parts)
     tiles = {key: tile for each in known for key, tile in each.tiles.items()}
-    # A build paints its map before its manifest describes it.
-    builds = max([len(saved.manifest.builds), *(len(each.slices) for each in known)])
-    slices = tuple(
-        unite(each.slices[build] for each in known if each.slices) for build in range(builds)
-    )
-    where, ground = saved.where, saved.ground
-    return Evidence(saved.manifest, tiles, slices, where, ground=ground)
+    builds = range(len(saved.manifest.builds))
+    slices = tuple(unite(each.slices[build] for each in known) for build in builds)
+    return Evidence(saved.manifest, tiles, slices, saved.where, ground=saved.ground)
 
 
 def keep_inside(part: Evidence, box: CellBox) -> Evidence:

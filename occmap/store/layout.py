@@ -68,10 +68,9 @@ def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
     for (row, col), tile in evidence.tiles.items():
         blocks[Block(row // SIDE, col // SIDE)][row, col] = tile
     names = sorted(blocks)
-    layers = [list(split_slices(each, names)) for each in evidence.slices]
-    for at, block in enumerate(names):
-        slices = tuple(layer[at] for layer in layers)
-        yield block, replace(evidence, tiles=blocks[block], slices=slices, ground=None)
+    layers = (split_slices(each, names) for each in evidence.slices)
+    for block, *slices in zip(names, *layers, strict=True):
+        yield block, replace(evidence, tiles=blocks[block], slices=tuple(slices), ground=None)
 
 
 def split_slices(slices: Slices, blocks: Sequence[Block]) -> Iterator[Slices]:

@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from occmap.cells import CellBox, CellClass, OccupancyMap, keep_largest
 from occmap.errors import MapError
 from occmap.types import Bool, UInt8
-from occmap.writers import WriteOptions, Writer
+from occmap.writers import USUAL, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, open_atomic
 from occmap.writers.pgm import GREYS, describe_image, write_yaml
 
@@ -143,8 +143,6 @@ def arrange(count: int, width: int, height: int) -> tuple[int, int]:
 
 TILE_PIXELS = 1024
 """Along the side of a tile, which begins at a multiple of as many cells"""
-TRINARY = WriteOptions()
-"""For the thresholds of the YAML: the greys are classes"""
 
 
 class TilesWriter(Writer):
@@ -222,6 +220,6 @@ class TileTree:
         """Write beside the image of a tile where its cells lie."""
         size = self.grid.resolution
         origin = round(tile.col * size, 12), round(tile.row * size, 12)
-        fields = describe_image(image.name, size, origin, TRINARY)
+        fields = describe_image(image.name, size, origin, USUAL)  # its greys are classes
         with image.with_suffix(".yaml").open("wb") as opened:
             write_yaml(opened, fields, self.grid.about)
