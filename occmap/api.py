@@ -22,7 +22,7 @@ from occmap.scoring import compare as scoring
 from occmap.scoring import maps
 from occmap.scoring.matching import lay_on
 from occmap.sensor.models import MODEL, SensorModel
-from occmap.store import merging, open_saved, painting, read_all
+from occmap.store import Blocks, merging, open_saved, painting, read_all
 from occmap.types import Float64, Update
 from occmap.writers import Product, WriteOptions, check_outputs, write_outputs
 
@@ -45,8 +45,7 @@ class Map(OccupancyMap):
         """Add to a map what was found beside it, and how and over what it may be saved."""
         whole = made.map
         if isinstance(whole, painting.BlockMap):
-            painted, _ = whole.paint_all()
-            whole = replace(painted, about=whole.about)
+            whole, _ = whole.paint_all()
         found: dict[str, Any] = {it.name: getattr(whole, it.name) for it in fields(OccupancyMap)}
         found |= {"report": made.report, "evidence": made.evidence}
         return cls(**found, writing=writing, inputs=tuple(inputs))
@@ -280,8 +279,9 @@ def merge(*paths: AnyPaths, subtract: AnyPaths = (), fit: bool = False, **option
     chosen = read_options(painting.RenderOptions, options, "merge")
     lay = lay_on if read_value("fit", bool, fit) else None
     whole = read_all(merging.combine(added, taken, lay))
-    made = painting.render_kept(whole, chosen)
-    return Map.of(made, chosen.writing, [*added, *taken])
+    made = painting.render_saved(Blocks.of(whole), chosen)
+    build = Build(made.grid, made.report, made.evidence())
+    return Map.of(build, chosen.writing, [*added, *taken])
 
 
 @refuse_failures()

@@ -155,6 +155,11 @@ class CellBox(NamedTuple):
         return np.flatnonzero(in_rows & (self.col <= col) & (col < self.col_end))
 
     @property
+    def places(self) -> Iterator[Key]:
+        """Row and column of each of its cells, row by row."""
+        return product(range(self.row, self.row_end), range(self.col, self.col_end))
+
+    @property
     def slices(self) -> tuple[slice, slice]:
         """Its rows and columns in an array that begins at cell (0, 0)."""
         return slice(self.row, self.row_end), slice(self.col, self.col_end)
@@ -197,9 +202,8 @@ class CellBox(NamedTuple):
 
     def cut(self, side: int) -> Iterator[Self]:
         """The parts of the box in squares of `side` by `side` cells, row by row."""
-        row, col, row_end, col_end = self.align(side)
-        for low, left in product(range(row, row_end, side), range(col, col_end, side)):
-            yield self.clip(type(self)(low, left, low + side, left + side))
+        for place in self.align(side).shrink(side).places:
+            yield self.clip(self.at(*place).scale(side))
 
     def join(self, other: Self) -> Self:
         """The smallest box around both."""

@@ -10,7 +10,7 @@ from occmap import writers
 from occmap.cells import Evidence
 from occmap.errors import MapError
 from occmap.evidence import count_steady, list_contradictions
-from occmap.evidence.manifest import describe_build, list_doubts, measure_files, plan_manifest
+from occmap.evidence import manifest as manifests
 from occmap.options import BuildOptions
 from occmap.readers import Role
 from occmap.report import results
@@ -65,14 +65,15 @@ def build(
             grid, facts = paint_seen(paths, evidence, options, writers.want_whole(outputs))
         with tally.time("write"):  # to hash the logs takes time
             # Notes compare logs that may be one with another, and builds.
-            is_compared = past or len(set(map(measure_files, paths))) < len(paths)
+            is_compared = past or len(set(map(manifests.measure_files, paths))) < len(paths)
             is_told = writers.want_evidence(outputs) or is_compared
-            made = [describe_build(paths, options, tally.to_json())] if is_told else []
+            logs = manifests.describe_files(*paths)
+            made = [manifests.describe_build(logs, options, tally.to_json())] if is_told else []
         manifest = replace(evidence.manifest, builds=(*evidence.manifest.builds, *made))
         evidence = replace(evidence, manifest=manifest)
         steady = count_steady(evidence.tiles) if tally.points else (0, 0)
         tally.notes += [
-            *(*unaligned, *fitted, *facts.lost, *list_doubts(manifest)),
+            *(*unaligned, *fitted, *facts.lost, *manifests.list_doubts(manifest)),
             *list_contradictions(steady, tally.points),
             *results.list_notes(paths, options, outputs, tally, facts),
         ]
@@ -119,7 +120,7 @@ def open_past(
         options = replace(options, posing=replace(options.posing, align=past.manifest.align))
     if past.manifest.update == Update.CLOUD:
         options = suit_kinds({Role.CLOUD: past.where}, options)
-    refuse_different(plan_manifest(options), past)
+    refuse_different(manifests.plan_manifest(options), past)
     if not options.fit:
         return past, options, []
     from occmap.scoring.matching import fit_logs  # noqa: PLC0415  late: few builds want it
@@ -193,6 +194,7 @@ def make_report(
     if past is not None:
         before = sum_scans(past.manifest.builds)
         resumed = Resumed(past.where, before.read, before.used)
+    plan = manifests.plan_manifest(options)
     hint = results.hint_at_tune(facts.agreement, tally.logs, options)
     return Report(
         logs=tuple(tally.logs),
@@ -200,7 +202,7 @@ def make_report(
         resumed=resumed,
         beams=tally.beams,
         points=tally.points,
-        map=results.MapSummary.describe(facts, plan_manifest(options), options.min_passes),
+        map=results.MapSummary.describe(facts, plan, options.min_passes),
         notes=tuple(tally.notes),
         seconds=tally.list_seconds(),
         hint=hint if tally.looked_up else "",

@@ -19,7 +19,7 @@ from occmap.cells import Box, CellBox, CellClass, Decision
 from occmap.errors import MapError, UsageError, refuse_unreadable
 from occmap.evidence import read_model
 from occmap.report import count
-from occmap.store import identify, open_saved
+from occmap.store import open_saved
 from occmap.store.painting import open_map
 from occmap.types import Bool, Float64, Int64, UInt8
 from occmap.writers import MapMode, WriteOptions
@@ -168,10 +168,11 @@ def load_saved(path: Path, thresholds: WriteOptions) -> ClassMap:
         It cannot be read, or is damaged.
     """
     saved = open_saved(path)
-    made, _ = open_map(saved, read_model(saved)).paint_all()
+    shown = open_map(saved, read_model(saved))
+    made, _ = shown.paint_all()
     classes = replace(made, decision=thresholds.decide(made.decision)).classes
     place, turn = Place(made.resolution, *made.origin), str(saved.manifest.align or "")
-    return ClassMap(path, classes, place, evidence=identify(saved), align=turn)
+    return ClassMap(path, classes, place, evidence=shown.about.evidence, align=turn)
 
 
 LOADERS: dict[str, Callable[[Path, WriteOptions], ClassMap]] = {

@@ -1,10 +1,10 @@
 """Evidence: which model reads it, the map that this makes, what of it lasts, whether two fit."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from occmap.grid.tiles import LOG_ODDS_UNIT, TILE, EvidenceKind, TileGrid
 from occmap.sensor import models
 from occmap.sensor.models import SensorModel
 from occmap.types import IDENTITY, Float64, Int32, Int64, Pose, Update
-
-Weigh: TypeAlias = Callable[[Float64, Float64], Float64]
-"""Takes hits and misses, or log-odds and observations; gives log-odds"""
 
 
 def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
@@ -40,7 +37,8 @@ def render(grid: TileGrid, model: SensorModel, max_cells: int) -> OccupancyMap:
 
 def paint_box(grid: TileGrid, model: SensorModel, box: CellBox) -> OccupancyMap:
     """Let a model say what the evidence means in a box of cells; the map knows no agreement."""
-    painted = paint_cells(choose_tiles(grid, model), weigh(model), to_log_odds(model.prior), box)
+    chosen, prior = choose_tiles(grid, model), to_log_odds(model.prior)
+    painted = paint_cells(chosen, partial(weigh, model), prior, box)
     x, y, _, _ = grid.lattice.measure(box)
     return OccupancyMap(*painted, grid.lattice.resolution, (x, y), models.find_decision(model))
 
@@ -51,18 +49,17 @@ def choose_tiles(grid: TileGrid, model: SensorModel) -> TileGrid:
     return SpreadHits(grid, spread) if spread > 0 else grid
 
 
-def weigh(model: SensorModel) -> Weigh:
-    """Make the function that turns the two numbers of observed cells (N,) into log-odds."""
-    start = to_log_odds(model.prior)
-
-    def add_radial(log_odds: Float64, observations: Float64) -> Float64:
-        return start + log_odds * LOG_ODDS_UNIT - observations * start
-
-    add_up = add_radial if isinstance(model, models.RadialModel) else partial(ask, model)
+def weigh(model: SensorModel, first: Float64, second: Float64) -> Float64:
+    """Turn hits and misses of cells (N,), or log-odds and observations, into log-odds."""
+    if isinstance(model, models.RadialModel):
+        start = to_log_odds(model.prior)
+        log_odds = start + first * LOG_ODDS_UNIT - second * start
+    else:
+        log_odds = ask(model, first, second)
     least, most = (models.get_parameter(model, name) for name in models.NO_CLAMP)
     low = to_log_odds(least) if least > 0 else -math.inf
     high = to_log_odds(most) if most < 1 else math.inf
-    return lambda first, second: np.clip(add_up(first, second), low, high)
+    return np.clip(log_odds, low, high)
 
 
 def ask(model: models.CountModel, hits: Float64, misses: Float64) -> Float64:
@@ -157,32 +154,32 @@ MUCH_LESS = 0.15
 odometry of a floor; different buildings, and one building 3 m away, lose 0.21 to 0.41."""
 
 
-class Fit(NamedTuple):
-    """Of the hits in cells that both saw, the share in cells called occupied: the mean of both."""
-
-    alone: float
-    """Where each is mapped by itself"""
-    together: float
-
-
 def list_misfit(
     grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel, whom: str
 ) -> Iterator[str]:
     """Say that the tiles of a log contradict those that it is added to, called `whom`."""
-    fit = measure_fit(grid, others, model)
-    if fit is not None and fit.together < fit.alone - MUCH_LESS:
+    alone, together = measure_fit(grid, others, model) or (0.0, 0.0)
+    if together < alone - MUCH_LESS:
         yield (
-            f"does not fit {whom}: in cells that both saw, {fit.alone:.0%} of the hits lie in "
-            f"occupied cells where each is mapped alone, and {fit.together:.0%} together; where "
+            f"does not fit {whom}: in cells that both saw, {alone:.0%} of the hits lie in "
+            f"occupied cells where each is mapped alone, and {together:.0%} together; where "
             "their frames differ, `fit` lays one on the other as they are merged, or with `resume`"
         )
 
 
-def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) -> Fit | None:
+def measure_fit(
+    grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel
+) -> tuple[float, float] | None:
     """Measure how well two parts of a map agree; None where they share too little, or keep no hits.
 
     Only cells that both saw count, and each part as much as the other: it does not matter which
     is longer, or how much each saw elsewhere.
+
+    Returns
+    -------
+    alone, together
+        Of the hits in cells that both saw, the share in cells called occupied, where each part is
+        mapped by itself, and where they are added up: the mean of both.
     """
     if grid.kind is not EvidenceKind.COUNTS:
         return None
@@ -193,15 +190,15 @@ def measure_fit(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) 
     sums = np.zeros((2, 3))  # of each part: hits, those that agree alone, and those together
     for key in sample:
         box = CellBox.at(*key).scale(TILE)
-        *alone, together = (paint_box(each, model, box).occupied for each in grids)
+        *of_parts, of_both = (paint_box(each, model, box).occupied for each in grids)
         met = np.all([part[key].any(axis=0) for part in parts], axis=0)
-        for row, (part, occupied) in enumerate(zip(parts, alone, strict=True)):
+        for row, (part, occupied) in enumerate(zip(parts, of_parts, strict=True)):
             hits = np.where(met, part[key][0], 0)
-            sums[row] += hits.sum(), hits[occupied].sum(), hits[together].sum()
+            sums[row] += hits.sum(), hits[occupied].sum(), hits[of_both].sum()
     if sums[:, 0].min() < FEWEST_HITS * grid.unit:
         return None
-    shares = (sums[:, 1:] / sums[:, :1]).mean(axis=0)
-    return Fit(*shares.tolist())
+    alone, together = (sums[:, 1:] / sums[:, :1]).mean(axis=0).tolist()
+    return alone, together
 
 
 LEAST_STEADY = 0.4

@@ -4,13 +4,12 @@ import hashlib
 import json
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from importlib.metadata import version
 from itertools import combinations
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from occmap.cells import About, Manifest
@@ -32,10 +31,7 @@ MEANING = ("resolution", "update", "kind", "profile", "pass_gap_s", "hit_offset"
 
 
 def describe_build(
-    paths: Sequence[Path],
-    options: Any,
-    scans: dict[str, Any],
-    known: Mapping[Path, Iterable[dict[str, Any]]] = MappingProxyType({}),
+    logs: Iterable[dict[str, Any]], options: Any, scans: dict[str, Any]
 ) -> BuildRecord:
     """Describe what one build used, in values that JSON has.
 
@@ -44,13 +40,13 @@ def describe_build(
 
     Parameters
     ----------
-    known
-        What `describe_files` says of logs whose hashes are known already.
+    logs
+        What `describe_files` says of them.
 
     Raises
     ------
     LogError
-        A file cannot be read any more.
+        A trajectory cannot be read any more.
     """
     chosen = write_options(options)
     if options.update is not Update.CLOUD and options.clouds == type(options.clouds)():
@@ -69,10 +65,9 @@ def describe_build(
     for path in options.posing.files:
         _, topic = options.posing.recording or (path, "")
         chosen["posing"]["poses"] = f"{path.name}:{topic}" if topic else path.name
-    files = [*paths, *options.posing.files]
     return {
         "occmap": version("occmap"),
-        "inputs": [entry for path in files for entry in known.get(path) or describe_files(path)],
+        "inputs": [*logs, *describe_files(*options.posing.files)],
         "options": {**chosen, "model": describe_model(options.model)},
         "scans": scans,
         **({"edits": Path(edits).name} if edits else {}),
@@ -108,20 +103,21 @@ def write_options(options: Any) -> dict[str, Any]:
     return {name: value for name, value in write_value(options).items() if name not in UNRECORDED}
 
 
-def describe_files(path: Path) -> Iterator[dict[str, Any]]:
-    """Name, size and SHA-256 of a file, or of each file in a folder.
+def describe_files(*paths: Path) -> Iterator[dict[str, Any]]:
+    """Name, size and SHA-256 of files, and of each file in folders.
 
     Raises
     ------
     LogError
         A file cannot be read any more.
     """
-    for each in list_files(path):
-        with refuse_unreadable(each), each.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
-            size = file.tell()
-        name = each.relative_to(path.parent).as_posix()
-        yield {"name": name, "bytes": size, "sha256": digest}
+    for path in paths:
+        for each in list_files(path):
+            with refuse_unreadable(each), each.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+                size = file.tell()
+            name = each.relative_to(path.parent).as_posix()
+            yield {"name": name, "bytes": size, "sha256": digest}
 
 
 def measure_files(path: Path) -> int:

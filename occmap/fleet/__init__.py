@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -106,8 +107,8 @@ class Fleet:
             refuse_unseen(tally, crew.blocks)
             with tally.time("fold"):
                 hashed = crew.cluster.run(tasks.hash_log, crew.setting, crew.logs)
-                known = dict(zip(paths, hashed, strict=True))
-                made = manifests.describe_build(paths, options, tally.to_json(), known)
+                files = chain.from_iterable(hashed)
+                made = manifests.describe_build(files, options, tally.to_json())
                 manifest = replace(manifests.plan_manifest(options), builds=(made,))
             with make_folder(output, f".occmap-{crew.setting.folder.name}.tmp") as store:
                 crew.setting = replace(crew.setting, store=store)

@@ -52,6 +52,10 @@ class Job:
     where: str
     """As an error names it: the path of a log, or a block"""
 
+    def find_stub(self, folder: Path, task: Callable[..., Any]) -> Path:
+        """The file that a task leaves its result in, of a build with this scratch folder."""
+        return folder / f"{self.name}.{task.__name__}"
+
 
 AnyJob = TypeVar("AnyJob", bound=Job)
 Result = TypeVar("Result")
@@ -115,7 +119,7 @@ class Cluster:
             pairs = zip(jobs, futures, strict=True)
             return [results[it] if it in results else self._wait_for(job, it) for job, it in pairs]
         except LOST as error:  # maybe while a result was fetched
-            kept = sum((setting.folder / f"{job.name}.{task.__name__}").exists() for job in jobs)
+            kept = sum(job.find_stub(setting.folder, task).exists() for job in jobs)
             done = max(kept, len(results))
             so_far = f"; {done} of {len(jobs)} tasks of {phase!r} are done"
             raise self._explain(error, so_far, str(setting.folder)) from None

@@ -102,7 +102,7 @@ def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
 
     @wraps(task)
     def do_once(setting: Setting, job: AnyJob) -> Result:
-        stub = setting.folder / f"{job.name}.{task.__name__}"
+        stub = job.find_stub(setting.folder, task)
         if stub.exists():
             known: Result = pickle.loads(stub.read_bytes())
             return known
@@ -162,13 +162,10 @@ class RunWriter:
 
     def __init__(self, setting: Setting, names: Iterator[str]) -> None:
         self._setting, self._names = setting, names
+        self._begin = partial(make_engine, setting.options, setting.keep, setting.window_cells)
+        self._engine = self._begin()
         self.pieces = defaultdict[Block, list[Piece]](list)
         self.points = Counter[str]()
-        self._begin()
-
-    def _begin(self) -> None:
-        setting = self._setting
-        self._engine = make_engine(setting.options, setting.keep, setting.window_cells)
 
     def add(self, seen: Any) -> None:
         """Observe rays, or posed clouds."""
@@ -184,7 +181,7 @@ class RunWriter:
         parts = write_run(self._setting.folder, next(self._names), split_evidence(seen))
         for block, piece in parts.items():
             self.pieces[block].append(piece)
-        self._begin()
+        self._engine = self._begin()
 
 
 def write_run(

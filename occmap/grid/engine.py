@@ -9,7 +9,7 @@ Where slices of time are kept, a window is emptied when its slice is over, too.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from threading import Lock
 from typing import Any
 
@@ -45,10 +45,13 @@ def count_observations(rays: Rays, spec: GridSpec) -> tuple[int, int]:
 
 
 class Window(ABC):
-    """A box of whole tiles being written to, in a slice of time."""
+    """A box of whole tiles being written to, in a slice of time.
 
-    cells: Int64
-    changes: Changes
+    It has a place for each cell, and one for what changes from cell to cell.
+    """
+
+    along_lines = False
+    """Whether cells change along lines, or along rows alone"""
 
     def __init__(self, spec: GridSpec, box: CellBox, number: int = 0) -> None:
         self.spec, self.box, self.number = spec, box.align(TILE), number
@@ -61,9 +64,14 @@ class Window(ABC):
         """No number that it holds of a cell is larger than this, either way."""
         return self.observations * self.spec.tables.largest
 
-    @abstractmethod
     def allocate(self, rows: int, cols: int) -> None:
         """Make empty arrays."""
+        across, up = cols + PAD, rows + PAD
+        size = rows * across
+        if self.along_lines:
+            size += (rows + 1) * across + (2 * cols + 1) * up
+        self.cells: Int64 = np.zeros((rows, across), np.int64)
+        self.changes = Changes(np.zeros(size, np.int32), rows, cols)
 
     def has_room(self, beams: Beams) -> bool:
         """Whether rays lie wholly in the box and cannot make a number overflow."""
@@ -84,25 +92,6 @@ class Window(ABC):
     def trace(self, beams: Beams, field: Field) -> None:
         """Call the kernel."""
 
-    @abstractmethod
-    def read(self) -> dict[Key, Tile]:
-        """The tiles in which something was observed; the window is of no use afterwards."""
-
-
-class DenseWindow(Window):
-    """A window that has a place for each cell, and one for what changes from cell to cell."""
-
-    along_lines = False
-    """Whether cells change along lines, or along rows alone"""
-
-    def allocate(self, rows: int, cols: int) -> None:
-        across, up = cols + PAD, rows + PAD
-        size = rows * across
-        if self.along_lines:
-            size += (rows + 1) * across + (2 * cols + 1) * up
-        self.cells = np.zeros((rows, across), np.int64)
-        self.changes = Changes(np.zeros(size, np.int32), rows, cols)
-
     @property
     def packing(self) -> tuple[int, int, int]:
         """How `cells` hold the numbers of a cell, as `read_tiles` takes it."""
@@ -110,6 +99,7 @@ class DenseWindow(Window):
         return self.spec.tables.bits, every_bit, int(self.spec.tables.entries[0])
 
     def read(self) -> dict[Key, Tile]:
+        """The tiles in which something was observed; the window is of no use afterwards."""
         inside = (self.touched or self.box).move(-self.box.row, -self.box.col)
         (rows, cols), changes = self.box.shape, self.changes.numbers
         across, up = cols + PAD, rows + PAD
@@ -131,7 +121,7 @@ class DenseWindow(Window):
         return places[:found], tiles[:found]
 
 
-class BeamWindow(DenseWindow):
+class BeamWindow(Window):
     """Beam by beam, with those drawn between where the update asks for them."""
 
     along_lines = True
@@ -170,7 +160,7 @@ class SparseBeamWindow(BeamWindow):
         return view_tiles(places[numbers[:, 0]], tiles)
 
 
-class PolygonWindow(DenseWindow):
+class PolygonWindow(Window):
     """Hits and misses, scan by scan."""
 
     @property
@@ -181,7 +171,7 @@ class PolygonWindow(DenseWindow):
         trace_polygons(beams, (self.spec.jump, self.spec.border_gap), field, self.observations)
 
 
-class RadialPolygonWindow(DenseWindow):
+class RadialPolygonWindow(Window):
     """A radial model, once for each cell of a scan."""
 
     def trace(self, beams: Beams, field: Field) -> None:
@@ -394,31 +384,31 @@ class GridEngine(Engine):
             fix = "no laser has so many: see what is in the log with `occmap check`"
             raise MapError(found, fix=fix)
         beams = project(rays, self.spec)
-        best, *others = choose_windows(self.spec, beams, self._window_cells)
+        kinds = choose_windows(self.spec, beams, self._window_cells)
         cells = beams.box.align(TILE).cells
         if cells <= self._window_cells:
-            self._trace(beams, best, *others)
+            self._trace(beams, kinds)
         elif cells > MOST_PARTS * self._window_cells and scans > 1:
             self._add_halves(rays)
         else:
-            self._trace_parts(beams, best)
+            self._trace_parts(beams, kinds[0])
 
     def _add_halves(self, rays: Rays) -> None:
         middle = len(rays.kind) // 2
         self._add_prepared(rays.take(slice(None, middle)))
         self._add_prepared(rays.take(slice(middle, None)))
 
-    def _trace(self, beams: Beams, best: type[Window], *others: type[Window]) -> None:
+    def _trace(self, beams: Beams, kinds: Sequence[type[Window]]) -> None:
         """Trace in a window that nobody else is writing to, with room for the scans to come."""
         with self._lock:
             window: Window | None = self._idle.pop() if self._idle else None
         number = int(self._number(beams.rays.stamp_ns[:1])[0])
         fits = window and window.number == number and window.has_room(beams)
-        if window and not (fits and type(window) in (best, *others)):
+        if window and not (fits and type(window) in kinds):
             self._empty(window)
             window = None
         if window is None:
-            window = best(self.spec, add_room(beams.box, self._roomy_cells), number)
+            window = kinds[0](self.spec, add_room(beams.box, self._roomy_cells), number)
         window.observe(beams)
         with self._lock:
             self._idle.append(window)
@@ -427,7 +417,8 @@ class GridEngine(Engine):
         """Trace in windows that lie beside each other, one after the other."""
         if len(beams.rays.kind) == 1 and beams.box.cells > MARGIN * self._max_cells:
             refuse_large(beams.box, self.spec.lattice, self._max_cells)
-        for part in split_box(beams.box, self._window_cells):
+        side = max(int(self._window_cells**0.5) // TILE, 1) * TILE
+        for part in beams.box.align(TILE).cut(side):
             window = best(self.spec, part, int(self._number(beams.rays.stamp_ns)[0]))
             window.observe(beams)
             self._empty(window)
@@ -447,8 +438,3 @@ def add_room(box: CellBox, most_cells: int) -> CellBox:
     while room > 0 and box.grow(room).align(TILE).cells > limit:
         room //= 2
     return box.grow(room)
-
-
-def split_box(box: CellBox, most_cells: int) -> Iterator[CellBox]:
-    """Cut a box, grown to whole tiles, into boxes of at most so many cells, or of one tile."""
-    return box.align(TILE).cut(max(int(most_cells**0.5) // TILE, 1) * TILE)

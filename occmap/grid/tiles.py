@@ -11,7 +11,7 @@ parts is in the whole, at a seam between them, too. This module does not load nu
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -109,9 +109,7 @@ class TileGrid:
 
     def observed(self, first: NDArray[Any], second: NDArray[Any]) -> Bool:
         """Which cells hold an observation, by their two numbers, of any shape."""
-        if self.kind is EvidenceKind.COUNTS:
-            return np.asarray((first != 0) | (second != 0))
-        return np.asarray(second != 0)
+        return np.asarray((first != 0) | (second != 0))
 
     def find_box(self, key: Key) -> CellBox | None:
         """The smallest box around the observed cells of a tile; None: it has none."""
@@ -122,10 +120,9 @@ class TileGrid:
         """(2, H, W): what the tiles hold of the cells of a box; 0 where there is no tile."""
         whole = box.align(TILE)
         cells = np.zeros((2, *whole.shape), dtype)
-        rows, cols = range(whole.row, whole.row_end, TILE), range(whole.col, whole.col_end, TILE)
-        for row, col in product(rows, cols):
-            if (tile := self.tiles.get((row // TILE, col // TILE))) is not None:
-                up, right = row - whole.row, col - whole.col
+        for row, col in whole.shrink(TILE).places:
+            if (tile := self.tiles.get((row, col))) is not None:
+                up, right = row * TILE - whole.row, col * TILE - whole.col
                 cells[:, up : up + TILE, right : right + TILE] = tile
         return cells[:, *box.within(whole)]
 
@@ -140,13 +137,9 @@ class TileGrid:
 
         Parts more than a cell away from every tile are left out.
         """
-        beyond = list(product((-1, TILE), repeat=2))
-        corners = (
-            (row * TILE + up, col * TILE + right) for row, col in self.tiles for up, right in beyond
-        )
-        for row, col in sorted({(row // PART, col // PART) for row, col in corners}):
-            part = box.clip(CellBox.at(row, col).scale(PART))
-            if part.cells:
+        for part in box.cut(PART):
+            near = part.grow(1).align(TILE).shrink(TILE)
+            if not self.tiles.keys().isdisjoint(near.places):
                 yield part
 
 
@@ -295,28 +288,30 @@ def unpack_bits(slices: Slices) -> UInt8:
 
 def take_tiles(slices: Slices, which: Int64) -> Slices:
     """Some of the tiles, in the order of `which`."""
-    part_sizes, change_sizes = count_bytes(slices)
+    part_edges, change_edges = find_edges(slices)
     return Slices(
         slices.tiles[which],
         slices.numbers[which],
         slices.rows[which],
-        slices.parts[list_places(part_sizes, which)],
-        slices.changes[list_places(change_sizes, which)],
+        slices.parts[list_places(part_edges, which)],
+        slices.changes[list_places(change_edges, which)],
     )
 
 
-def count_bytes(slices: Slices) -> tuple[Int64, Int64]:
-    """(K,) how many `parts` and (K,) how many `changes` each tile has."""
-    part_sizes = np.bitwise_count(slices.rows).sum(axis=1, dtype=np.int64)
-    ends = np.cumsum(part_sizes)
-    change_ends = np.append(0, np.cumsum(np.bitwise_count(slices.parts), dtype=np.int64))
-    return part_sizes, change_ends[ends] - change_ends[ends - part_sizes]
+def find_edges(slices: Slices) -> tuple[Int64, Int64]:
+    """(K + 1,) where the `parts` and the `changes` of each tile begin, and where the last ends."""
+    part_sizes = np.bitwise_count(slices.rows).sum(axis=1)
+    change_sizes = np.bitwise_count(slices.parts)
+    parts, changes = (
+        np.append(0, np.cumsum(sizes, dtype=np.int64)) for sizes in (part_sizes, change_sizes)
+    )
+    return parts, changes[parts]
 
 
-def list_places(sizes: Int64, which: Int64) -> Int64:
-    """Places of all items of some runs; the runs, of these sizes, lie one behind the other."""
-    starts, wanted = (np.cumsum(sizes) - sizes)[which], sizes[which]
-    shift = np.repeat(starts - (np.cumsum(wanted) - wanted), wanted)
+def list_places(edges: Int64, which: Int64) -> Int64:
+    """Places of all items of some runs, which lie one behind the other between these edges."""
+    sizes = np.diff(edges)[which]
+    shift = np.repeat(edges[which] - (np.cumsum(sizes) - sizes), sizes)
     return np.asarray(shift + np.arange(len(shift)))
 
 
@@ -341,11 +336,10 @@ def unite(parts: Iterable[Slices]) -> Slices:
 
 def split(slices: Slices, ends: Iterable[int]) -> Iterator[Slices]:
     """Cut slices behind some of their tiles, in order; the parts share their memory."""
-    part_sizes, change_sizes = count_bytes(slices)
-    part_ends, change_ends = (np.append(0, np.cumsum(s)) for s in (part_sizes, change_sizes))
+    part_edges, change_edges = find_edges(slices)
     for begin, end in pairwise([0, *ends]):
-        parts = slices.parts[part_ends[begin] : part_ends[end]]
-        changes = slices.changes[change_ends[begin] : change_ends[end]]
+        parts = slices.parts[part_edges[begin] : part_edges[end]]
+        changes = slices.changes[change_edges[begin] : change_edges[end]]
         numbers, rows = slices.numbers[begin:end], slices.rows[begin:end]
         yield Slices(slices.tiles[begin:end], numbers, rows, parts, changes)
 
@@ -377,10 +371,9 @@ def count_visits(slices: Slices) -> Int64:
 def restrict(slices: Slices, grid: TileGrid) -> Slices:
     """Forget cells that a grid has no observation of."""
     kept = []
-    nothing = np.zeros((TILE, TILE), np.bool_)
+    nothing = np.zeros((2, TILE, TILE), np.int8)
     for key, of_tile in split_tiles(slices):
-        tile = grid.tiles.get(key)
-        still = np.packbits(nothing if tile is None else grid.observed(*tile), axis=-1)
+        still = np.packbits(grid.observed(*grid.tiles.get(key, nothing)), axis=-1)
         bits = unpack_bits(of_tile) & still
         some = bits.any(axis=(1, 2, 3))
         kept.append(pack_bits(of_tile.tiles[some], of_tile.numbers[some], bits[some]))

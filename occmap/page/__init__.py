@@ -175,9 +175,8 @@ def write_inspection(path: Path, inspection: Inspection) -> None:
     if inspection.map is not None:
         facts = [("size", findings.describe_map(inspection.map))]
         sections.append(Section("The map that they would make", [Block("facts", facts)]))
-    inputs = [entry for log in logs if log.exists() for entry in describe_files(log)]
-    page = Page(f"Check of {names}", verdict, [*sections, describe_maker(inputs)])
-    write_page(path, page)
+    sections.append(describe_maker(describe_files(*filter(Path.exists, logs))))
+    write_page(path, Page(f"Check of {names}", verdict, sections))
 
 
 def tell_findings(found: Inspection) -> Iterator[Section]:
@@ -333,10 +332,8 @@ class HtmlWriter(Writer):
     needs_evidence = shows_journey = True
     needs = "report", "bokeh", "jinja2"
 
-    def write_product(
-        self, path: Path, product: Product, options: WriteOptions
-    ) -> tuple[Path, ...]:
-        """Write the page; return its path.
+    def write_product(self, path: Path, product: Product, options: WriteOptions) -> None:
+        """Write the page.
 
         Raises
         ------
@@ -346,4 +343,3 @@ class HtmlWriter(Writer):
         from occmap.page.pages import describe_product  # noqa: PLC0415  late: it brings Bokeh
 
         write_page(path, describe_product(product, options))
-        return (path,)

@@ -127,7 +127,7 @@ def write_comparison(path: Path, comparison: compare.VariantComparison) -> None:
         Section("Scores", [tell_scores(comparison)]),
         Section("Do probabilities mean what they say?", [tell_reliability(results)]),
         page.tell_notes(comparison),
-        page.describe_maker(entry for log in logs for entry in describe_files(log)),
+        page.describe_maker(describe_files(*logs)),
     ]
     title = f"Comparison of maps of {page.name_logs(log.name for log in logs)}"
     page.write_page(path, Page(title, subtitle, sections, stage_variants(results)))
@@ -203,8 +203,8 @@ def write_difference(path: Path, difference: MapDifference, maps: tuple[Path, Pa
     subtitle = f"{changed} of {difference.known:,} known ones"
     facts = [("before", str(before)), ("after", str(after)), *tell_changes(difference)]
     facts.append(("neither", "unknown or undecided"))
-    inputs = [entry for each in maps for entry in describe_files(each)]
-    sections = [Section("Changes", [Block("facts", facts)]), page.describe_maker(inputs)]
+    made = page.describe_maker(describe_files(*maps))
+    sections = [Section("Changes", [Block("facts", facts)]), made]
     title = f"From {before.name} to {after.name}"
     page.write_page(path, Page(title, subtitle, sections, stage_changes(difference)))
 

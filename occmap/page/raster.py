@@ -322,7 +322,6 @@ def draw_poster(classes: Packed, colours: Sequence[str]) -> str:
     return b64encode(encode_png(table[small[::-1]])).decode()
 
 
-UNKNOWN_COLOUR = "#d5d9de"
 WAY_COLOURS = palettes.Plasma256[20:165]
 """Without the lightest: floors are white, and undecided cells yellow."""
 MOST_STEPS = 5000
@@ -341,7 +340,7 @@ def plot_map(index: int, shared: Any = None) -> Any:
         tools="pan",
         sizing_mode="stretch_both",
         min_height=200,
-        background_fill_color=UNKNOWN_COLOUR,
+        background_fill_color=CLASS_COLOURS[UNKNOWN],
         x_axis_label="x (m)",
         y_axis_label="y (m)",
         toolbar_location=None,

@@ -44,10 +44,7 @@ class Blocks:
     def of(cls, evidence: Evidence) -> Self:
         """Cut evidence into blocks; it stays in memory, and is cut when a block is asked for."""
         blocks = sorted({Block(row // SIDE, col // SIDE) for row, col in evidence.tiles})
-        reach = dict[Block, CellBox]()
-        if blocks:
-            whole = CellBox.enclose(evidence.tiles).scale(TILE)
-            reach = {block: whole.clip(block.box) for block in blocks}
+        reach = {block: block.box for block in blocks}
         cut = cache(lambda: dict(layout.split_evidence(evidence)))
         what, where, ground = evidence.manifest, evidence.where, evidence.ground
         return cls(what, where, reach, lambda block: cut()[block], ground, whole=evidence)
@@ -96,9 +93,8 @@ def open_store(path: Path) -> Blocks:
             found = "its table of blocks, or its ground, was altered"
             raise MapError(found, where=path, fix="build it again")
         blocks = [Block(*place) for place in table["place"].tolist()]
-        edges, digests = map(CellBox._make, table["reach"].tolist()), map(bytes, table["sha256"])
-        reach = dict(zip(blocks, edges, strict=True))
-        digest_of = dict(zip(blocks, digests, strict=True))
+        reach = dict(zip(blocks, map(CellBox._make, table["reach"].tolist()), strict=True))
+        digest_of = dict(zip(blocks, map(bytes, table["sha256"]), strict=True))
         ground = unpack_ground(below)
 
     def read_block(block: Block) -> Evidence:
@@ -140,18 +136,13 @@ def join_blocks(saved: Blocks, parts: Iterable[Evidence]) -> Evidence:
     """Make evidence of what was read of some blocks."""
     known = list(parts)
     tiles = {key: tile for each in known for key, tile in each.tiles.items()}
-    # A build paints its map before its manifest describes it.
-    builds = max([len(saved.manifest.builds), *(len(each.slices) for each in known)])
-    slices = tuple(
-        unite(each.slices[build] for each in known if each.slices) for build in range(builds)
-    )
-    where, ground = saved.where, saved.ground
-    return Evidence(saved.manifest, tiles, slices, where, ground=ground)
+    builds = range(len(saved.manifest.builds))
+    slices = tuple(unite(each.slices[build] for each in known) for build in builds)
+    return Evidence(saved.manifest, tiles, slices, saved.where, ground=saved.ground)
 
 
 def keep_inside(part: Evidence, box: CellBox) -> Evidence:
     """Keep the tiles in a box, which counts tiles."""
-    rows, cols = range(box.row, box.row_end), range(box.col, box.col_end)
-    tiles = {key: tile for key, tile in part.tiles.items() if key[0] in rows and key[1] in cols}
+    tiles = {key: part.tiles[key] for key in box.places if key in part.tiles}
     slices = tuple(take_tiles(layer, box.find(layer.tiles)) for layer in part.slices)
     return replace(part, tiles=tiles, slices=slices)

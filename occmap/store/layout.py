@@ -10,7 +10,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ from occmap.errors import MapError
 from occmap.evidence.manifest import MEANING, list_inputs
 from occmap.grid.tiles import INT32_LIMIT, TILE, split, take_tiles
 from occmap.plugins import need_extra
-from occmap.types import Int64, UInt8
+from occmap.types import UInt8
 from occmap.writers.npz import compute_checksum, refuse_other_version, unpack_slices
 
 BLOCK = 1024
@@ -44,8 +43,7 @@ class Block(NamedTuple):
 
 def list_blocks(box: CellBox) -> Iterator[Block]:
     """The blocks that the cells of a box lie in."""
-    row, col, row_end, col_end = box.align(BLOCK).shrink(BLOCK)
-    return (Block(*place) for place in product(range(row, row_end), range(col, col_end)))
+    return map(Block._make, box.align(BLOCK).shrink(BLOCK).places)
 
 
 class BlockRecord(NamedTuple):
@@ -70,10 +68,9 @@ def split_evidence(evidence: Evidence) -> Iterator[tuple[Block, Evidence]]:
     for (row, col), tile in evidence.tiles.items():
         blocks[Block(row // SIDE, col // SIDE)][row, col] = tile
     names = sorted(blocks)
-    layers = [list(split_slices(each, names)) for each in evidence.slices]
-    for at, block in enumerate(names):
-        slices = tuple(layer[at] for layer in layers)
-        yield block, replace(evidence, tiles=blocks[block], slices=slices, ground=None)
+    layers = (split_slices(each, names) for each in evidence.slices)
+    for block, *slices in zip(names, *layers, strict=True):
+        yield block, replace(evidence, tiles=blocks[block], slices=tuple(slices), ground=None)
 
 
 def split_slices(slices: Slices, blocks: Sequence[Block]) -> Iterator[Slices]:
@@ -83,21 +80,6 @@ def split_slices(slices: Slices, blocks: Sequence[Block]) -> Iterator[Slices]:
     which = np.searchsorted(known, wanted)
     in_order = take_tiles(slices, np.argsort(which, kind="stable"))
     return split(in_order, np.cumsum(np.bincount(which, minlength=len(blocks))).tolist())
-
-
-def spread_cells(block: Block, content: Evidence) -> Int64:
-    """(2, 1024, 1024): the two numbers of each cell of a block."""
-    cells = np.zeros((2, BLOCK, BLOCK), np.int64)
-    for (row, col), tile in content.tiles.items():
-        cut_tiles(cells)[row - block.row * SIDE, col - block.col * SIDE] = tile
-    return cells
-
-
-def cut_tiles(cells: Int64) -> Int64:
-    """(R, C, 2, 64, 64): a view of the tiles of whole rows and columns of tiles (2, H, W)."""
-    _, height, width = cells.shape
-    parts = cells.reshape(2, height // TILE, TILE, width // TILE, TILE)
-    return parts.transpose(1, 3, 0, 2, 4)
 
 
 FORMAT, VERSION = "occmap store", 2
@@ -144,7 +126,9 @@ def read_box(root: Any, box: CellBox) -> dict[Key, Tile]:
     arrays = [root[name] for name in LAYERS[head["kind"]]]
     whole = CellBox(0, 0, *arrays[0].shape).move(*head["offset"])
     part = whole.clip(box)
-    tiles = cut_tiles(np.stack([array[part.within(whole)] for array in arrays]))
+    cells = np.stack([array[part.within(whole)] for array in arrays])
+    rows, cols = part.shrink(TILE).shape
+    tiles = cells.reshape(2, rows, TILE, cols, TILE).transpose(1, 3, 0, 2, 4)
     places = np.argwhere(tiles.any(axis=(2, 3, 4)))
     found = tiles[*places.T]
     if np.abs(found).max(initial=0) <= INT32_LIMIT:
@@ -207,16 +191,14 @@ def make_table(records: Sequence[BlockRecord], manifest: Manifest) -> dict[str, 
     """Arrays of what is known of each block, N in all, and of which logs may have observed it."""
     counts = [len(list_inputs(build)) for build in manifest.builds]
     build_of_log = np.repeat(np.arange(len(counts)), counts)
-    logs = np.zeros((len(records), len(build_of_log)), np.bool_)
-    for row, record in zip(logs, records, strict=True):
-        row[:] = np.isin(build_of_log, record.builds)
+    logs = np.array([np.isin(build_of_log, record.builds) for record in records], np.bool_)
     digests = b"".join(bytes.fromhex(record.sha256) for record in records)
     columns = (
         np.array([record.block for record in records], np.int64).reshape(-1, 2),
         np.array([record.cells for record in records], np.int64),
         np.array([record.reach for record in records], np.int64).reshape(-1, 4),
         np.frombuffer(digests, np.uint8).reshape(-1, 32),
-        np.packbits(logs, axis=1),
+        np.packbits(logs.reshape(len(records), len(build_of_log)), axis=1),
     )
     return dict(zip(TABLE, columns, strict=True))
 

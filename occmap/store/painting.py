@@ -1,7 +1,6 @@
 """Saved evidence painted as a map and written, and what the report says of it.
 
-A map is painted block by block: memory is that of the map and of a few blocks. What is in memory
-is painted at once, unless it lies far apart.
+A map is painted block by block: memory is that of the map and of a few blocks.
 """
 
 import math
@@ -23,14 +22,14 @@ from occmap.grid import Lattice, rendering
 from occmap.grid.rendering import Framing, choose_box, measure_bounds
 from occmap.grid.tiles import MAX_CELLS, TileGrid, refuse_large
 from occmap.report import results
-from occmap.report.results import Build, MapFacts, Report
+from occmap.report.results import MapFacts, Report
 from occmap.scans.tally import ScanCounts
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import MODEL, SensorModel, describe_model, find_decision, parse_model
 from occmap.store import Blocks, identify, read_all, read_part
 from occmap.store.layout import SIDE, Block, list_blocks
 from occmap.types import Int64
-from occmap.writers import WriteOptions
+from occmap.writers import Product, WriteOptions
 from occmap.writers.npz import refuse_damage
 
 KEPT_BLOCKS = 18
@@ -122,9 +121,6 @@ class BlockMap:
 
     def paint(self, box: CellBox) -> tuple[OccupancyMap, Int64]:
         """Paint all of it, or a part; return (4,) what all pieces found, too."""
-        if self.source.whole:
-            ((_, made, found),) = self.list_pieces(box)
-            return made, found
         nothing, found = evidence.make_empty(self.source.manifest), np.zeros(4, np.int64)
         made = evidence.paint_box(nothing, self.model, box)
         for window, piece, of_piece in self.list_pieces(box):
@@ -137,7 +133,7 @@ class BlockMap:
         refuse_large(self.box, Lattice(self.resolution), self.options.max_cells)
         made, found = self.paint(self.box)
         agreement, lost = evidence.sum_up(found)
-        return replace(made, agreement=agreement), lost
+        return replace(made, agreement=agreement, about=self.about), lost
 
     def list_pieces(self, box: CellBox) -> Iterator[Piece]:
         """Paint all of it, or a part, piece by piece; the rest of that was not observed.
@@ -162,12 +158,7 @@ class BlockMap:
         return box == self.box and self.options.framing.extent is None
 
     def list_parts(self, box: CellBox) -> list[CellBox]:
-        """List what is painted at once: all of a box, or the blocks in which it may show something.
-
-        These come in the order in which to paint them.
-        """
-        if self.source.whole:
-            return [reduce(CellBox.join, self.source.blocks.values(), box)]
+        """List the blocks in which a box may show something, in the order to paint them in."""
         observed: Iterable[Block] = self.source.blocks
         if not self.is_whole(box):  # maybe a tile of a large map, and most blocks lie far from it
             observed = self.source.blocks.keys() & set(list_blocks(box.grow(1)))
@@ -181,7 +172,7 @@ class BlockMap:
 
 
 def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None = None) -> BlockMap:
-    """Find out what cells a map covers; the blocks that were read last are kept from now on.
+    """Find out what cells a map covers; what is in memory, or was read last, is kept from now on.
 
     Raises
     ------
@@ -189,9 +180,8 @@ def open_map(source: Blocks, model: SensorModel, options: RenderOptions | None =
         Nothing was observed, or lasts, or lies in the extent; or a block cannot be read.
     """
     chosen, lattice = options or RenderOptions(), Lattice(source.manifest.resolution)
-    whole = None if is_large(source) else source.whole
-    kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block), whole=whole)
-    at_once = whole and find_lasting(whole, chosen.min_passes)
+    kept = replace(source, read_block=lru_cache(KEPT_BLOCKS)(source.read_block))
+    at_once = source.whole and find_lasting(source.whole, chosen.min_passes)
 
     def read(box: CellBox) -> Grids:
         return at_once or find_lasting(read_part(kept, box), chosen.min_passes)
@@ -294,18 +284,16 @@ def publish(saved: Blocks, options: RenderOptions, outputs: Sequence[Path]) -> R
     Raises
     ------
     OccmapError
-        As `render_kept`, or an output cannot be written.
+        As `render_saved`, or an output cannot be written.
     """
-    saved, model = settle_model(saved, options)
-    grid, facts = paint_saved(saved, model, options, writers.want_whole(outputs))
-    report = summarise(saved.manifest, facts, options, outputs)
-    product = writers.Product(grid, cache(lambda: read_all(saved)), report=report, blocks=saved)
+    product = render_saved(saved, options, outputs)
     files = writers.write_outputs(outputs, product, options.writing)
-    return replace(report, files=tuple(files))
+    report: Report = replace(product.report, files=tuple(files))
+    return report
 
 
-def render_kept(kept: Evidence, options: RenderOptions) -> Build:
-    """Render evidence, and write nothing.
+def render_saved(saved: Blocks, options: RenderOptions, outputs: Sequence[Path] = ()) -> Product:
+    """Render evidence, and sum up its builds, for outputs that are to be written.
 
     Raises
     ------
@@ -313,22 +301,11 @@ def render_kept(kept: Evidence, options: RenderOptions) -> Build:
         The model cannot read the evidence or knows no visits, or nothing is left of the map or it
         would be too large.
     """
-    saved, model = settle_model(Blocks.of(kept), options)
-    grid, facts = paint_saved(saved, model, options, is_whole=True)
-    report = summarise(saved.manifest, facts, options)
-    return Build(grid, report, read_all(saved))
-
-
-def settle_model(saved: Blocks, options: RenderOptions) -> tuple[Blocks, SensorModel]:
-    """Choose the model by which evidence is rendered, and let the evidence name that.
-
-    Raises
-    ------
-    OccmapError
-        The model cannot read the evidence or knows no visits.
-    """
     model = evidence.choose_model_for(saved, options.model, options.min_passes)
-    return replace(saved, manifest=replace(saved.manifest, model=describe_model(model))), model
+    saved = replace(saved, manifest=replace(saved.manifest, model=describe_model(model)))
+    grid, facts = paint_saved(saved, model, options, writers.want_whole(outputs))
+    report = summarise(saved.manifest, facts, options, outputs)
+    return Product(grid, cache(lambda: read_all(saved)), report=report, blocks=saved)
 
 
 def paint_saved(
@@ -362,9 +339,7 @@ def paint_saved(
             facts = survey_blocks(made)
             return made, facts._replace(lost=[*notes, *facts.lost])
         shown, lost = made.paint_all()
-    about = describe_about(saved.manifest, identify(saved), options, logs)
-    facts = results.measure_map(shown, options.writing)._replace(lost=[*notes, *lost])
-    return replace(shown, about=about), facts
+    return shown, results.measure_map(shown, options.writing)._replace(lost=[*notes, *lost])
 
 
 def read_overview(store: Blocks, side: int, options: RenderOptions) -> OccupancyMap:
@@ -404,11 +379,12 @@ def read_overview(store: Blocks, side: int, options: RenderOptions) -> Occupancy
         classes[there.within(box)] = arrays[side][there.within(whole)]
     origin = fine.to_metres(col + box.col * side), fine.to_metres(row + box.row * side)
     is_known = classes != CellClass.NEITHER
-    return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin)
+    about = describe_about(store.manifest, identify(store), options)
+    return OccupancyMap(CLASS_LOG_ODDS[classes], is_known, coarse.resolution, origin, about=about)
 
 
 def summarise(
-    manifest: Manifest, facts: MapFacts, options: RenderOptions, outputs: Sequence[Path] = ()
+    manifest: Manifest, facts: MapFacts, options: RenderOptions, outputs: Sequence[Path]
 ) -> Report:
     """Sum up all builds of evidence, and the map that was made of it by the manifest's model."""
     beams = [build["scans"]["beams"] for build in manifest.builds]

@@ -117,7 +117,7 @@ def write_block(path: Path, block: Block, content: Evidence) -> BlockRecord:
     OutputError
         It cannot be written.
     """
-    builds, numbers = layout.list_observing_builds(content), layout.spread_cells(block, content)
+    builds, numbers = layout.list_observing_builds(content), to_grid(content).gather(block.box)
     packed = pack_slices([content.slices[build] for build in builds])
     data, arrays = layout.pack_arrays({"builds": np.array(builds, "<i8"), **packed})
     with edit_store(path) as root:

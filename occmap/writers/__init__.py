@@ -326,8 +326,8 @@ def want_evidence(outputs: Sequence[Path]) -> bool:
 
 
 def want_whole(outputs: Sequence[Path]) -> bool:
-    """Whether any output is made of a map that is there as a whole."""
-    return not all(find_writer(path).in_parts for path in outputs)
+    """Whether any output is made of a map that is there as a whole; without any, a program is."""
+    return not outputs or not all(find_writer(path).in_parts for path in outputs)
 
 
 def want_journey(outputs: Sequence[Path]) -> bool:

@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont, UnidentifiedImageError
 from occmap.cells import CellBox, CellClass, OccupancyMap, keep_largest
 from occmap.errors import MapError
 from occmap.types import Bool, UInt8
-from occmap.writers import WriteOptions, Writer
+from occmap.writers import USUAL, WriteOptions, Writer
 from occmap.writers.atomic import make_folder, open_atomic
 from occmap.writers.pgm import GREYS, describe_image, write_yaml
 
@@ -127,8 +127,7 @@ def write_panels(path: Path, panels: Sequence[Panel]) -> None:
         for number, line in enumerate(title):
             draw.text((left, top + number * LINE_PX), line, INK, font)
         picture.paste(Image.fromarray(pixels), (left, top + head))
-    with open_atomic(path) as (file,):
-        picture.save(file, format="PNG")
+    write_colours(path, np.asarray(picture))
 
 
 def arrange(count: int, width: int, height: int) -> tuple[int, int]:
@@ -144,8 +143,6 @@ def arrange(count: int, width: int, height: int) -> tuple[int, int]:
 
 TILE_PIXELS = 1024
 """Along the side of a tile, which begins at a multiple of as many cells"""
-TRINARY = WriteOptions()
-"""For the thresholds of the YAML: the greys are classes"""
 
 
 class TilesWriter(Writer):
@@ -213,17 +210,16 @@ class TileTree:
     def paint(self, x: int, y: int) -> UInt8:
         """Find the classes of the cells of a tile at the top level."""
         tile = self.find_cells(x, y)
-        seen, classes = tile.clip(self.grid.box), np.full(tile.shape, CellClass.NEITHER, np.uint8)
-        if seen.cells:
-            part = self.grid.take(*seen.within(self.grid.box))
-            decision = self.options.decide(part.decision)
-            classes[seen.within(tile)] = replace(part, decision=decision).classes
+        seen, classes = tile.clip(self.grid.box), BLANK.copy()
+        part = self.grid.take(*seen.within(self.grid.box))
+        decision = self.options.decide(part.decision)
+        classes[seen.within(tile)] = replace(part, decision=decision).classes
         return classes
 
     def describe(self, image: Path, tile: CellBox) -> None:
         """Write beside the image of a tile where its cells lie."""
         size = self.grid.resolution
         origin = round(tile.col * size, 12), round(tile.row * size, 12)
-        fields = describe_image(image.name, size, origin, TRINARY)
+        fields = describe_image(image.name, size, origin, USUAL)  # its greys are classes
         with image.with_suffix(".yaml").open("wb") as opened:
             write_yaml(opened, fields, self.grid.about)

@@ -40,7 +40,6 @@ Equal evidence makes equal bytes on every machine: no time stamps, no compressio
 """
 
 import hashlib
-import io
 import json
 import struct
 import tokenize
@@ -72,7 +71,8 @@ GROUND = ("ground_blocks", "ground_mm", "ground_measured")
 Arrays = dict[str, Any]
 DAMAGE = (
     *(zipfile.BadZipFile, struct.error, tokenize.TokenError, EOFError, NotImplementedError),
-    *(LookupError, ValueError, TypeError, OverflowError, RuntimeError, MemoryError, OSError),
+    *(LookupError, ValueError, TypeError, AttributeError, OverflowError),
+    *(RuntimeError, MemoryError, OSError),
 )
 """What zipfile, zarr, its codecs, json and NumPy raise on damaged files"""
 
@@ -84,18 +84,12 @@ class NpzWriter(Writer):
     needs_evidence = in_parts = True
 
     def write_product(self, path: Path, product: Product, _: WriteOptions) -> None:
-        """Write the evidence, by the name that the map has for it."""
-        about = product.grid.about
-        write_evidence(path, product.evidence(), about.evidence if about else "")
+        """Write the evidence."""
+        write_evidence(path, product.evidence())
 
 
-def write_evidence(path: Path, evidence: Evidence, name: str = "") -> None:
+def write_evidence(path: Path, evidence: Evidence) -> None:
     """Write evidence.
-
-    Parameters
-    ----------
-    name
-        As `Manifest.identify` gives it, which takes time; "" where nobody asked for it before.
 
     Raises
     ------
@@ -104,7 +98,7 @@ def write_evidence(path: Path, evidence: Evidence, name: str = "") -> None:
     """
     arrays = pack_evidence(evidence)
     head = {"format": FORMAT, "version": VERSION, **asdict(evidence.manifest)}
-    head["evidence"] = name or evidence.manifest.identify(sum_tiles(evidence.tiles))
+    head["evidence"] = evidence.manifest.identify(sum_tiles(evidence.tiles))
     head["checksum"] = compute_checksum(head, arrays)
     text = json.dumps(head, sort_keys=True, indent=1, allow_nan=False)
     arrays = {"manifest": np.frombuffer(text.encode(), np.uint8), **arrays}
@@ -158,13 +152,14 @@ def read_evidence(path: Path) -> Evidence:
             fix = "build one with `outputs=map.npz`"
             raise MapError("is not an evidence file", where=path, fix=fix)
         file.seek(0)
-        with zipfile.ZipFile(file) as archive:
-            if "manifest.npy" not in archive.namelist():
+        with np.load(file, allow_pickle=False) as archive:
+            if "manifest" not in archive:
                 raise MapError("is an .npz, but not evidence of occmap", where=path)
-            head = json.loads(read_array(archive, "manifest").tobytes())
+            refuse_compressed(archive.zip)
+            head = json.loads(archive["manifest"].tobytes())
             refuse_other_version(path, head, FORMAT, VERSION)
-            names = ARRAYS + GROUND * (f"{GROUND[0]}.npy" in archive.namelist())
-            arrays = {name: read_array(archive, name) for name in names}
+            names = ARRAYS + GROUND * (GROUND[0] in archive)
+            arrays = {name: archive[name] for name in names}
         return unpack_evidence(path, head, arrays)
 
 
@@ -203,16 +198,10 @@ def refuse_other_version(path: Path, head: dict[str, Any], name: str, version: i
         )
 
 
-def read_array(archive: zipfile.ZipFile, name: str) -> Any:
-    """Read an array of integers, never more than the file is large."""
-    member = archive.getinfo(f"{name}.npy")
-    if member.file_size != member.compress_size:
-        raise ValueError(name)
-    # Not by np.load: here the checksum of the whole member is tested before any of it is parsed.
-    array = np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
-    if array.dtype.kind not in "iu":
-        raise ValueError(name)
-    return array
+def refuse_compressed(archive: zipfile.ZipFile) -> None:
+    """Raise ValueError if an archive unpacks to more than the file is large: occmap packs none."""
+    if any(each.file_size != each.compress_size for each in archive.infolist()):
+        raise ValueError(archive.filename)
 
 
 def unpack_evidence(path: Path, head: dict[str, Any], arrays: Arrays) -> Evidence:

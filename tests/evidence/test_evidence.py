@@ -15,7 +15,7 @@ import pytest
 from occmap import Map, build_map, merge
 from occmap.cells import Manifest, Slices
 from occmap.errors import MapError
-from occmap.evidence import Fit, keep_lasting, list_misfit, measure_fit, weigh
+from occmap.evidence import keep_lasting, list_misfit, measure_fit, weigh
 from occmap.evidence.manifest import list_doubts, list_repeated
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, pack_bits
 from occmap.options import BuildOptions
@@ -24,7 +24,7 @@ from occmap.posing import PosingOptions
 from occmap.sensor import ReturnCounts, ReturnOptions
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel, parse_model
 from occmap.store import Blocks
-from occmap.store.painting import RenderOptions, open_map, publish, render_kept
+from occmap.store.painting import RenderOptions, open_map, publish, render_saved
 from occmap.types import Update
 from occmap.writers import DEFAULT_THRESHOLDS
 from occmap.writers.npz import read_evidence
@@ -65,7 +65,7 @@ def test_another_model_renders_what_a_build_with_it_would(
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=model))
     expected = build([DRIVE], choose(model=other)).map
-    grid = render_kept(evidence, RenderOptions(parse_model(other))).map
+    grid = render_saved(Blocks.of(evidence), RenderOptions(parse_model(other))).grid
     assert np.array_equal(grid.log_odds, expected.log_odds)
     assert (grid.origin, grid.resolution) == (expected.origin, expected.resolution)
 
@@ -75,7 +75,7 @@ def test_bounds_are_set_where_a_map_is_rendered(tmp_path: Path, update: Update, 
     evidence = save(tmp_path / "m.npz", choose(update, model))
     bounded = choose(update, f"{model}:clamp_min=0.2,clamp_max=0.9")
     grid, plain = (
-        render_kept(evidence, RenderOptions(each.model)).map
+        render_saved(Blocks.of(evidence), RenderOptions(each.model)).grid
         for each in (bounded, choose(update, model))
     )
     expected = np.where(plain.observed, np.clip(plain.log_odds, -math.log(4), math.log(9)), 0)
@@ -90,7 +90,7 @@ def test_bounds_are_of_probability_and_leave_what_is_between() -> None:
     model = SimpleModel(p_hit=0.75, p_miss=0.25, clamp_min=0.2, clamp_max=0.9)
     hits, misses = np.array([0, 1, 2, 3, 0, 0]), np.array([0, 0, 0, 0, 1, 2])
     expected = [0, math.log(3), math.log(9), math.log(9), -math.log(3), -math.log(4)]
-    np.testing.assert_allclose(weigh(model)(hits, misses), expected, rtol=1e-12)
+    np.testing.assert_allclose(weigh(model, hits, misses), expected, rtol=1e-12)
 
 
 def test_the_manifest_says_what_was_used(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_a_model_that_cannot_read_it_is_refused(
 ) -> None:
     evidence = save(tmp_path / "m.npz", choose(model=made_by))
     with pytest.raises(MapError, match=rf"m.npz: .*{found}"):
-        render_kept(evidence, RenderOptions(parse_model(wanted)))
+        render_saved(Blocks.of(evidence), RenderOptions(parse_model(wanted)))
 
 
 def test_a_report_sums_up_what_an_older_occmap_counted(tmp_path: Path) -> None:
@@ -153,7 +153,7 @@ def test_each_observation_adds_what_it_says_beyond_the_prior_by_hand() -> None:
     model = parse_model("quadratic:prior=0.2,p_min=0.1")
     log_odds = np.array([math.log(3) + math.log(3) + math.log(1 / 2), math.log(1 / 4)])
     sums, observations = np.rint(log_odds * 65536), np.array([3.0, 1.0])
-    odds = np.exp(weigh(model)(sums, observations))
+    odds = np.exp(weigh(model, sums, observations))
     np.testing.assert_allclose(odds, [72, 1 / 4], rtol=2e-5)
 
 
@@ -248,7 +248,7 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
     one = lay((400, 0), (0, 8000), (7000, 0))
     other = lay((300, 3), (300, 3))
     # Alone all hits agree. Together those in the second cell do not: half of the other's.
-    assert measure_fit(one, other.tiles, RULE) == Fit(1.0, (1 + 0.5) / 2)
+    assert measure_fit(one, other.tiles, RULE) == (1.0, (1 + 0.5) / 2)
     (note,) = list_misfit(one, other.tiles, RULE, "it")
     assert note.startswith("does not fit it: in cells that both saw, 100% of the hits lie")
     assert "and 75% together" in note
@@ -256,7 +256,7 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
 
 def test_parts_that_fit_are_no_news() -> None:
     one = lay((400, 0), (0, 8000))
-    assert measure_fit(one, one.tiles, RULE) == Fit(1.0, 1.0)
+    assert measure_fit(one, one.tiles, RULE) == (1.0, 1.0)
     assert not list(list_misfit(one, one.tiles, RULE, "it"))
 
 

@@ -26,7 +26,7 @@ from occmap.sensor import NoReturn, ReturnOptions, models
 from occmap.sensor.models import CountingModel, QuadraticModel, SimpleModel
 from occmap.store import Blocks
 from occmap.store.merging import merge, subtract
-from occmap.store.painting import RenderOptions, render_kept
+from occmap.store.painting import RenderOptions, render_saved
 from occmap.types import BEAM_UPDATES, Pose, PoseSample, Update
 from occmap.writers import MapMode, Shade, WriteOptions
 from occmap.writers.npz import read_evidence
@@ -57,7 +57,7 @@ def ask(evidence: Evidence, point: tuple[float, float], *logs: Path, **more: Any
 def choose_points(evidence: Evidence, amount: int) -> list[tuple[float, float]]:
     """Middles of observed cells: the one with the most of each number, and some at random."""
     size = evidence.manifest.resolution
-    grid = render_kept(evidence, RenderOptions()).map
+    grid = render_saved(Blocks.of(evidence), RenderOptions()).grid
     observed = np.argwhere(grid.observed)
     peaks = [np.unravel_index(each(grid.log_odds), grid.shape) for each in (np.argmax, np.argmin)]
     rows = [*peaks, *np.random.default_rng(1).choice(observed, amount)]
@@ -400,7 +400,7 @@ UNUSUAL = BuildOptions(
 
 def write_down(options: BuildOptions) -> dict[str, Any]:
     """What a manifest says of a build with these options, by way of JSON as in a file."""
-    text = json.dumps(describe_build([Path("a.csv")], options, {}), allow_nan=False)
+    text = json.dumps(describe_build([], options, {}), allow_nan=False)
     chosen: dict[str, Any] = json.loads(text)["options"]
     return chosen
 

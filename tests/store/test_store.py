@@ -18,7 +18,7 @@ from occmap.errors import MapError
 from occmap.grid.tiles import TILE, pack_bits
 from occmap.store import Blocks, open_store, read_all
 from occmap.store.layout import BLOCK, Block, compute_digest, hash_content, split_evidence
-from occmap.store.painting import RenderOptions, render_kept
+from occmap.store.painting import RenderOptions, render_saved
 from occmap.store.writing import ZarrWriter, create_store, finish_store, paint_block, write_block
 from occmap.types import UInt8, Update
 from tests.evidence.saving import choose, each_combination, save, write_bytes
@@ -107,7 +107,7 @@ def test_zarr_alone_reads_numbers_at_their_places(kept: Path, drive: Evidence) -
 
 def test_the_pictures_show_the_map(kept: Path, drive: Evidence) -> None:
     store, classes = open_store(kept), open_group(kept / "classes")
-    shown = render_kept(drive, RenderOptions(choose(model="counting").model)).map
+    shown = render_saved(Blocks.of(drive), RenderOptions(choose(model="counting").model)).grid
     (row, col), (rows, cols) = (shown.box[:2] - find_offset(store), shown.shape)
     whole = np.zeros(classes["1"].shape, np.uint8)
     whole[row : row + rows, col : col + cols] = shown.classes
