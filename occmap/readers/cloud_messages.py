@@ -172,18 +172,18 @@ def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> tuple[I
         The times, and in words how they were read; "" where they say nothing.
     """
     values = times.astype(np.int64 if times.dtype.kind in "iu" else np.float64)
-    offset_ns, found = _scale_times(values, stamp_ns)
-    if found != BEYOND:
-        return offset_ns, found
-    with np.errstate(invalid="ignore"):  # what did not come back has any time with some drivers
-        used = np.isfinite(values) & np.isfinite(points).all(axis=1) & points.any(axis=1)
-    if not used.any():
-        return None, ""
-    return _scale_times(np.where(used, values, values[used].min()), stamp_ns)
+    read = _scale_times(values, stamp_ns)
+    if read is None:
+        with np.errstate(invalid="ignore"):  # what did not come back has any time with some drivers
+            used = np.isfinite(values) & np.isfinite(points).all(axis=1) & points.any(axis=1)
+        if not used.any():
+            return None, ""
+        read = _scale_times(np.where(used, values, values[used].min()), stamp_ns)
+    return read or (None, BEYOND)
 
 
-def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str]:
-    """Bring times (N,) to ns after the stamp, and say how."""
+def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str] | None:
+    """Bring times (N,) to ns after the stamp, and say how; None where they reach too far."""
     least, most = (values.min(), values.max()) if values.size else (0, 0)
     if least == most:
         return None, ""
@@ -195,7 +195,7 @@ def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str
     if is_absolute and abs(start_ns) > LONGEST_SWEEP_NS:
         start_ns, after = 0, "of a clock other than the stamp's, so they begin at the stamp"
     if not max(abs(start_ns), abs(start_ns + (high - low) * unit)) <= LONGEST_SWEEP_NS:
-        return None, BEYOND  # or one is NaN
+        return None  # or one is NaN
     passed = values - least
     passed *= values.dtype.type(unit)
     offset_ns = passed if passed.dtype == np.int64 else np.rint(passed).astype(np.int64)
