@@ -30,10 +30,8 @@ DRIFT_M_PER_S, DRIFT_RAD_PER_S = 0.05, 0.01
 
 KEY_FRAMES_S, TURNED_RAD, AT_POSE_S = 0.3, math.radians(2), 0.02
 """Where poses are farther apart, and the robot turned by more between them, they do not tell how
-it turned: at five metres a degree moves a wall by two cells. So near to a pose it hardly did."""
-
-DENSE_S = 0.1
-"""Poses no further apart show how the laser moved: a robot's velocity hardly changes so fast."""
+it turned: at five metres a degree moves a wall by two cells. So near to a pose it hardly did.
+Poses that are no farther apart show how a sensor moved in a scan."""
 
 
 Status = IntEnum("Status", "POSED BEFORE AFTER GAP TURN UNUSABLE LEAP NO_TRANSFORM", start=0)
@@ -163,7 +161,7 @@ class Chain:
 
     def is_dense(self, duration_s: Float64) -> Bool:
         """Whether the poses show how the sensor moved within durations (N,)."""
-        dense: Bool = self.interval_s <= np.maximum(duration_s, DENSE_S)
+        dense: Bool = self.interval_s <= np.maximum(duration_s, KEY_FRAMES_S)
         return dense & (self.interval_s > 0)
 
     def at(self, stamp_ns: Int64, in_clouds: bool = False) -> Transforms:

@@ -24,6 +24,7 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.jit import kernel
 from occmap.readers import Log, NoteList, Probe, Role, Stream
 from occmap.readers.cloud_messages import make_cloud, tell_clouds
+from occmap.readers.decimals import NUMBER, parse_words
 from occmap.report import count, join_names
 from occmap.types import Cloud, Moments, UInt8
 from occmap.values import guess_unit, parse_time, shorten
@@ -53,7 +54,7 @@ _PLY_KINDS = {
 _PLY_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 MOST_VALUES = 64
 """Of a point, in an array without names: one with more is turned the other way round."""
-_ERRORS = (LookupError, ValueError, TypeError, EOFError, OSError, SyntaxError, MemoryError)
+_ERRORS = ArithmeticError, LookupError, ValueError, TypeError, OSError, SyntaxError, MemoryError
 """What is raised of bytes that are not as their format has them"""
 BEYOND_EARTH_M = 1e8
 """Where most points lie in a .bin of whole numbers, as NCLT has them"""
@@ -234,12 +235,16 @@ def _view(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
 def _parse_text(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Points:
     """Parse a line of numbers for each point: as many as are whole."""
     names = layout.names or ()
-    starts = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
-    words = [line.split() for line in data[at:].split(b"\n", points)[:points]]
-    whole = next((n for n, each in enumerate(words) if len(each) != starts[-1]), len(words))
-    rows = np.array(words[:whole], np.float64).reshape(whole, starts[-1])
-    columns = {name: rows[:, start] for name, start in zip(names, starts, strict=False)}
-    return Points(columns, points)
+    *places, many = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
+    text = data[at:] + b"\n"
+    starts = np.flatnonzero(np.frombuffer(b"\n" + text[:-1], np.uint8) == ord("\n"))[:points]
+    words, faults = parse_words(text, starts, b" ", np.full(many, NUMBER), [""] * many)
+    rows = words.numbers.T
+    if faults or len(rows) < len(starts):  # one by one, up to where a line is cut
+        lines = [line.split() for line in text.split(b"\n", points)[:points]]
+        whole = next((n for n, each in enumerate(lines) if len(each) != many), len(lines))
+        rows = np.array(lines[:whole], np.float64).reshape(whole, many)
+    return Points({name: rows[:, at] for name, at in zip(names, places, strict=True)}, points)
 
 
 READERS: Mapping[str, Read] = {

@@ -311,7 +311,8 @@ def convert_compressed_depth(camera: Camera, message: Any, topic: str, record_ns
         with Image.open(BytesIO(data[head.itemsize :].tobytes()), formats=["PNG"]) as image:
             packed = np.asarray(image).astype(np.float32)
     except (ValueError, OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise DamageError(f"holds no PNG of depths ({type(error).__name__})") from None
+        form = f"where `format` is {shorten(get(message, 'format'))}"
+        raise DamageError(f"holds no PNG of depths, {form} ({type(error).__name__})") from None
     if packed.ndim != 2:
         raise DamageError("holds a PNG of colours, which no depth is")
     depth = packed * np.float32(1e-3)

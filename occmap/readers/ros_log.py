@@ -24,6 +24,7 @@ from occmap.errors import DamageError, LogError, refuse_unreadable
 from occmap.readers import DEFAULT_OPTIONS, Echo, Fix, Log, ReaderOptions, Role, Stream
 from occmap.readers.cloud_messages import Camera, is_depth, read_camera, tell_clouds
 from occmap.readers.containers import Buffer, Channel, Source
+from occmap.readers.fields import get_frame
 from occmap.readers.message_types import PACKETS, TYPES, UNUSED, MessageType, find_type
 from occmap.readers.messages import make_parser
 from occmap.types import Cloud, PoseBatch, PoseSample, Scan, ScanBatch
@@ -32,6 +33,8 @@ T = TypeVar("T")
 Convert: TypeAlias = Callable[[Any, str, int], Any]
 """From a decoded message, its topic and its record time in ns, to a value or a list of them"""
 
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+read_frame = partial(get_frame, path="header.frame_id")
 STACK_BYTES = 1 << 20
 """Messages are gathered until they are so long, and read together."""
 MESSAGE_BYTES = 100
@@ -108,13 +111,17 @@ class RosLog(Log):
         if not channel.count or not self._take_first(channel, is_depth):
             return None
         place = channel.topic.removesuffix("/compressedDepth").rpartition("/")[0]
-        name = f"{place}/camera_info"
-        infos = (each for each in self._source.channels if each.topic == name)
-        cameras = (self._take_first(each, read_camera) for each in infos)
-        if camera := next((each for each in cameras if each), None):
-            return camera
+        name, frame = f"{place}/camera_info", self._take_first(channel, read_frame)
+        infos = [each for each in self._source.channels if each.kind == CAMERA_INFO]
+        for each in sorted(infos, key=lambda each: each.topic != name):
+            is_own = each.topic == name or self._take_first(each, read_frame) == frame
+            if is_own and (camera := self._take_first(each, read_camera)):
+                if each.topic != name:
+                    self.notes.add(f"{channel.topic}: its camera is that of {each.topic}, by frame")
+                return camera
         found = f"{channel.count} depth images on {channel.topic} are not used"
-        self.notes.add(f"{found}: no CameraInfo comes on {name}; record it with them")
+        missing = f"no CameraInfo comes on {name}, or anywhere with the frame {frame!r}"
+        self.notes.add(f"{found}: {missing}; record it with them")
         return None
 
     def _take_first(self, channel: Channel, read: Callable[[Any], T]) -> T | None:

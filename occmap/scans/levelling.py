@@ -39,6 +39,8 @@ SHARPER = 0.005
 """Walls that lean by a degree spread by 0.01 more; where walls are few, chance makes 0.002"""
 LEAST_OVERLAP = 0.25
 """Grounds that share less of the smaller one saw that from afar, where poses put it elsewhere."""
+MOST_BEYOND = 0.1
+"""At the edge of what they saw, sessions in one place differ by a few hundredths."""
 OTHER_SHARE = 0.75
 """Poses that are off by tenths of a degree put half of the ground elsewhere, up and down."""
 CLEARER = 1.02
@@ -170,7 +172,7 @@ def extend_ground(counted: Counted, options: BuildOptions, known: Ground) -> Bui
     MapError
         Most of the ground that the clouds show lies elsewhere, or they show none to go on with.
     """
-    is_whole = options.clouds.file is not None
+    is_whole, notes = options.clouds.file is not None, list[str]()
     try:
         own, _ = derive_ground(counted, options.clouds)
     except MapError:
@@ -180,11 +182,19 @@ def extend_ground(counted: Counted, options: BuildOptions, known: Ground) -> Bui
         rise = known.measure_rise(own)
         logs = dict.fromkeys(log for log, _, _ in counted.paths)
         fix = "see in `occmap check` if poses, mount or `level` are wrong"
+        beyond = 1 - len(rise) / own.measured.sum()
+        if is_whole and beyond > MOST_BEYOND:
+            notes.append(
+                f"{beyond:.0%} of the ground that these clouds show was not measured in "
+                f"{options.clouds.file}: what lies there is unknown or wrong, and `resume` in "
+                "place of `ground` lets the ground grow"
+            )
         if len(rise) >= LEAST_OVERLAP * min(own.measured.sum(), known.measured.sum()):
             with name_log(join_names(logs)):
                 refuse_other(rise, OTHER_SHARE, options.posing.transform, fix)
     ground = known if is_whole else derive_ground(counted, options.clouds, known)[0]
-    return keep_drifts(counted, options, ground)
+    found = keep_drifts(counted, options, ground)
+    return found._replace(notes=[*notes, *found.notes])
 
 
 def keep_drifts(counted: Counted, options: BuildOptions, ground: Ground) -> BuildGround:

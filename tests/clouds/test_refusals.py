@@ -103,6 +103,8 @@ def test_clouds_over_ground_that_is_known_must_lie_on_it(tmp_path: Path) -> None
         assert "--transform 0.5,0,0" in done.err
     nearly = (*lower[:4], "--transform", "0,0,0,0.02", "--resume", first)
     assert occmap(*nearly, "-o", tmp_path / "nearly.npz").code == 0
+    assert occmap("build", HALL, "--end", "1", "-o", first).code == 0
+    assert "was not measured in" in occmap("build", HALL, "--ground", first, "-o", other).err
 
 
 @pytest.mark.parametrize(("model", "shown"), [("counting:cut=0.2", "=0.2,"), ("simple", "simple:")])

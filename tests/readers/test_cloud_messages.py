@@ -265,9 +265,14 @@ def test_a_pixel_between_a_near_and_a_far_thing_is_of_neither(
         assert np.flatnonzero(found).tolist() == flying
 
 
-def test_a_camera_that_never_comes_is_told_of(tmp_path: Path) -> None:
-    clouds, (note,) = record(tmp_path, (DEPTH, DEPTHS))
+def test_a_camera_of_the_same_frame_on_any_topic_will_do(tmp_path: Path) -> None:
+    (cloud,), (note,) = record(tmp_path, ("/rgb/camera_info", info(ROS2)), (DEPTH, DEPTHS))
+    assert len(cloud.points) == 2
+    assert "/rgb/camera_info" in note
 
+    other = info(ROS2)
+    other.header.frame_id = "elsewhere"
+    clouds, (note,) = record(tmp_path, ("/rgb/camera_info", other), (DEPTH, DEPTHS))
     assert clouds == []
     assert DEPTH in note
     assert INFO in note

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from occmap.options import BuildOptions, Selection
-from occmap.posing import DropReason, Stamps
+from occmap.posing import DropReason, PosingOptions, Stamps
 from occmap.readers import open_log
 from occmap.scans.mounts import open_drive
 from occmap.scans.stream import Selector, find_oddity, stack
@@ -170,6 +170,22 @@ def see(scans: range, beams: int = 3, x: float = 0.0) -> Rays:
         np.array(scans),
         full_circle=False,
     )
+
+
+@pytest.mark.parametrize(("rate_hz", "expected"), [(9.9, [0.9, 33]), (2, [1.0, 1])])
+def test_points_have_times_of_their_own_where_poses_show_how_the_sensor_moved(
+    rate_hz: float, expected: list[float], tmp_path: Path
+) -> None:
+    poses = tmp_path / "poses.tum"
+    poses.write_text("".join(f"{at / rate_hz} {at / rate_hz} 0 0 0 0 0 1\n" for at in range(30)))
+    fields = [("x", "f4"), ("y", "f4"), ("z", "f4"), ("time", "f4")]
+    cloud = np.array([(1, 0, 0, -0.1), (2, 0, 0, 0)], fields)  # stamped where the sweep ends
+    np.save(tmp_path / "1000000001.0.npy", cloud)
+    options = BuildOptions(posing=PosingOptions(poses=str(poses), time_offset_s=-1e9))
+
+    (posed,) = open_drive(open_log(tmp_path), options).read(Tally())
+    where = posed.position.reshape(-1, 3)
+    assert [round(float(where[0, 0]), 6), len(where)] == expected
 
 
 def test_where_a_laser_was_and_which_scans_have_no_pose_is_known_of_a_log() -> None:
