@@ -24,7 +24,7 @@ LONGEST_SWEEP_NS = 1_000_000_000
 """No sensor takes longer for a cloud; times beyond this are not those of points."""
 BEYOND = "which reach more than a second from the stamp: all points are taken at it"
 _FLOAT = np.dtype(np.float32)
-UNITS = {1.0: "ns", 1e3: "us", 1e9: "s"}
+UNITS = {1.0: "ns", 1e3: "us", 1e6: "ms", 1e9: "s"}
 
 ROS_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the number types of sensor_msgs/PointField."""
@@ -162,7 +162,7 @@ def stack_points(axes: Sequence[NDArray[Any]]) -> Float32:
 def find_offsets(times: NDArray[Any], points: Float32, stamp_ns: int) -> tuple[Int64 | None, str]:
     """Find when points were measured, in ns after the stamp (N,), whatever their driver's unit.
 
-    Times may be relative to the stamp or absolute, in s, us or ns. Those of a clock other than
+    Times may be relative to the stamp or absolute, in s, ms, us or ns. Those of a clock other than
     the stamp's are taken from the first point on. None where all points have one time, or times
     are further apart than any sensor's sweep.
 
@@ -206,13 +206,14 @@ def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str
 def find_time_unit(low: float, high: float) -> tuple[float, bool]:
     """Find how many ns the unit of points' times has, and whether they are a clock's.
 
-    A clock has counted 1e9 seconds since 2001; a sweep takes less than two seconds.
+    A clock has counted 1e9 seconds since 2001; a sweep takes half a millisecond to two seconds.
     """
-    for unit in (1.0, 1e3, 1e9):
+    for unit in UNITS:
         if low * unit > 1e18 and (high - low) * unit <= 10 * LONGEST_SWEEP_NS:
             return unit, True
     largest = max(abs(low), abs(high))
-    return next((unit for unit, most in ((1e9, 2), (1e3, 2e6)) if largest <= most), 1.0), False
+    beyond = ((1e9, 2), (1e6, 500), (1e3, 2e6))
+    return next((unit for unit, most in beyond if largest <= most), 1.0), False
 
 
 def tell_clouds(clouds: Iterable[Cloud], path: Path, notes: NoteList) -> Iterator[Cloud]:

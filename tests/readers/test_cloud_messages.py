@@ -155,6 +155,7 @@ NOW, TENTH = 1_700_000_000_000_000_000, 100_000_000
     [
         (np.array([0, TENTH // 2, TENTH], "u4"), [0, TENTH // 2, TENTH], "in ns after the stamp"),
         (np.array([0, 50_000, 100_000], "u4"), [0, TENTH // 2, TENTH], "in us after the stamp"),
+        (np.array([0, 50, 100], "f4"), [0, TENTH // 2, TENTH], "in ms after the stamp"),
         (np.array([-0.125, -0.0625, 0.0], "f4"), [-TENTH * 5 // 4, -TENTH * 5 // 8, 0], "in s aft"),
         (NOW / 1e9 + np.array([0.0, 0.5, 0.75]), [0, 5 * TENTH, TENTH * 15 // 2], "in s of a clo"),
         (NOW + np.array([0.0, 512.0, TENTH]), [0, 512, TENTH], "in ns of a clock"),
