@@ -28,6 +28,10 @@ STATED_FRAME, STATED_LASER = "map", "laser"
 """Names for the frames of logs that state poses beside their scans and name no frame."""
 NEAR_FLOOR_M = 1.5
 """A ceiling that is taken for a floor is farther from most robots"""
+STOOD_S = 2, 8, 32
+"""A sensor stood still for so long if it was in one place then, and at the shorter times"""
+STOOD_M, STOOD_RAD = 0.05, math.radians(2)
+"""Poses of one that stands still are no farther apart, and not turned by more"""
 Laser: TypeAlias = tuple[str, str]
 """Topic and frame"""
 
@@ -42,6 +46,22 @@ def tilt(level: tuple[float, float]) -> Transforms:
     """Make the rotation by a roll and a pitch (degrees)."""
     roll, pitch = map(math.radians, level)
     return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
+
+
+def measure_standstills(way: Chain, stamp_ns: Int64) -> Float64:
+    """Measure for how long (S,; s) a sensor stands still at stamps, before and after them."""
+    here, stood_s = way.at(stamp_ns), np.zeros(len(stamp_ns))
+    for sign in (-1, 1):
+        stands, so_far = np.ones(len(stamp_ns), np.bool_), np.zeros(len(stamp_ns))
+        for seconds in STOOD_S:
+            there = way.at(stamp_ns + sign * seconds * 10**9)
+            moved = np.linalg.norm(there.position - here.position, axis=1)
+            cosine = (np.einsum("sij,sij->s", there.rotation, here.rotation) - 1) / 2
+            is_here = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
+            stands &= is_here & (there.status == Status.POSED)
+            so_far[stands] = seconds
+        stood_s += so_far
+    return stood_s
 
 
 @dataclass(eq=False)
@@ -156,7 +176,7 @@ class Poser:
             return
         stamp_ns = self._convert(batch.stamp_ns)
         if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
-            yield from self._keep(batch, way.at(stamp_ns), carrier.at(stamp_ns))
+            yield from self._keep(batch, way.at(stamp_ns), carrier, carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         in_clouds = bool(batch.clouds)
@@ -166,9 +186,10 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds))
+            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds), way)
         if not deskewed.all():
-            yield from self._keep(batch.take(~deskewed), way.at(stamp_ns[~deskewed], in_clouds))
+            found = way.at(stamp_ns[~deskewed], in_clouds)
+            yield from self._keep(batch.take(~deskewed), found, way)
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -197,7 +218,11 @@ class Poser:
         return None
 
     def _keep(
-        self, batch: ScanBatch, found: Transforms, seen_from: Transforms | None = None
+        self,
+        batch: ScanBatch,
+        found: Transforms,
+        way: Chain | None = None,
+        seen_from: Transforms | None = None,
     ) -> Iterator[PosedScans]:
         """Keep the scans (S) that have a pose at all of their K moments; record all of them.
 
@@ -205,6 +230,8 @@ class Poser:
         ----------
         found
             Where the frame of the scans was.
+        way
+            By which the sensor moved; None: the log states its poses.
         seen_from
             Where the sensor was, if clouds are in another frame than its own.
         """
@@ -221,6 +248,8 @@ class Poser:
             posed = chain.place_beams(batch, kept, self._above.then(found))
             if seen_from is not None:
                 posed = replace(posed, origin=self._above.then(seen_from).position[kept])
+            if way and batch.clouds:
+                posed = replace(posed, stood_s=measure_standstills(way, stamp_ns[kept]))
             if self.drift:  # these arrays are nobody else's yet
                 added = np.interp(posed.batch.stamp_ns, *self.drift) / 1000
                 posed.position.T[2] += added

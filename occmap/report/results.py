@@ -14,7 +14,7 @@ from occmap.cells import Box, Evidence, Manifest, OccupancyMap
 from occmap.options import BuildOptions, choose_model, compose_build
 from occmap.report import HIDDEN, Count, Noted, Row, Share, count, write_box, write_counts
 from occmap.scans.mounts import list_misfits
-from occmap.scans.tally import NOT_ASKED_FOR, ScanCounts, Tally, advise_on_dropped
+from occmap.scans.tally import NO_LOSS, NOT_ASKED_FOR, ScanCounts, Tally, advise_on_dropped
 from occmap.sensor import ReturnCounts
 from occmap.sensor.models import SensorModel, find_decision, parse_model, shorten_model
 from occmap.types import Int64, Trajectory, Update
@@ -274,7 +274,7 @@ def list_notes(
         yield f"{options.resume_if_there}: no such file, so this build adds to nothing"
     scans = tally.scans
     if scans.dropped_share > MOST_DROPPED:
-        lost = {why: many for why, many in scans.dropped.items() if why not in NOT_ASKED_FOR}
+        lost = {why: many for why, many in scans.dropped.items() if why not in NO_LOSS}
         yield f"most scans are left out: {write_counts(lost)}; {advise_on_dropped(lost)}"
     if apart := name_frames(tally):
         yield (

@@ -35,13 +35,15 @@ class LeftOut(StrEnum):
     STOOD = "of one view, as the sensor stood still"
 
 
-NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE, LeftOut.STOOD)
-"""Nothing is wrong with these scans, and none of them is lost: they are not meant to be used."""
+NOT_ASKED_FOR = (LeftOut.TIME, LeftOut.STRIDE)
+"""The user's own choice"""
+NO_LOSS = (*NOT_ASKED_FOR, LeftOut.STOOD)
+"""Nothing is wrong with these scans, and none of them is lost."""
 
 
 def count_wanted(read: int, unused: Mapping[str, int]) -> int:
-    """Count the scans that were asked for, of those read; `unused` counts scans by reason."""
-    return read - sum(unused.get(reason, 0) for reason in NOT_ASKED_FOR)
+    """Count the scans that are meant to be used, of those read; `unused` counts scans by reason."""
+    return read - sum(unused.get(reason, 0) for reason in NO_LOSS)
 
 
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))

@@ -1,6 +1,5 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -26,7 +25,7 @@ from occmap.scans.stream import Drive
 from occmap.scans.tally import LeftOut, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
-from occmap.types import Bool, Float64, PosedScans, Rays, Update
+from occmap.types import Bool, PosedScans, Rays, Update
 
 HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
@@ -87,42 +86,37 @@ def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:
             (work if is_short else threads.give)(seen)
 
 
-STOOD_M, STOOD_RAD = 0.05, math.radians(2)
-"""A sensor that moves and turns by no more stands still"""
-FIRST, SELDOM = 40, 10
-"""So many clouds of a standstill count, and then each that comes such a part of it after the last
-one that did"""
+WHOLE_S, FEWEST = 4.0, 40
+"""Of a longer standstill about as much counts as of one that takes so long, and not less than so
+many clouds, if it has as many"""
 
 
 class Standstill:
     """Chooses the clouds of one sensor that count.
 
     Where it stands still it has one view, again and again, which outweighs what it sees once it
-    drives: tables were free that a robot stood far from for a minute, and then passed. The longer
-    it stands, the fewer clouds count.
+    drives: tables were free that a robot stood far from for a minute, and then passed. Those that
+    count are spread evenly, since people pass at any time, but not one in so many: clouds may be
+    sectors of a turn.
     """
 
     def __init__(self) -> None:
-        self._position, self._rotation = np.full(3, np.inf), np.eye(3)
-        """Where it came to stand"""
-        self._seen = self._last = 0
-        """How many clouds it saw from there, and with which of them one counted last"""
+        self._last_ns = 0
+        """When a cloud counted last"""
 
     def choose(self, posed: PosedScans) -> Bool:
         """Choose the clouds (S,) that count, which are the next ones."""
-        counts = np.ones(len(posed.stamp_ns), np.bool_)
-        for at, (position, rotation) in enumerate(zip(*posed.at_first_beam, strict=True)):
-            if self._is_elsewhere(position, rotation):
-                self._position, self._rotation, self._seen, self._last = position, rotation, 0, 0
-            self._seen += 1
-            counts[at] = self._seen <= FIRST or SELDOM * (self._seen - self._last) >= self._seen
-            self._last = self._seen if counts[at] else self._last
-        return counts
+        from occmap.clouds.counting import draw  # noqa: PLC0415  late: it brings numba
 
-    def _is_elsewhere(self, position: Float64, rotation: Float64) -> bool:
-        cosine = (np.vdot(rotation, self._rotation) - 1) / 2
-        moved_m = np.linalg.norm(position - self._position)
-        return bool(moved_m > STOOD_M or cosine < math.cos(STOOD_RAD))
+        counts = np.ones(len(posed.stamp_ns), np.bool_)
+        if posed.stood_s is None:
+            return counts
+        for at, stood_s in enumerate(posed.stood_s.tolist()):
+            stamp_ns = int(posed.stamp_ns[at])
+            is_late = not 0 <= stamp_ns - self._last_ns < stood_s * 1e9 / FEWEST
+            counts[at] = is_late or draw(stamp_ns) * stood_s < WHOLE_S
+            self._last_ns = stamp_ns if counts[at] else self._last_ns
+        return counts
 
 
 def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:

@@ -69,6 +69,19 @@ def test_clouds_in_a_turn_between_key_frames_are_left_out_but_no_scans(gap: floa
     assert not attach(build(*poses), scans)[1]
 
 
+def test_how_long_a_sensor_of_clouds_stands_still() -> None:
+    """It stands until 10 s, drives 1 m a second until 12 s, and stands until 60 s.
+
+    It is looked for 2, 8 and 32 s before, and as long after.
+    """
+    track = [at(t, "map", "laser", Pose.planar(min(max(t - 10, 0), 2), 0, 0)) for t in range(61)]
+    scans = batch_at([1, 5, 9, 11, 13, 14, 25, 48])
+    clouds = tuple(Cloud(0, "laser", np.zeros((1, 3), np.float32)) for _ in scans.stamp_ns)
+    (posed,), _ = attach(build(*track), replace(scans, clouds=clouds))
+    assert posed.stood_s is not None
+    assert posed.stood_s.tolist() == [8, 2 + 2, 8, 0, 32, 2 + 32, 8 + 32, 32 + 8]
+
+
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
     poser = build(*drive("odom", "base_link"), MOUNT, time_offset_s=-100.25)
     (posed,), _ = attach(poser, batch_at([104.25]))
