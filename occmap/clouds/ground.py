@@ -91,7 +91,7 @@ def derive_ground(
     seats = list_seats(columns, counted.paths, options.sensor_height)
     stood = np.concatenate([each.path - [0, 0, each.height] for each in seats])
     if options.ground == FLAT:
-        return make_flat(stood), []
+        return make_flat(stood), [f"{tell_heights(seats)} above the plane taken for the ground"]
     laid = known and known.lay_out(blocks.places)
     was = None if before is None else list_levels(before.lay_out(blocks.places))
     height = grow(columns, seats, laid, was)
@@ -349,7 +349,8 @@ def list_upper(seats: Sequence[Seat]) -> Iterator[str]:
                 f"the ground is taken to lie {each.height / 1000:.2f} m below the sensor, and what "
                 f"is seen {each.upper / 1000:.2f} m below it to stand there, as tables do: if the "
                 "robot drives on that, or the floor mirrors, give "
-                f"`sensor_height={each.upper / 1000:.2f}`"
+                f"`sensor_height={each.upper / 1000:.2f}`, unless `occmap check` says that the "
+                "mount is wrong"
             )
 
 

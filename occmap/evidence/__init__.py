@@ -209,6 +209,9 @@ orchard, where beams go through the leaves, 23%."""
 LEAST_GROUND, OF_CORRIDOR = 0.05, 0.8
 """Of the points that are ground or obstacles; where a sensor looks along a floor it is a quarter,
 and 1% in corridors, where 83% of the hits and more are steady; by wrong mounts at most 76% are."""
+MOST_BELOW = 0.025
+"""Below the ground, beside those on it: at most 0.8% on good drives, 3% and more where a mount is
+off by 2 degrees. Beside drops and over floors that mirror it may be all of it, with steady hits."""
 
 
 def count_steady(tiles: Mapping[Key, Tile]) -> tuple[int, int]:
@@ -240,11 +243,12 @@ def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Ite
             "depth image are wrong: try another `poses=FILE` or `sensor_pose`; a clock that is off "
             "is found by `occmap tune`"
         )
-    ground, obstacle = points.get("ground", 0), points.get("obstacle", 0)
-    if steady < OF_CORRIDOR and ground < LEAST_GROUND * (ground + obstacle):
+    ground, obstacle, below = (points.get(each, 0) for each in ("ground", "obstacle", "below"))
+    is_odd = ground < LEAST_GROUND * (ground + obstacle) or below > MOST_BELOW * ground
+    if steady < OF_CORRIDOR and is_odd:
         yield (
-            f"hardly a point lies on the ground: {ground:,} beside {obstacle:,} of obstacles; "
-            "`occmap check` says if a mount is wrong"
+            f"too few points lie on the ground: {ground:,}, beside {obstacle:,} of obstacles and "
+            f"{below:,} below it; `occmap check` says if a mount is wrong"
         )
 
 

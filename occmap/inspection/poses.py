@@ -310,7 +310,8 @@ def list_cloud_concerns(
             yield topic, warn_of_body(body)
         if not wrong:  # which would be a reason for all that follows
             conflicts = [Concern(text) for text in list_conflicts(clouds, ground, options)]
-            others = conflicts or find_leaning(clouds, ground, options)
+            turned = mount and conflicts and find_turned(mount, clouds, options)
+            others = [turned] if turned else conflicts or find_leaning(clouds, ground, options)
             yield from ((topic, concern) for concern in others)
 
 
@@ -327,9 +328,6 @@ def find_tilted(
     clouds that are turned by what it showed, until it shows no tilt. A turn by which clouds
     contradict each other is none.
     """
-    from occmap.clouds.counting import count_clouds  # noqa: PLC0415  late: it brings numba
-    from occmap.clouds.ground import derive_ground  # noqa: PLC0415  likewise
-
     turn = IDENTITY
     for _ in range(TURN_ROUNDS):
         tilts = measure_tilts(clouds, ground)
@@ -338,8 +336,7 @@ def find_tilted(
         small = Pose.from_xyzrpy((0.0, 0.0, 0.0), tilts.sensor.tolist())
         turn = mounts.turn_mount(turn, small)
         clouds = [mounts.mount_scans(each, small) for each in clouds]
-        with suppress(MapError):
-            ground, _ = derive_ground(count_clouds(clouds), options.clouds)
+        ground = find_own_ground(clouds, options) or ground
     angle = 2 * math.degrees(math.atan2(np.linalg.norm(turn[3:6]), turn.qw))
     left = np.linalg.norm([*tilts.sensor, *tilts.upright]) if tilts else math.inf
     is_better = angle > LEAST_TILT_DEG > math.degrees(left)
@@ -421,10 +418,37 @@ def find_misplaced(mount: mounts.Mount, clouds: Clouds) -> Concern | None:
     angle, of_body = find_angle(clouds, up), find_angle(on_body, np.array([0.0, 0.0, 1.0]))
     if angle < MOST_TILT_DEG or of_body > MOST_TILT_DEG:
         return None
-    mended = mount.write(Pose(*mount.pose[:3], *seat.mount[3:]))
-    given = " ".join(f"`{name}=({value})`" for name, value in mended.items())
     found = f"the floor stands askew by {angle:.0f} deg in the map, wherever the sensor goes"
-    return Concern(f"{found}: its mount is another; {given} lays it flat", mended)
+    return propose(mount, Pose(*mount.pose[:3], *seat.mount[3:]), found, "lays it flat")
+
+
+def find_turned(mount: mounts.Mount, clouds: Clouds, options: BuildOptions) -> Concern | None:
+    """Find by which quarter turn of their sensor clouds do not contradict each other any more."""
+    body = Transforms.fixed(mount.pose).invert().first
+    for turn in mounts.TURNS[1:4]:
+        pose = Pose(*mount.pose[:3], *mounts.turn_mount(turn, mount.pose)[3:])
+        turned = [mounts.mount_scans(each, mounts.turn_mount(body, pose)) for each in clouds]
+        ground = find_own_ground(turned, options)
+        if ground and not list_conflicts(turned, ground, options):
+            return propose(mount, pose, "clouds contradict each other", "mends that")
+    return None
+
+
+def propose(mount: mounts.Mount, pose: Pose, found: str, effect: str) -> Concern:
+    """Propose another mount by what was found with the one that is given."""
+    mended = mount.write(pose)
+    ((name, value),) = mended.items()
+    return Concern(f"{found}: its mount is another; `{name}=({value})` {effect}", mended)
+
+
+def find_own_ground(clouds: Clouds, options: BuildOptions) -> Ground | None:
+    """Find the ground that clouds show by themselves; None where they show none."""
+    from occmap.clouds.counting import count_clouds  # noqa: PLC0415  late: it brings numba
+    from occmap.clouds.ground import derive_ground  # noqa: PLC0415  likewise
+
+    with suppress(MapError):
+        return derive_ground(count_clouds(clouds), options.clouds)[0]
+    return None
 
 
 def find_angle(scans: Clouds, axis: Float64) -> float:

@@ -16,6 +16,7 @@ from typing import NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from occmap import values
+from occmap.choices import format_mount
 from occmap.errors import LogError, refuse_unreadable
 from occmap.posing.tracks import rotate_by, to_quaternions
 from occmap.report import count
@@ -35,7 +36,9 @@ SHAPES = (
     "expected lines `stamp x y z qx qy qz qw`, the header stamp,x,y,yaw and such lines, or those "
     "of EuRoC or KITTI"
 )
-TIMES = "times.txt"
+TIMES, CALIBRATION = "times.txt", "calib.txt"
+LIDAR = re.compile(r"Tr:((?:\s+[-+.\de]+){12})", re.IGNORECASE)
+"""The line of KITTI's calibration that leads from the lidar to the camera"""
 
 OF_CAMERA = "those of a camera (z is ahead, y down)"
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -249,7 +252,20 @@ def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
     )
     rows[~is_finite] = np.nan
     poses = np.column_stack([rows[:, :, 3], to_quaternions(rows[:, :, :3])])
-    return _turn_from_camera(poses) if z > y else poses
+    if z <= y:
+        return poses
+    notes += _list_lidars(path)
+    return _turn_from_camera(poses)
+
+
+def _list_lidars(path: Path) -> Iterator[str]:
+    """Say where KITTI's calibration, beside the poses of a camera, has the lidar."""
+    beside = path.parent / CALIBRATION
+    with suppress(LogError, ValueError):  # poses do without
+        for found in filter(None, (LIDAR.fullmatch(text) for _, text in _read_rows(beside)[0])):
+            lidar = FROM_CAMERA @ np.array(found[1].split(), np.float64).reshape(3, 4)
+            mount = Pose(*lidar[:, 3].tolist(), *to_quaternions(lidar[None, :, :3])[0].tolist())
+            yield f"{beside} has the lidar at `sensor_pose=({format_mount(mount)})` of that camera"
 
 
 def _read_times(path: Path) -> list[int]:

@@ -77,7 +77,8 @@ def find_ground(
         renewed = (drive.renew(options) for drive in drives)
         return join_counted(count_ground(each, clouds, ground) for each in renewed)
 
-    return settle_ground(count, options, known)
+    with name_log(join_names(str(drive.log.path) for drive in drives)):
+        return settle_ground(count, options, known)
 
 
 Count: TypeAlias = Callable[[BuildOptions, Ground | None], Counted]
@@ -91,8 +92,11 @@ def settle_ground(count: Count, options: BuildOptions, known: Ground | None) -> 
         first = level_ground(count, counted, options)
     else:
         first = extend_ground(counted, options, known)
-    if options.clouds.ground == FLAT or first.ground is known:
+    if first.ground is known:
         return first
+    if options.clouds.ground == FLAT:
+        _, notes = derive_ground(counted, options.clouds)
+        return first._replace(notes=[*notes, *first.notes])
     posing = first.options.posing
     settled = replace(posing, height_drift=posing.height_drift or {})  # none is looked for again
     counted = count(replace(first.options, posing=settled), first.ground)

@@ -37,13 +37,15 @@ def test_hits_in_cells_that_mostly_were_missed_are_told(
 
 
 @pytest.mark.parametrize(
-    ("unsteady", "ground", "is_told"), [(3, 4, True), (3, 6, False), (1, 4, False)]
+    ("unsteady", "ground", "below", "is_told"),
+    [(3, 4, 0, True), (3, 6, 0, False), (1, 4, 0, False), (3, 99, 3, True), (3, 99, 2, False)],
 )
-def test_of_little_ground_is_told_where_clouds_are_not_as_steady_as_in_a_corridor(
-    unsteady: int, ground: int, is_told: bool
+def test_of_too_little_ground_is_told_where_clouds_are_not_as_steady_as_in_a_corridor(
+    unsteady: int, ground: int, below: int, is_told: bool
 ) -> None:
     grid = make_grid({(0, 0): (8, 0), (0, 1): (unsteady, 9)})
-    notes = list(list_contradictions(count_steady(grid.tiles), {"ground": ground, "obstacle": 96}))
+    points = {"ground": ground, "obstacle": 96, "below": below}
+    notes = list(list_contradictions(count_steady(grid.tiles), points))
     assert notes == [note for note in notes if "on the ground" in note] == notes[:is_told]
 
 
@@ -54,6 +56,9 @@ def test_a_wrong_mount_is_told_by_check_and_build(tmp_path: Path) -> None:
         warnings = ask("check", HALL, *words)["warnings"]
         for told in (notes, warnings):
             assert any("clouds contradict each other" in text for text in told) == is_wrong
+    command = ask("check", HALL, *TURNED)["command"]
+    mended = command[command.index("--sensor-pose") + 1]
+    assert list(map(float, mended.split(","))) == pytest.approx([0, 0, 0], abs=0.01)
 
 
 @pytest.mark.parametrize(
