@@ -156,6 +156,7 @@ def main() -> None:
         signals.ignore()
     except Interrupted:  # just when run had answered
         code = signals.exit_code if code is None else code
+        signals.ignore()
     gc.freeze()  # or Python would look through all that is loaded once more before it ends
     sys.exit(code)
 

@@ -236,6 +236,8 @@ def _parse_text(data: bytes, at: int, layout: np.dtype[Any], points: int) -> Poi
     """Parse a line of numbers for each point: as many as are whole."""
     names = layout.names or ()
     *places, many = np.cumsum([0, *(layout[name].shape[0] for name in names)]).tolist()
+    if not many:
+        raise ValueError("its points have no fields")
     text = data[at:] + b"\n"
     starts = np.flatnonzero(np.frombuffer(b"\n" + text[:-1], np.uint8) == ord("\n"))[:points]
     words, faults = parse_words(text, starts, b" ", np.full(many, NUMBER), [""] * many)

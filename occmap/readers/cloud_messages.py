@@ -24,7 +24,8 @@ LONGEST_SWEEP_NS = 1_000_000_000
 """No sensor takes longer for a cloud; times beyond this are not those of points."""
 BEYOND = "which reach more than a second from the stamp: all points are taken at it"
 _FLOAT = np.dtype(np.float32)
-UNITS = {1.0: "ns", 1e3: "us", 1e6: "ms", 1e9: "s"}
+US, MS = 1e3, 1e6
+UNITS = {1.0: "ns", US: "us", MS: "ms", 1e9: "s"}
 
 ROS_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy's names of the number types of sensor_msgs/PointField."""
@@ -189,6 +190,8 @@ def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str
         return None, ""
     low, high = float(least), float(most)
     unit, is_absolute = find_time_unit(low, high)
+    if unit == MS and not is_absolute and values.dtype == np.int64:
+        unit = US  # of so few steps no sweep is made
     after = "of a clock" if is_absolute else "after the stamp"
     # Counted from the earliest one, since nanoseconds of a clock are more than a float can tell.
     start_ns = low * unit - (stamp_ns if is_absolute else 0)
@@ -212,7 +215,7 @@ def find_time_unit(low: float, high: float) -> tuple[float, bool]:
         if low * unit > 1e18 and (high - low) * unit <= 10 * LONGEST_SWEEP_NS:
             return unit, True
     largest = max(abs(low), abs(high))
-    beyond = ((1e9, 2), (1e6, 500), (1e3, 2e6))
+    beyond = ((1e9, 2), (MS, 500), (US, 2e6))
     return next((unit for unit, most in beyond if largest <= most), 1.0), False
 
 

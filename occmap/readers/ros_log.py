@@ -114,8 +114,8 @@ class RosLog(Log):
         name, frame = f"{place}/camera_info", self._take_first(channel, read_frame)
         infos = [each for each in self._source.channels if each.kind == CAMERA_INFO]
         for each in sorted(infos, key=lambda each: each.topic != name):
-            is_own = each.topic == name or self._take_first(each, read_frame) == frame
-            if is_own and (camera := self._take_first(each, read_camera)):
+            is_same = bool(frame) and self._take_first(each, read_frame) == frame
+            if (each.topic == name or is_same) and (camera := self._take_first(each, read_camera)):
                 if each.topic != name:
                     self.notes.add(f"{channel.topic}: its camera is that of {each.topic}, by frame")
                 return camera

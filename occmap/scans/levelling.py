@@ -190,7 +190,7 @@ def extend_ground(counted: Counted, options: BuildOptions, known: Ground) -> Bui
         if is_whole and beyond > MOST_BEYOND:
             notes.append(
                 f"{beyond:.0%} of the ground that these clouds show was not measured in "
-                f"{options.clouds.file}: what lies there is unknown or wrong, and `resume` in "
+                f"{options.clouds.file}: what lies there may be unknown or wrong, and `resume` in "
                 "place of `ground` lets the ground grow"
             )
         if len(rise) >= LEAST_OVERLAP * min(own.measured.sum(), known.measured.sum()):

@@ -300,6 +300,8 @@ class Drive:
         """
         if not isinstance(some, Cloud) or some.offset_ns is None:
             return some
+        if some.pose is None and some.frame not in self.poser.chains:
+            self.poser.find_chains([some.frame])
         way, duration_ns = self.poser.chains.get(some.frame), np.ptp(some.offset_ns, keepdims=True)
         if way is None or way.is_dense(duration_ns / 1e9):
             return some
