@@ -755,12 +755,12 @@ def test_a_wrong_mount_of_clouds_is_told_with_the_one_that_lays_the_floor_flat(
     assert look(HALL, read_line(found.command)).command == found.command
 
 
-def test_no_margin_is_advised_where_clouds_contradict_each_other() -> None:
+def test_a_quarter_turn_is_advised_where_clouds_contradict_each_other_without_it() -> None:
     mount = Pose.planar(0, 0, math.pi / 2)
     found = look(HALL, BuildOptions(posing=PosingOptions(sensor_pose=mount)))
     (warning,) = found.warnings
     assert "contradict each other" in warning
-    assert found.command[3:-2] == ("--sensor-pose", "0,0,1.5708")
+    assert found.command[3:-2] == ("--sensor-pose", "0,0,0")
 
 
 def test_a_cloud_without_a_mount_gets_one_by_its_floor_to_be_typed(tmp_path: Path) -> None:
