@@ -60,6 +60,8 @@ def measure_standstills(way: Chain, stamp_ns: Int64) -> Float64:
             is_here = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
             stands &= is_here & (there.status == Status.POSED)
             so_far[stands] = seconds
+            if not stands.any():
+                break
         stood_s += so_far
     return stood_s
 
