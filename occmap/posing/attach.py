@@ -233,7 +233,7 @@ class Poser:
         found
             Where the frame of the scans was.
         way
-            By which the sensor moved; None: the log states its poses.
+            By which the sensor moves; None: the log states its poses.
         seen_from
             Where the sensor was, if clouds are in another frame than its own.
         """
@@ -250,7 +250,7 @@ class Poser:
             posed = chain.place_beams(batch, kept, self._above.then(found))
             if seen_from is not None:
                 posed = replace(posed, origin=self._above.then(seen_from).position[kept])
-            if way and batch.clouds:
+            if way and way.interval_s and batch.clouds:
                 posed = replace(posed, stood_s=measure_standstills(way, stamp_ns[kept]))
             if self.drift:  # these arrays are nobody else's yet
                 added = np.interp(posed.batch.stamp_ns, *self.drift) / 1000

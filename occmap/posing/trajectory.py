@@ -261,9 +261,15 @@ def _make_poses(path: Path, rows: Float64, notes: list[str]) -> Float64:
 def _list_lidars(path: Path) -> Iterator[str]:
     """Say where KITTI's calibration, beside the poses of a camera, has the lidar."""
     beside = path.parent / CALIBRATION
+    if not beside.is_file():
+        return
     with suppress(LogError, ValueError):  # poses do without
         for found in filter(None, (LIDAR.fullmatch(text) for _, text in _read_rows(beside)[0])):
-            lidar = FROM_CAMERA @ np.array(found[1].split(), np.float64).reshape(3, 4)
+            with np.errstate(invalid="ignore", over="ignore"):
+                lidar = FROM_CAMERA @ np.array(found[1].split(), np.float64).reshape(3, 4)
+                turned = lidar[:, :3] @ lidar[:, :3].T
+            if not np.allclose(turned, np.eye(3), atol=0.05):
+                continue
             mount = Pose(*lidar[:, 3].tolist(), *to_quaternions(lidar[None, :, :3])[0].tolist())
             yield f"{beside} has the lidar at `sensor_pose=({format_mount(mount)})` of that camera"
 

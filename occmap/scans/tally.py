@@ -41,9 +41,9 @@ NO_LOSS = (*NOT_ASKED_FOR, LeftOut.STOOD)
 """Nothing is wrong with these scans, and none of them is lost."""
 
 
-def count_wanted(read: int, unused: Mapping[str, int]) -> int:
-    """Count the scans that are meant to be used, of those read; `unused` counts scans by reason."""
-    return read - sum(unused.get(reason, 0) for reason in NO_LOSS)
+def count_wanted(read: int, unused: Mapping[str, int], but: Collection[str] = NOT_ASKED_FOR) -> int:
+    """Count the scans that were asked for, of those read; `unused` counts scans by reason."""
+    return read - sum(unused.get(reason, 0) for reason in but)
 
 
 REASON_ORDER = tuple(map(str, (*DropReason, *LeftOut)))
@@ -73,8 +73,9 @@ class ScanCounts:
 
     @property
     def dropped_share(self) -> float:
-        """The share of these that are not used; 0 of nothing."""
-        return (self.wanted - self.used) / max(self.wanted, 1)
+        """The share of these that are not used, and are a loss; 0 of nothing."""
+        meant = count_wanted(self.read, self.dropped, NO_LOSS)
+        return (meant - self.used) / max(meant, 1)
 
 
 @dataclass(eq=False)

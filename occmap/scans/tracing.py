@@ -1,8 +1,10 @@
 """Trace the scans of logs: read, posed and interpreted, each log with several threads."""
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
@@ -87,8 +89,8 @@ def trace_stream(drive: Drive, taker: TakesRays, tally: Tally) -> None:
 
 
 WHOLE_S, FEWEST = 4.0, 40
-"""Of a longer standstill about as much counts as of one that takes so long, and not less than so
-many clouds, if it has as many"""
+"""Of a standstill of up to a minute clouds of about so many seconds count, spread over it, and of a
+longer one a sixteenth; but so many at least, if it has as many"""
 
 
 class Standstill:
@@ -101,22 +103,26 @@ class Standstill:
     """
 
     def __init__(self) -> None:
-        self._last_ns = 0
+        self._last_ns = -math.inf
         """When a cloud counted last"""
 
     def choose(self, posed: PosedScans) -> Bool:
         """Choose the clouds (S,) that count, which are the next ones."""
-        from occmap.clouds.counting import draw  # noqa: PLC0415  late: it brings numba
-
         counts = np.ones(len(posed.stamp_ns), np.bool_)
         if posed.stood_s is None:
             return counts
-        for at, stood_s in enumerate(posed.stood_s.tolist()):
-            stamp_ns = int(posed.stamp_ns[at])
+        stamps = zip(posed.stamp_ns.tolist(), posed.stood_s.tolist(), strict=True)
+        for at, (stamp_ns, stood_s) in enumerate(stamps):
             is_late = not 0 <= stamp_ns - self._last_ns < stood_s * 1e9 / FEWEST
-            counts[at] = is_late or draw(stamp_ns) * stood_s < WHOLE_S
+            counts[at] = is_late or mix(stamp_ns) * stood_s < WHOLE_S
             self._last_ns = stamp_ns if counts[at] else self._last_ns
         return counts
+
+
+def mix(stamp_ns: int) -> float:
+    """Make a number from 0 to 1 of a stamp, in step with nothing that comes again and again."""
+    digest = blake2b(stamp_ns.to_bytes(8, "little", signed=True), digest_size=8).digest()
+    return int.from_bytes(digest, "little") / 2**64
 
 
 def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
