@@ -310,8 +310,6 @@ class PosedScans:
     """(S, 3, 3) from the sensor to the map frame, or (S, B, 3, 3)."""
     origin: Float64 | None = None
     """(S, 3) m, where the sensor was, if its clouds are in another frame than its own"""
-    stood_s: Float64 | None = None
-    """(S,) for how long the sensor of clouds stood still then (s); None: nobody asked"""
 
     @property
     def stamp_ns(self) -> Int64:
@@ -320,9 +318,9 @@ class PosedScans:
 
     def take(self, scans: Bool | Int64) -> Self:
         """Select scans by a mask (S,) or by their indices."""
-        beside = (None if it is None else it[scans] for it in (self.origin, self.stood_s))
+        origin = None if self.origin is None else self.origin[scans]
         place = self.position[scans], self.rotation[scans]
-        return type(self)(self.batch.take(scans), *place, *beside)
+        return type(self)(self.batch.take(scans), *place, origin)
 
     @property
     def at_first_beam(self) -> tuple[Float64, Float64]:

@@ -165,8 +165,6 @@ ENDING = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 ]
 """Windows has no SIGHUP."""
-HAS_TIMERS = hasattr(signal, "setitimer")
-"""Nor these"""
 GRACE_S = 1.0
 """A terminal that closes may send two signals; the second must not break off the clearing up. As
 often it is looked whether the first was heard."""
@@ -201,8 +199,7 @@ class Signals:
 
     def ignore(self) -> None:
         """Let no signal disturb the end of a process whose work is done."""
-        if HAS_TIMERS:
-            signal.setitimer(signal.ITIMER_REAL, 0)
+        self.insist_every(0)
         for number in ENDING:
             signal.signal(number, signal.SIG_IGN)
 
@@ -211,10 +208,14 @@ class Signals:
         if self.number is None or monotonic() > self._raised_at + GRACE_S:
             self.number = self.number or number
             self._raised_at = monotonic()
-            if HAS_TIMERS:
-                signal.signal(signal.SIGALRM, self.insist)
-                signal.setitimer(signal.ITIMER_REAL, GRACE_S, GRACE_S)
+            self.insist_every(GRACE_S)
             raise Interrupted
+
+    def insist_every(self, seconds: float) -> None:
+        """Insist again and again, until so many seconds are 0; Windows has no such timer."""
+        if hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, self.insist)
+            signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
 
     def insist(self, _number: int, _frame: FrameType | None) -> None:
         """Interrupt the main thread once more, unless it clears up already.

@@ -247,7 +247,7 @@ def list_contradictions(hits: tuple[int, int], points: Mapping[str, int]) -> Ite
     is_odd = ground < LEAST_GROUND * (ground + obstacle) or below > MOST_BELOW * ground
     if steady < OF_CORRIDOR and is_odd:
         yield (
-            f"too few points lie on the ground: {ground:,}, beside {obstacle:,} of obstacles and "
+            f"the points hardly fit a floor: {ground:,} lie on it, {obstacle:,} on obstacles and "
             f"{below:,} below it; `occmap check` says if a mount is wrong"
         )
 

@@ -20,7 +20,17 @@ from occmap.posing.course import Course, Stance
 from occmap.posing.sources import Search, Sources
 from occmap.posing.tracks import MAX_STAMP_NS, Track
 from occmap.report import count
-from occmap.types import IDENTITY, Float64, Int64, Pose, PosedScans, ScanBatch, Trajectory
+from occmap.types import (
+    IDENTITY,
+    Cloud,
+    Float64,
+    Int64,
+    Pose,
+    PosedScans,
+    Recorded,
+    ScanBatch,
+    Trajectory,
+)
 
 TWIN_SHARE = 0.5
 """Two lasers do not measure at the same moments; a filter keeps the stamps of what it filters."""
@@ -46,24 +56,6 @@ def tilt(level: tuple[float, float]) -> Transforms:
     """Make the rotation by a roll and a pitch (degrees)."""
     roll, pitch = map(math.radians, level)
     return Transforms.fixed(Pose.from_xyzrpy((0.0, 0.0, 0.0), (roll, pitch, 0.0)))
-
-
-def measure_standstills(way: Chain, stamp_ns: Int64) -> Float64:
-    """Measure for how long (S,; s) a sensor stands still at stamps, before and after them."""
-    here, stood_s = way.at(stamp_ns), np.zeros(len(stamp_ns))
-    for sign in (-1, 1):
-        stands, so_far = np.ones(len(stamp_ns), np.bool_), np.zeros(len(stamp_ns))
-        for seconds in STOOD_S:
-            there = way.at(stamp_ns + sign * seconds * 10**9)
-            moved = np.linalg.norm(there.position - here.position, axis=1)
-            cosine = (np.einsum("sij,sij->s", there.rotation, here.rotation) - 1) / 2
-            is_here = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
-            stands &= is_here & (there.status == Status.POSED)
-            so_far[stands] = seconds
-            if not stands.any():
-                break
-        stood_s += so_far
-    return stood_s
 
 
 @dataclass(eq=False)
@@ -155,6 +147,48 @@ class Poser:
         moved = np.clip(stamp_ns, -MAX_STAMP_NS, MAX_STAMP_NS) + self._offset_ns
         return np.clip(moved, -MAX_STAMP_NS, MAX_STAMP_NS)
 
+    def settle_moments(self, some: Recorded) -> Recorded:
+        """Take a cloud to be measured at its stamp where poses are too sparse to move its points.
+
+        Some drivers stamp the end of a sweep, and then its earliest point is no better moment.
+        """
+        if not isinstance(some, Cloud) or some.offset_ns is None or self._is_stated(some):
+            return some
+        way, duration_ns = self._find_way(some), np.ptp(some.offset_ns, keepdims=True)
+        if way is None or way.is_dense(duration_ns / 1e9):
+            return some
+        if way.interval_s:
+            found = "poses are too far apart to place points at times of their own"
+            self._note(f"{some.topic}: {found}")
+        return some._replace(offset_ns=None)
+
+    def measure_standstills(self, posed: PosedScans) -> Float64:
+        """Measure for how long (S,; s) the sensor of clouds stands still, before and after them.
+
+        Of one that no transform moves nobody knows, so it is 0.
+        """
+        batch, stamp_ns = posed.batch, self._convert(posed.stamp_ns)
+        stood_s = np.zeros(len(stamp_ns))
+        way = None if self._is_stated(batch) else self._find_way(batch)
+        if way and not way.interval_s:
+            way = self._find_carrier(batch.frame)
+        if way is None:
+            return stood_s
+        here = way.at(stamp_ns)
+        for sign in (-1, 1):
+            stands, so_far = np.ones(len(stamp_ns), np.bool_), np.zeros(len(stamp_ns))
+            for seconds in STOOD_S:
+                there = way.at(stamp_ns + sign * seconds * 10**9)
+                moved = np.linalg.norm(there.position - here.position, axis=1)
+                cosine = (np.einsum("sij,sij->s", there.rotation, here.rotation) - 1) / 2
+                is_here = (moved <= STOOD_M) & (cosine >= math.cos(STOOD_RAD))
+                stands &= is_here & (there.status == Status.POSED)
+                so_far[stands] = seconds
+                if not stands.any():
+                    break
+            stood_s += so_far
+        return stood_s
+
     def attach(self, batch: ScanBatch) -> Iterator[PosedScans]:
         """Give each scan of a batch the pose of its sensor, or each beam where it is de-skewed.
 
@@ -165,12 +199,10 @@ class Poser:
         """
         if not len(batch.stamp_ns):
             return
-        if batch.pose is not None and self.options.poses is None:
+        if batch.pose is not None and self._is_stated(batch):
             yield from self._keep(batch, self._read_stated(batch.pose))
             return
-        if batch.frame not in self.chains:
-            self.find_chains([batch.frame])
-        way = self.chains.get(batch.frame)
+        way = self._find_way(batch)
         if way is None:
             course = self.courses.setdefault((batch.topic, batch.frame), Course())
             status = np.full(len(batch.stamp_ns), Status.NO_TRANSFORM, np.uint8)
@@ -178,7 +210,7 @@ class Poser:
             return
         stamp_ns = self._convert(batch.stamp_ns)
         if batch.clouds and not way.interval_s and (carrier := self._find_carrier(batch.frame)):
-            yield from self._keep(batch, way.at(stamp_ns), carrier, carrier.at(stamp_ns))
+            yield from self._keep(batch, way.at(stamp_ns), carrier.at(stamp_ns))
             return
         # A cloud takes long, and its points say when they were measured.
         in_clouds = bool(batch.clouds)
@@ -188,10 +220,18 @@ class Poser:
         if deskewed.any():
             part = batch.take(deskewed)
             moment_ns = stamp_ns[deskewed, None] + chain.list_moments(part)
-            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds), way)
+            yield from self._keep(part, way.at(moment_ns.ravel(), in_clouds))
         if not deskewed.all():
             found = way.at(stamp_ns[~deskewed], in_clouds)
-            yield from self._keep(batch.take(~deskewed), found, way)
+            yield from self._keep(batch.take(~deskewed), found)
+
+    def _is_stated(self, some: Cloud | ScanBatch) -> bool:
+        return some.pose is not None and self.options.poses is None
+
+    def _find_way(self, some: Cloud | ScanBatch) -> Chain | None:
+        if some.frame not in self.chains:
+            self.find_chains([some.frame])
+        return self.chains.get(some.frame)
 
     def _read_stated(self, poses: Float64) -> Transforms:
         """Read the poses (S, 7) that stand beside scans, as the sensor's or as its body's."""
@@ -220,11 +260,7 @@ class Poser:
         return None
 
     def _keep(
-        self,
-        batch: ScanBatch,
-        found: Transforms,
-        way: Chain | None = None,
-        seen_from: Transforms | None = None,
+        self, batch: ScanBatch, found: Transforms, seen_from: Transforms | None = None
     ) -> Iterator[PosedScans]:
         """Keep the scans (S) that have a pose at all of their K moments; record all of them.
 
@@ -232,8 +268,6 @@ class Poser:
         ----------
         found
             Where the frame of the scans was.
-        way
-            By which the sensor moves; None: the log states its poses.
         seen_from
             Where the sensor was, if clouds are in another frame than its own.
         """
@@ -250,8 +284,6 @@ class Poser:
             posed = chain.place_beams(batch, kept, self._above.then(found))
             if seen_from is not None:
                 posed = replace(posed, origin=self._above.then(seen_from).position[kept])
-            if way and way.interval_s and batch.clouds:
-                posed = replace(posed, stood_s=measure_standstills(way, stamp_ns[kept]))
             if self.drift:  # these arrays are nobody else's yet
                 added = np.interp(posed.batch.stamp_ns, *self.drift) / 1000
                 posed.position.T[2] += added

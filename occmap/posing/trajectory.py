@@ -267,9 +267,8 @@ def _list_lidars(path: Path) -> Iterator[str]:
         for found in filter(None, (LIDAR.fullmatch(text) for _, text in _read_rows(beside)[0])):
             with np.errstate(invalid="ignore", over="ignore"):
                 lidar = FROM_CAMERA @ np.array(found[1].split(), np.float64).reshape(3, 4)
-                turned = lidar[:, :3] @ lidar[:, :3].T
-            if not np.allclose(turned, np.eye(3), atol=0.05):
-                continue
+                if not _is_rotation(lidar[:, :3]):
+                    continue
             mount = Pose(*lidar[:, 3].tolist(), *to_quaternions(lidar[None, :, :3])[0].tolist())
             yield f"{beside} has the lidar at `sensor_pose=({format_mount(mount)})` of that camera"
 
@@ -373,6 +372,10 @@ def _is_matrix(form: Table, text: str) -> bool:
     """Whether a line holds a matrix, by what turns in it where that is known."""
     with suppress(ValueError):
         turn = np.reshape(form.parse(text)[1], (3, 4))[:, :3]
-        is_known = bool(np.isfinite(turn).all())
-        return not is_known or np.allclose(turn @ turn.T, np.eye(3), atol=0.05)
+        return not np.isfinite(turn).all() or _is_rotation(turn)
     return True
+
+
+def _is_rotation(turn: Float64) -> bool:
+    """Whether a matrix turns, as one that was written with few digits does."""
+    return np.allclose(turn @ turn.T, np.eye(3), atol=0.05)

@@ -189,9 +189,7 @@ def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str
     if least == most:
         return None, ""
     low, high = float(least), float(most)
-    unit, is_absolute = find_time_unit(low, high)
-    if unit == MS and not is_absolute and values.dtype == np.int64:
-        unit = US  # of so few steps no sweep is made
+    unit, is_absolute = find_time_unit(low, high, values.dtype)
     after = "of a clock" if is_absolute else "after the stamp"
     # Counted from the earliest one, since nanoseconds of a clock are more than a float can tell.
     start_ns = low * unit - (stamp_ns if is_absolute else 0)
@@ -206,16 +204,17 @@ def _scale_times(values: NDArray[Any], stamp_ns: int) -> tuple[Int64 | None, str
     return offset_ns, f"in {UNITS[unit]} {after}"
 
 
-def find_time_unit(low: float, high: float) -> tuple[float, bool]:
+def find_time_unit(low: float, high: float, dtype: np.dtype[Any]) -> tuple[float, bool]:
     """Find how many ns the unit of points' times has, and whether they are a clock's.
 
-    A clock has counted 1e9 seconds since 2001; a sweep takes half a millisecond to two seconds.
+    A clock has counted 1e9 seconds since 2001; a sweep takes half a millisecond to two seconds, and
+    in whole milliseconds it would have too few steps.
     """
     for unit in UNITS:
         if low * unit > 1e18 and (high - low) * unit <= 10 * LONGEST_SWEEP_NS:
             return unit, True
     largest = max(abs(low), abs(high))
-    beyond = ((1e9, 2), (MS, 500), (US, 2e6))
+    beyond = ((1e9, 2), (MS, 0 if dtype == np.int64 else 500), (US, 2e6))
     return next((unit for unit, most in beyond if largest <= most), 1.0), False
 
 

@@ -276,7 +276,7 @@ class Drive:
                 if not isinstance(some, Cloud)
                 or wants(stamps.choose(some.stamp_ns, some.record_ns), len(some.points))
             )
-        limited = map(self.limits.apply, stack(map(self._settle_moments, chosen), stamps))
+        limited = map(self.limits.apply, stack(map(self.poser.settle_moments, chosen), stamps))
         for batch in tally.time_each("read", limited):
             selector.see_batch(batch)
             if self._middle_m[batch.topic] > FAR_M:
@@ -292,23 +292,6 @@ class Drive:
         tally.scans_read += selector.read
         tally.dropped.update(selector.left_out)
         self._first_ns = selector.first_ns or 0
-
-    def _settle_moments(self, some: Recorded) -> Recorded:
-        """Take a cloud to be measured at its stamp where poses are too sparse to move its points.
-
-        Some drivers stamp the end of a sweep, and then its earliest point is no better moment.
-        """
-        if not isinstance(some, Cloud) or some.offset_ns is None:
-            return some
-        if some.pose is None and some.frame not in self.poser.chains:
-            self.poser.find_chains([some.frame])
-        way, duration_ns = self.poser.chains.get(some.frame), np.ptp(some.offset_ns, keepdims=True)
-        if way is None or way.is_dense(duration_ns / 1e9):
-            return some
-        if way.interval_s:
-            note = f"{some.topic}: poses are too far apart to place points at times of their own"
-            self.poser.notes += [note] * (note not in self.poser.notes)
-        return some._replace(offset_ns=None)
 
     def list_doubts(self) -> Iterator[tuple[str, str]]:
         """Say of which topics angles are odd, and where ranges or places can hardly be metres."""

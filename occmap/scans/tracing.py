@@ -27,7 +27,7 @@ from occmap.scans.stream import Drive
 from occmap.scans.tally import LeftOut, Tally, refuse_unused
 from occmap.sensor import ReturnCounts, interpret
 from occmap.threads import Threads
-from occmap.types import Bool, PosedScans, Rays, Update
+from occmap.types import Bool, Float64, Int64, PosedScans, Rays, Update
 
 HANDED_BEAMS = 1 << 12
 """Fewer beams are traced sooner than handed to a thread, which waits for Python's lock: with two
@@ -106,15 +106,12 @@ class Standstill:
         self._last_ns = -math.inf
         """When a cloud counted last"""
 
-    def choose(self, posed: PosedScans) -> Bool:
-        """Choose the clouds (S,) that count, which are the next ones."""
-        counts = np.ones(len(posed.stamp_ns), np.bool_)
-        if posed.stood_s is None:
-            return counts
-        stamps = zip(posed.stamp_ns.tolist(), posed.stood_s.tolist(), strict=True)
-        for at, (stamp_ns, stood_s) in enumerate(stamps):
-            is_late = not 0 <= stamp_ns - self._last_ns < stood_s * 1e9 / FEWEST
-            counts[at] = is_late or mix(stamp_ns) * stood_s < WHOLE_S
+    def choose(self, stamps_ns: Int64, stood_s: Float64) -> Bool:
+        """Choose the clouds (S,) that count, of the next ones, about which it stands so long."""
+        counts = np.ones(len(stamps_ns), np.bool_)
+        for at, (stamp_ns, long_s) in enumerate(zip(stamps_ns.tolist(), stood_s, strict=True)):
+            is_late = not 0 <= stamp_ns - self._last_ns < long_s * 1e9 / FEWEST
+            counts[at] = is_late or mix(stamp_ns) * long_s < WHOLE_S
             self._last_ns = stamp_ns if counts[at] else self._last_ns
         return counts
 
@@ -140,7 +137,8 @@ def read_seen(drive: Drive, tally: Tally) -> Iterator[Rays | PosedScans]:
     views: defaultdict[tuple[str, str], Standstill] = defaultdict(Standstill)
     for posed in drive.read(tally):
         if posed.batch.clouds:
-            counts = views[posed.batch.topic, posed.batch.frame].choose(posed)
+            stood_s = drive.poser.measure_standstills(posed)
+            counts = views[posed.batch.topic, posed.batch.frame].choose(posed.stamp_ns, stood_s)
             tally.use(int(counts.sum()), ReturnCounts())
             tally.dropped += Counter({LeftOut.STOOD: int((~counts).sum())})
             yield posed.take(counts)

@@ -77,9 +77,9 @@ def test_how_long_a_sensor_of_clouds_stands_still() -> None:
     track = [at(t, "map", "laser", Pose.planar(min(max(t - 10, 0), 2), 0, 0)) for t in range(61)]
     scans = batch_at([1, 5, 9, 11, 13, 14, 25, 48])
     clouds = tuple(Cloud(0, "laser", np.zeros((1, 3), np.float32)) for _ in scans.stamp_ns)
-    (posed,), _ = attach(build(*track), replace(scans, clouds=clouds))
-    assert posed.stood_s is not None
-    assert posed.stood_s.tolist() == [8, 2 + 2, 8, 0, 32, 2 + 32, 8 + 32, 32 + 8]
+    poser = build(*track)
+    (posed,), _ = attach(poser, replace(scans, clouds=clouds))
+    assert poser.measure_standstills(posed).tolist() == [8, 2 + 2, 8, 0, 32, 2 + 32, 8 + 32, 32 + 8]
 
 
 def test_the_time_offset_is_added_to_the_stamps_of_scans() -> None:
