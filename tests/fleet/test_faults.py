@@ -129,6 +129,23 @@ def test_a_build_whose_driver_was_killed_goes_on_where_it_was(
     assert {path: path.stat().st_mtime_ns for path in done} == done
 
 
+def test_what_was_removed_from_the_scratch_folder_is_made_anew(
+    address: str, tmp_path: Path, expected: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("occmap.fleet.shutil.rmtree", lambda *_, **__: None)
+        build_by(address, tmp_path)
+    for left in (tmp_path / "scratch").glob("*/*"):
+        if left.match("block*") or left.match("log00001.*.run"):
+            left.unlink()
+        elif left.match("log00000.trace_log"):
+            left.write_bytes(b"")
+    with pytest.raises(MapError, match="log00001.*the same command"):
+        build_by(address, tmp_path)
+    build_by(address, tmp_path)
+    assert (tmp_path / "map.npz").read_bytes() == expected
+
+
 def test_a_store_whose_driver_was_killed_is_begun_anew(address: str, tmp_path: Path) -> None:
     scratch, output = tmp_path / "scratch", tmp_path / "map.zarr"
     with start_build(address, scratch, output) as first:
