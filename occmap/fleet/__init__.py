@@ -181,7 +181,8 @@ def open_scratch(
     """
     digest = digest_build(scratch, paths, options, keep)
     folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
-    with ExitStack() as stack:
+    with ExitStack() as outer, ExitStack() as stack:
+        outer.callback(remove_empty, scratch)  # another build may have something in it
         is_held = False
         while not is_held:  # whoever had the lock before took both away
             stack.close()
@@ -190,10 +191,15 @@ def open_scratch(
                 mark.touch()
             is_held = lock(mark, stack) and mark.exists()
         stack.callback(mark.unlink, missing_ok=True)
+        stack.callback(remove_empty, folder)  # where nothing was done that is worth to go on from
         yield folder
         shutil.rmtree(folder, ignore_errors=True)
-    with suppress(OSError):  # another build may have something in it
-        scratch.rmdir()
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder in which nothing is."""
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def digest_build(scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep) -> str:

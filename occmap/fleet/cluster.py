@@ -259,7 +259,7 @@ def connect(place: Any, address: str) -> "Client":
         if isinstance(error, ValueError):
             found = "is no address of a scheduler, such as tcp://HOST:8786"
         fix = "start one with `dask scheduler`, or build with `dask=local`"
-        raise FleetError(found, where=address, fix=fix) from None
+        raise FleetError(found, where=address or "''", fix=fix) from None
 
 
 def refuse_unfit(cluster: Cluster) -> None:
@@ -300,7 +300,7 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
     missing = [each for each in answers if isinstance(each, list) and each]
     if missing:
         found = f"is not there on {len(missing)} of {count(len(answers), 'worker')}"
-        raise FleetError(found, where=missing[0][0], fix="give a path that all of them share")
+        raise FleetError(found, where=missing[0][0], fix="give its whole path, by which all see it")
 
 
 def list_missing(paths: Sequence[Path]) -> list[Path]:

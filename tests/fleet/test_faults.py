@@ -140,7 +140,7 @@ def test_what_was_removed_from_the_scratch_folder_is_made_anew(
             left.unlink()
         elif left.match("log00000.trace_log"):
             left.write_bytes(b"")
-    with pytest.raises(MapError, match="log00001.*the same command"):
+    with pytest.raises(MapError, match=r"log00001.*the same command"):
         build_by(address, tmp_path)
     build_by(address, tmp_path)
     assert (tmp_path / "map.npz").read_bytes() == expected

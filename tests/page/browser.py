@@ -92,7 +92,8 @@ class Shown:
         """Wait until what was asked for is painted: Bokeh's views say so."""
         self.browser.execute_async_script(
             "const done = arguments[0], views = Bokeh.index.roots.map(each => each.ready);"
-            "Promise.all(views).then(() => requestAnimationFrame(() => requestAnimationFrame(done)))"
+            "Promise.all(views).then(() => requestAnimationFrame("
+            "() => requestAnimationFrame(() => done())))"
         )
 
     def point_px(self, x: float, y: float) -> dict[str, str]:
