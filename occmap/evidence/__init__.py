@@ -162,8 +162,7 @@ def list_misfit(
     grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel, whom: str
 ) -> Iterator[str]:
     """Say that the tiles of a log contradict those that it is added to, called `whom`."""
-    share = measure_conflict(grid, others, model) or 0.0
-    if share > MOST_CONFLICT:
+    if (share := measure_conflict(grid, others, model)) > MOST_CONFLICT:
         yield (
             f"does not fit {whom}: of the hits in cells that both saw, {share:.0%} lie where the "
             "other saw free space; where their frames differ, `fit` lays one on the other as they "
@@ -171,9 +170,7 @@ def list_misfit(
         )
 
 
-def measure_conflict(
-    grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel
-) -> float | None:
+def measure_conflict(grid: TileGrid, others: Mapping[Key, Tile], model: SensorModel) -> float:
     """Measure how much two parts of a map contradict each other.
 
     Agreement hardly falls where as many hits as misses lie on the walls of both. So hits of each
@@ -183,29 +180,27 @@ def measure_conflict(
     -------
     share
         Of the hits of a part in cells that the other calls free or occupied, those in free cells
-        with nothing occupied within `NEAR_M`: the mean of both parts. None where they share too
-        little, or keep no hits.
+        with nothing occupied within `NEAR_M`: the mean of both parts. 0 where they share too little,
+        or keep no hits.
     """
     if grid.kind is not EvidenceKind.COUNTS:
-        return None
+        return 0.0
     shared = sorted(grid.tiles.keys() & others.keys())
     reach = max(round(NEAR_M / grid.lattice.resolution), 1)
-    parts = grid, grid.like(others)
+    inner, parts = np.s_[reach:-reach, reach:-reach], (grid, grid.like(others))
     sums = np.zeros((2, 2))  # of each part: hits, and those that the other contradicts
     for key in shared[:: max(-(-len(shared) // MOST_TILES), 1)]:
         box = CellBox.at(*key).scale(TILE).grow(reach)
         for row, (part, other) in enumerate(zip(parts, parts[::-1], strict=True)):
             seen = paint_box(other, model, box)
-            free, occupied = (
-                each[reach:-reach, reach:-reach] for each in (seen.free, seen.occupied)
-            )
+            known, free = (seen.free | seen.occupied)[inner], seen.free[inner]
             near: Any = seen.occupied
             for axis in (0, 1):
                 near = sliding_window_view(near, 2 * reach + 1, axis).any(axis=-1)
             hits = part.tiles[key][0]
-            sums[row] += hits[free | occupied].sum(), hits[free & ~near].sum()
+            sums[row] += hits[known].sum(), hits[free & ~near].sum()
     if sums[:, 0].min() < FEWEST_HITS * grid.unit:
-        return None
+        return 0.0
     return float((sums[:, 1] / sums[:, 0]).mean())
 
 
@@ -288,8 +283,7 @@ def keep_lasting(grid: TileGrid, slices: Sequence[Slices], min_passes: int | Non
             (hits, misses), (hit, seen) = grid.tiles[key], tiles.count_visits(of_tile)
             often = hit >= min_passes
             mostly = often & (2 * hit >= seen)
-            kept = np.where(often, hits, 0), np.where(mostly, 0, misses)
-            lasting[key] = np.stack(kept)
+            lasting[key] = np.stack([np.where(often, hits, 0), np.where(mostly, 0, misses)])
     return grid.like(tiles.drop_empty(lasting))
 
 

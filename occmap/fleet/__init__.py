@@ -157,12 +157,11 @@ class Fleet:
 
 def list_other_builds(folder: Path) -> Iterator[str]:
     """Say which folders beside that of a build are of other ones."""
-    for other in sorted(folder.parent.glob("build-*")):
-        if other != folder:
-            yield (
-                f"{other}: of a build with another log, option or version of occmap, which this "
-                "build does not go on from; remove the folder if nobody will"
-            )
+    for other in sorted({*folder.parent.glob("build-*")} - {folder}):
+        yield (
+            f"{other}: of a build with another log, option or version of occmap, which this build "
+            "does not go on from; remove the folder if nobody will"
+        )
 
 
 @contextmanager

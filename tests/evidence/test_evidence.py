@@ -247,19 +247,21 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
     """Hits that are two cells from the other's wall are none that it contradicts."""
     one = lay((8000, 0), *[(0, 50)] * 6)
     other = lay((100, 0), (0, 50), (100, 0), *[(0, 50)] * 3, (300, 0))
-    share = (0 / 8000 + 300 / 500) / 2
-    assert measure_conflict(one, other.tiles, RULE) == share
+    assert measure_conflict(one, other.tiles, RULE) == (0 / 8000 + 300 / 500) / 2
     assert not list(list_misfit(one, other.tiles, RULE, "it"))
     (note,) = list_misfit(one, lay(*[(0, 50)] * 6, (300, 0)).tiles, RULE, "it")
     assert note.startswith("does not fit it: of the hits in cells that both saw, 100% lie where")
 
 
 def test_little_and_sums_of_log_odds_are_not_judged() -> None:
-    one = lay((199, 1))
-    assert measure_conflict(one, one.tiles, RULE) is None
-    assert measure_conflict(one, {}, RULE) is None
-    summed = lay((400, 400), kind=EvidenceKind.LOG_ODDS)
-    assert measure_conflict(summed, summed.tiles, QuadraticModel()) is None
+    for hits, kind, model in (
+        (199, EvidenceKind.COUNTS, RULE),
+        (400, EvidenceKind.LOG_ODDS, QuadraticModel()),
+    ):
+        one = lay((hits, 0), *[(0, 400)] * 6, kind=kind)
+        other = lay(*[(0, 400)] * 6, (hits, 0), kind=kind)
+        assert measure_conflict(one, other.tiles, model) == 0
+        assert measure_conflict(one, {}, model) == 0
 
 
 def keep_misfits(grid: Map) -> list[str]:

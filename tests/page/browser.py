@@ -91,9 +91,8 @@ class Shown:
     def rest(self) -> None:
         """Wait until what was asked for is painted: Bokeh's views say so."""
         self.browser.execute_async_script(
-            "const done = arguments[0], views = Bokeh.index.roots.map(each => each.ready);"
-            "Promise.all(views).then(() => requestAnimationFrame("
-            "() => requestAnimationFrame(() => done())))"
+            "const done = arguments[0], all = Bokeh.index.roots.map(each => each.ready);"
+            "Promise.all(all).then(() => requestAnimationFrame(() => requestAnimationFrame(done)))"
         )
 
     def point_px(self, x: float, y: float) -> dict[str, str]:
