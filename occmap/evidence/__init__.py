@@ -180,8 +180,8 @@ def measure_conflict(grid: TileGrid, others: Mapping[Key, Tile], model: SensorMo
     -------
     share
         Of the hits of a part in cells that the other calls free or occupied, those in free cells
-        with nothing occupied within `NEAR_M`: the mean of both parts. 0 where they share too little,
-        or keep no hits.
+        with nothing occupied within `NEAR_M`: the mean of both parts. 0 where they share too
+        little, or keep no hits.
     """
     if grid.kind is not EvidenceKind.COUNTS:
         return 0.0

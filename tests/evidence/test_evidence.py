@@ -254,14 +254,11 @@ def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
 
 
 def test_little_and_sums_of_log_odds_are_not_judged() -> None:
-    for hits, kind, model in (
-        (199, EvidenceKind.COUNTS, RULE),
-        (400, EvidenceKind.LOG_ODDS, QuadraticModel()),
-    ):
-        one = lay((hits, 0), *[(0, 400)] * 6, kind=kind)
-        other = lay(*[(0, 400)] * 6, (hits, 0), kind=kind)
-        assert measure_conflict(one, other.tiles, model) == 0
-        assert measure_conflict(one, {}, model) == 0
+    few, summed = [(199, 0), *[(0, 400)] * 6], [(400, 9), *[(-400, 9)] * 6]
+    one, other = lay(*few), lay(*few[::-1])
+    assert measure_conflict(one, other.tiles, RULE) == measure_conflict(one, {}, RULE) == 0
+    one, other = (lay(*each, kind=EvidenceKind.LOG_ODDS) for each in (summed, summed[::-1]))
+    assert measure_conflict(one, other.tiles, QuadraticModel()) == 0
 
 
 def keep_misfits(grid: Map) -> list[str]:
