@@ -157,12 +157,11 @@ class Fleet:
 
 def list_other_builds(folder: Path) -> Iterator[str]:
     """Say which folders beside that of a build are of other ones."""
-    for other in sorted(folder.parent.glob("build-*")):
-        if other != folder:
-            yield (
-                f"{other}: of a build with another log, option or version of occmap, which this "
-                "build does not go on from; remove the folder if nobody will"
-            )
+    for other in sorted({*folder.parent.glob("build-*")} - {folder}):
+        yield (
+            f"{other}: of a build with another log, option or version of occmap, which this build "
+            "does not go on from; remove the folder if nobody will"
+        )
 
 
 @contextmanager
@@ -181,7 +180,8 @@ def open_scratch(
     """
     digest = digest_build(scratch, paths, options, keep)
     folder, mark = (scratch.absolute() / f"{kind}-{digest}" for kind in ("build", "lock"))
-    with ExitStack() as stack:
+    with ExitStack() as outer, ExitStack() as stack:
+        outer.callback(remove_empty, scratch)  # another build may have something in it
         is_held = False
         while not is_held:  # whoever had the lock before took both away
             stack.close()
@@ -190,10 +190,15 @@ def open_scratch(
                 mark.touch()
             is_held = lock(mark, stack) and mark.exists()
         stack.callback(mark.unlink, missing_ok=True)
+        stack.callback(remove_empty, folder)  # where nothing was done that is worth to go on from
         yield folder
         shutil.rmtree(folder, ignore_errors=True)
-    with suppress(OSError):  # another build may have something in it
-        scratch.rmdir()
+
+
+def remove_empty(folder: Path) -> None:
+    """Remove a folder in which nothing is."""
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def digest_build(scratch: Path, paths: Sequence[Path], options: BuildOptions, keep: Keep) -> str:

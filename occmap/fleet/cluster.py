@@ -72,11 +72,10 @@ class Cluster:
         self._describe = describe
         workers = client.scheduler_info(n_workers=-1)["workers"]
         limits = [each["memory_limit"] for each in workers.values() if each["memory_limit"]]
-        self.workers = len(workers)
         self.memory = min(limits, default=None)
         """What the smallest worker may take (bytes); None: no limit"""
         link = client.dashboard_link
-        self._crew = f"{count(self.workers, 'worker')}{link and f', {link}'}"
+        self._crew = f"{count(len(workers), 'worker')}{link and f', {link}'}"
 
     def run(
         self,
@@ -259,7 +258,7 @@ def connect(place: Any, address: str) -> "Client":
         if isinstance(error, ValueError):
             found = "is no address of a scheduler, such as tcp://HOST:8786"
         fix = "start one with `dask scheduler`, or build with `dask=local`"
-        raise FleetError(found, where=address, fix=fix) from None
+        raise FleetError(found, where=address or "''", fix=fix) from None
 
 
 def refuse_unfit(cluster: Cluster) -> None:
@@ -276,10 +275,8 @@ def refuse_unfit(cluster: Cluster) -> None:
         found = f"{workers} run {other[0]}, and this process runs {mine}"
         raise FleetError(found, fix="install the same versions everywhere")
     if cluster.memory is not None and cluster.memory < LEAST_BYTES:
-        found = (
-            f"a worker may take {cluster.memory >> 20} MiB of memory, and {LEAST_BYTES >> 20} MiB "
-            "are the least"
-        )
+        least = LEAST_BYTES >> 20
+        found = f"a worker may take {cluster.memory >> 20} MiB of memory, and {least} are the least"
         raise FleetError(found, fix="start fewer workers, or give each more memory")
 
 
@@ -297,10 +294,9 @@ def refuse_unseen_files(cluster: Cluster, paths: Sequence[Path]) -> None:
         Naming the first that some of them do not see.
     """
     answers = cluster.ask(list_missing, paths)
-    missing = [each for each in answers if isinstance(each, list) and each]
-    if missing:
+    if missing := [each for each in answers if isinstance(each, list) and each]:
         found = f"is not there on {len(missing)} of {count(len(answers), 'worker')}"
-        raise FleetError(found, where=missing[0][0], fix="give a path that all of them share")
+        raise FleetError(found, where=missing[0][0], fix="give its whole path, by which all see it")
 
 
 def list_missing(paths: Sequence[Path]) -> list[Path]:

@@ -9,6 +9,7 @@ import operator
 import pickle
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce, wraps
 from itertools import count
@@ -103,7 +104,7 @@ def once(task: Task[AnyJob, Result]) -> Task[AnyJob, Result]:
     @wraps(task)
     def do_once(setting: Setting, job: AnyJob) -> Result:
         stub = job.find_stub(setting.folder, task)
-        if stub.exists():
+        with suppress(OSError, EOFError, pickle.UnpicklingError):  # not there, or damaged
             known: Result = pickle.loads(stub.read_bytes())
             return known
         result = task(setting, job)
@@ -148,7 +149,7 @@ def trace_log(setting: Setting, job: Job) -> tuple[Tally, Pieces]:
     with tally.time("poses"):
         drive = open_drive(log, options)
     # A name is used once, also where the log is read anew: another worker may be at the same log.
-    names = (f"{job.name}-{number}.run" for number in count())
+    names = (f"{job.name}.{number}.run" for number in count())
     runs = trace_drive(drive, partial(RunWriter, setting, names), tally)
     with name_log(log.path):
         runs.flush()
@@ -210,7 +211,8 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
     Raises
     ------
     MapError
-        A run file is not there any more, or is not as it was written.
+        A run file is not there any more, or is not as it was written. It goes with the result that
+        tells of it, so that the same build makes both anew.
     """
     for name, offset, size in pieces:
         try:
@@ -218,8 +220,10 @@ def read_pieces(folder: Path, pieces: Iterable[Piece]) -> Iterator[Evidence]:
                 file.seek(offset)
                 data = zstandard.decompress(file.read(size))
         except (OSError, zstandard.ZstdError) as error:
-            found = f"cannot be read ({error})"
-            raise MapError(found, where=folder / name, fix="remove it, and build again") from None
+            for left in folder.glob(f"{name.partition('.')[0]}.*"):
+                left.unlink(missing_ok=True)
+            fix = "type the same command: it makes that anew"
+            raise MapError(f"cannot be read ({error})", where=folder / name, fix=fix) from None
         yield pickle.loads(data)
 
 

@@ -107,13 +107,12 @@
       document.body.dataset.layer = layer.key;
       if (!settled) {
         settled = true;
-        setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(settle)), SETTLING_MS);
+        await Promise.all(Bokeh.index.roots.map(view => view.ready));
+        requestAnimationFrame(() => requestAnimationFrame(settle));
       }
     });
   }
   // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
-  // Bokeh paints at its own pace and says nothing of it.
-  const SETTLING_MS = 150;
   let settled = false;
   function settle() {
     document.querySelectorAll(".poster").forEach(poster => poster.remove());

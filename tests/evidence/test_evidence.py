@@ -15,7 +15,7 @@ import pytest
 from occmap import Map, build_map, merge
 from occmap.cells import Manifest, Slices
 from occmap.errors import MapError
-from occmap.evidence import keep_lasting, list_misfit, measure_fit, weigh
+from occmap.evidence import keep_lasting, list_misfit, measure_conflict, weigh
 from occmap.evidence.manifest import list_doubts, list_repeated
 from occmap.grid.tiles import TILE, EvidenceKind, TileGrid, pack_bits
 from occmap.options import BuildOptions
@@ -244,31 +244,21 @@ def lay(*cells: tuple[int, int], kind: EvidenceKind = EvidenceKind.COUNTS) -> Ti
 
 
 def test_the_share_of_each_part_counts_as_much_as_the_other() -> None:
-    """A cell is occupied from one hit for two misses on; the last one only one part saw."""
-    one = lay((400, 0), (0, 8000), (7000, 0))
-    other = lay((300, 3), (300, 3))
-    # Alone all hits agree. Together those in the second cell do not: half of the other's.
-    assert measure_fit(one, other.tiles, RULE) == (1.0, (1 + 0.5) / 2)
-    (note,) = list_misfit(one, other.tiles, RULE, "it")
-    assert note.startswith("does not fit it: in cells that both saw, 100% of the hits lie")
-    assert "and 75% together" in note
+    """Hits that are two cells from the other's wall are none that it contradicts."""
+    one = lay((8000, 0), *[(0, 50)] * 6)
+    other = lay((100, 0), (0, 50), (100, 0), *[(0, 50)] * 3, (300, 0))
+    assert measure_conflict(one, other.tiles, RULE) == (0 / 8000 + 300 / 500) / 2
+    assert not list(list_misfit(one, other.tiles, RULE, "it"))
+    (note,) = list_misfit(one, lay(*[(0, 50)] * 6, (300, 0)).tiles, RULE, "it")
+    assert note.startswith("does not fit it: of the hits in cells that both saw, 100% lie where")
 
 
-def test_parts_that_fit_are_no_news() -> None:
-    one = lay((400, 0), (0, 8000))
-    assert measure_fit(one, one.tiles, RULE) == (1.0, 1.0)
-    assert not list(list_misfit(one, one.tiles, RULE, "it"))
-
-
-def test_little_is_not_judged() -> None:
-    one = lay((199, 1))
-    assert measure_fit(one, one.tiles, RULE) is None
-    assert measure_fit(one, {}, RULE) is None
-
-
-def test_sums_of_log_odds_know_no_hits() -> None:
-    one = lay((400, 400), kind=EvidenceKind.LOG_ODDS)
-    assert measure_fit(one, one.tiles, QuadraticModel()) is None
+def test_little_and_sums_of_log_odds_are_not_judged() -> None:
+    few, summed = [(199, 0), *[(0, 400)] * 6], [(400, 9), *[(-400, 9)] * 6]
+    one, other = lay(*few), lay(*few[::-1])
+    assert measure_conflict(one, other.tiles, RULE) == measure_conflict(one, {}, RULE) == 0
+    one, other = (lay(*each, kind=EvidenceKind.LOG_ODDS) for each in (summed, summed[::-1]))
+    assert measure_conflict(one, other.tiles, QuadraticModel()) == 0
 
 
 def keep_misfits(grid: Map) -> list[str]:

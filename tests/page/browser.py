@@ -2,7 +2,7 @@
 
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,16 @@ def open_browser() -> Iterator[webdriver.Chrome]:
     browser.quit()
 
 
+def wait_until(look: Callable[[], Any], what: str) -> Any:
+    """Look again and again until something is found, and return it."""
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        if found := look():
+            return found
+        time.sleep(0.02)
+    raise AssertionError(f"not within {PATIENCE_S} s: {what}")
+
+
 class Shown:
     """A page in a browser; where the pointer is comes from what the page says of it."""
 
@@ -56,12 +66,7 @@ class Shown:
 
     def wait(self, expression: str) -> Any:
         """Wait until a JavaScript expression is true, and return it."""
-        end = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end:
-            if found := self.run(f"return {expression}"):
-                return found
-            time.sleep(0.02)
-        raise AssertionError(f"not within {PATIENCE_S} s: {expression}; it said {self.complaints}")
+        return wait_until(lambda: self.run(f"return {expression}"), expression)
 
     @property
     def complaints(self) -> list[str]:
@@ -84,10 +89,10 @@ class Shown:
         return self.browser.find_element(By.CSS_SELECTOR, selector).text
 
     def rest(self) -> None:
-        """Wait until what was asked for is painted."""
+        """Wait until what was asked for is painted: Bokeh's views say so."""
         self.browser.execute_async_script(
-            "const done = arguments[0]; setTimeout(() => requestAnimationFrame("
-            "() => requestAnimationFrame(() => done())), 120)"
+            "const done = arguments[0], all = Bokeh.index.roots.map(each => each.ready);"
+            "Promise.all(all).then(() => requestAnimationFrame(() => requestAnimationFrame(done)))"
         )
 
     def point_px(self, x: float, y: float) -> dict[str, str]:

@@ -13,7 +13,7 @@ from occmap.api import Map
 from occmap.cells import Box
 from occmap.page.raster import CLASS_COLOURS, SCAN_COLOUR, make_raster
 from occmap.writers.edits import Change, read_edits
-from tests.page.browser import BROWSER, FLAGS, Shown, open_browser
+from tests.page.browser import BROWSER, FLAGS, Shown, open_browser, wait_until
 
 DRIVE = Path("sample_logs/drive.mcap")
 RESOLUTION = 0.1
@@ -135,7 +135,7 @@ def test_shapes_drawn_over_the_map_are_saved_for_edits(drive: Drive, tmp_path: P
     page.click("#undo")
     page.click("#save")
     saved = tmp_path / "edits.csv"
-    page.browser.execute_async_script("setTimeout(arguments[0], 500)")
+    wait_until(saved.exists, "edits.csv is saved")
     polygon, line = read_edits(saved)
     assert (polygon.change, line.change) == (Change.FREE, Change.UNKNOWN)
     np.testing.assert_allclose(polygon.rings[0], [(1, 1), (3, 1), (3, 2.5)], atol=0.03)
@@ -156,7 +156,7 @@ def test_in_a_narrow_window_a_metre_is_as_long_in_y_and_the_plot_has_the_shape_o
     page = Shown(browser, tmp_path / "m.html")
     size = browser.get_window_size()
     browser.set_window_size(600, 1000)
-    page.rest()
+    page.wait("innerWidth < 700")
     page.rest()
     wide, high, metres_x, metres_y = page.run(
         "const f = Bokeh.documents[0].get_model_by_name('map-0'), x = f.x_range, y = f.y_range;"
@@ -177,7 +177,7 @@ def test_on_a_phone_nothing_sticks_out_and_a_tap_says_what_is_there(
     browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
     page = Shown(browser, tmp_path / "m.html")
     page.choose("scan", 0, "input")
-    page.rest()
+    page.wait("document.body.dataset.scan === '0'")
     width = page.run("return document.documentElement.scrollWidth")
     x, y, wide = page.run(
         "const box = document.querySelector('figure').getBoundingClientRect();"
