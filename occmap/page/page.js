@@ -111,12 +111,10 @@
       }
     });
   }
-  // Until it is drawn a map is there as a picture: for pages that are printed, or photographed.
   // Bokeh paints at its own pace and says nothing of it.
   const SETTLING_MS = 150;
   let settled = false;
   function settle() {
-    document.querySelectorAll(".poster").forEach(poster => poster.remove());
     document.body.dataset.drawn = Math.round(performance.now());
     prepare();
   }
