@@ -131,8 +131,6 @@ class MountFindings:
     better: str = ""
     """The option, with its value, that mounts it so that the scans fit each other better; empty
     where they fit"""
-    better_agreement: Share | None = None
-    """Share of the hits of a sample that lie in occupied cells with it"""
 
 
 @dataclass(frozen=True)

@@ -259,8 +259,8 @@ def sum_up_mount(poser: Poser, topic: str, misfit: Better | None) -> MountFindin
     """Sum up how the sensor of a topic sits; None where no scan has a pose."""
     if (stance := poser.find_stance(topic)) is None:
         return None
-    better = (f"{misfit.name}={misfit.value}", misfit.agreement) if misfit else ()
-    return MountFindings(stance.upside_down, stance.tilt, stance.height, *better)
+    better = f"{misfit.name}={misfit.value}" if misfit else ""
+    return MountFindings(stance.upside_down, stance.tilt, stance.height, better)
 
 
 LEAST_TILT_DEG = 0.5
